@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+# make demo and make test set up all they need; the rest is listed by make help.
+VENV := .venv
+RUN := $(VENV)/bin/python
+READY := $(VENV)/.ready
+OUT ?= out
+
+.PHONY: help demo train-demo train test lint format bench colcon clean
+
+help:  ## list the targets
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 14
+
+$(READY): tools/setup setup.py $(wildcard requirements/*.txt)
+	tools/setup $(VENV)
+
+demo: $(READY)  ## place cameras over real ROS: make demo [ROOM=scan.ply] [CAMERAS=4] [HEIGHT=1.9] [MODEL=default]
+	$(RUN) -m ocp_ros.nodes.demo --out $(OUT) $(if $(ROOM),--room "$(ROOM)") $(if $(CAMERAS),--cameras $(CAMERAS)) $(if $(HEIGHT),--height $(HEIGHT)) $(if $(MODEL),--model $(MODEL))
+
+train-demo: $(READY)  ## the same with trainer_node in the loop: weights arrive in policy_node
+	$(RUN) -m ocp_ros.nodes.train_demo --out $(OUT)
+
+train: $(READY)  ## train the shipped model again
+	$(RUN) -m ocp_ros.cli train --config config/train/default.yaml --out $(OUT)/train --model models/default.safetensors
+
+test: $(READY)  ## run all tests
+	$(RUN) -m pytest
+
+lint: $(READY)  ## check style, as ament_flake8 and ament_pep257 would
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/flake8 ocp_ros test launch setup.py
+
+format: $(READY)  ## mend what ruff can mend
+	$(VENV)/bin/ruff check --fix .
+
+bench: $(READY)  ## measure fidelity and speed of the engine
+	$(RUN) -m ocp_ros.benchmark.engine --out $(OUT)/bench.json
+
+colcon: $(READY)  ## build with colcon and start the installed nodes once
+	tools/check_install $(VENV)
+
+clean:  ## remove everything that can be made again
+	rm -rf $(VENV) build install log $(OUT) *.egg-info .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -prune -exec rm -rf {} +

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Farthest-point sampling and ball query, as in PointNet++ (Qi et al., 2017)."""
+
+from numba import njit
+import numpy as np
+
+
+@njit(cache=True, nogil=True)
+def farthest_points(points, count):
+    """
+    Choose points one by one, each the farthest from those chosen before; the first is point 0.
+
+    :param points: (N, 3) float32.
+    :param count: how many to choose; beyond N distinct places, points repeat.
+    :returns: (count,) int16 indices.
+    """
+    chosen = np.zeros(count, dtype=np.int16)
+    nearest = np.full(points.shape[0], np.inf, dtype=np.float32)
+    last = 0
+    for k in range(1, count):
+        farthest, best = 0, np.float32(-1.0)
+        for i in range(points.shape[0]):
+            dx = points[i, 0] - points[last, 0]
+            dy = points[i, 1] - points[last, 1]
+            dz = points[i, 2] - points[last, 2]
+            nearest[i] = min(nearest[i], dx * dx + dy * dy + dz * dz)
+            if nearest[i] > best:
+                farthest, best = i, nearest[i]
+        chosen[k] = last = farthest
+    return chosen
+
+
+@njit(cache=True, nogil=True)
+def ball_query(points, keys, radius, size):
+    """
+    Group the first points, in their order, within a radius of each key point.
+
+    :param points: (N, 3) float32.
+    :param keys: (K,) indices of the key points.
+    :param radius: in the points' unit.
+    :param size: points per group; a smaller group repeats its first point.
+    :returns: (K, size) int16 indices.
+    """
+    groups = np.empty((keys.shape[0], size), dtype=np.int16)
+    for k in range(keys.shape[0]):
+        centre, found = points[keys[k]], 0
+        for i in range(points.shape[0]):
+            dx, dy, dz = points[i, 0] - centre[0], points[i, 1] - centre[1], points[i, 2] - centre[2]
+            if dx * dx + dy * dy + dz * dz <= radius * radius:
+                groups[k, found] = i
+                found += 1
+                if found == size:
+                    break
+        for i in range(found, size):
+            groups[k, i] = groups[k, 0]
+    return groups

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``ocp``: the package's tools for people without a ROS graph."""
+
+import argparse
+from pathlib import Path
+import sys
+
+from ocp_ros.agent.checkpoint import CheckpointError
+from ocp_ros.configuration import ConfigurationError
+from ocp_ros.scenes.scene import SceneError
+
+
+def _train(arguments: argparse.Namespace) -> None:
+    """Train a policy and print what it does in rooms it has never seen."""
+    from ocp_ros.training.train import read_config, train
+    config = read_config(arguments.config)
+    checkpoint = train(config, arguments.out)
+    test = checkpoint.provenance['test']
+    for name in ('random_moves', 'policy'):
+        figures = test[name]
+        print(f'{name:>12}: depth error {figures["depth_error_start"]:.2f} m -> '
+              f'{figures["depth_error_end"]:.2f} m ({figures["ratio"]:.3f})')
+    if arguments.model:
+        checkpoint.save(arguments.model)
+        print(f'wrote {arguments.model}')
+
+
+def parser() -> argparse.ArgumentParser:
+    """Build the parser of all commands."""
+    top = argparse.ArgumentParser(prog='ocp', description=__doc__)
+    commands = top.add_subparsers(title='commands', required=True, metavar='COMMAND')
+    train = commands.add_parser('train', help='train a policy in generated rooms')
+    train.add_argument('--config', type=Path, required=True, help='YAML of training settings')
+    train.add_argument('--out', type=Path, required=True,
+                       help='folder of the run; an interrupted one goes on')
+    train.add_argument('--model', type=Path, help='write the best weights here as well')
+    train.set_defaults(run=_train)
+    return top
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one command; bad input gets one sentence and exit code 2."""
+    arguments = parser().parse_args(argv)
+    try:
+        arguments.run(arguments)
+    except (SceneError, ConfigurationError, CheckpointError, OSError) as error:
+        print(f'ocp: {error}', file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

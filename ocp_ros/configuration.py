@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Configuration as dataclasses: they own every default, its description and its range.
+
+Nodes declare their parameters from them, YAML files and JSON are read into them, and the effective
+values are saved with each result.
+"""
+
+from dataclasses import asdict, Field, field, fields, is_dataclass
+import difflib
+from typing import Any, TypeVar
+
+T = TypeVar('T')
+
+
+class ConfigurationError(ValueError):
+    """A setting that cannot be used; the message names it and says what was expected."""
+
+
+def setting(default: Any, description: str, low: float | None = None, high: float | None = None,
+            choices: tuple[str, ...] = ()) -> Any:
+    """
+    Declare a field of a configuration dataclass.
+
+    :param default: its default, whose type is the type of the setting.
+    :param description: one sentence with the unit.
+    :param low: smallest value allowed.
+    :param high: largest value allowed.
+    :param choices: the values allowed, for text.
+    """
+    metadata = {'description': description, 'low': low, 'high': high, 'choices': choices}
+    return field(default=default, metadata=metadata)
+
+
+def group(cls: type[T]) -> Any:
+    """Declare a field that holds another configuration dataclass with its defaults."""
+    return field(default_factory=cls)
+
+
+def leaves(cls: type, prefix: str = '') -> dict[str, Field]:
+    """Return every setting of a configuration dataclass by its dotted name."""
+    found = {}
+    for item in fields(cls):
+        if is_dataclass(item.type):
+            found.update(leaves(item.type, f'{prefix}{item.name}.'))
+        else:
+            found[prefix + item.name] = item
+    return found
+
+
+def check_known(names, known, what: str) -> None:
+    """
+    Refuse names that do not exist, with the nearest one that does.
+
+    :raises ConfigurationError: for the first unknown name.
+    """
+    for name in names:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+            hint = f'; did you mean {near[0]!r}?' if near else f'; expected one of {sorted(known)}'
+            raise ConfigurationError(f'{what}: found the unknown name {name!r}{hint}')
+
+
+def _checked(name: str, item: Field, value: Any) -> Any:
+    """Return a value in the setting's own type, or say why it cannot be."""
+    kind = item.type
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+        raise ConfigurationError(
+            f'{name}: found {value!r} ({type(value).__name__}); expected {kind.__name__}')
+    low, high, choices = (item.metadata[key] for key in ('low', 'high', 'choices'))
+    if choices and value not in choices:
+        raise ConfigurationError(f'{name}: found {value!r}; expected one of {list(choices)}')
+    if (low is not None and not value >= low) or (high is not None and not value <= high):
+        raise ConfigurationError(f'{name}: found {value}; expected {low} to {high}')
+    return value
+
+
+def from_flat(cls: type[T], values: dict[str, Any], what: str = 'configuration') -> T:
+    """
+    Build a configuration from dotted names; what is missing keeps its default.
+
+    :param values: dotted name to value, such as ``{'rig.cameras': 4}``.
+    :param what: where the values come from, for messages.
+    :raises ConfigurationError: for an unknown name, a wrong type or a value out of range.
+    """
+    known = leaves(cls)
+    check_known(values, known, what)
+    checked = {name: _checked(f'{what}: {name}', known[name], value)
+               for name, value in values.items()}
+    return _build(cls, checked, '')
+
+
+def _build(cls: type[T], values: dict[str, Any], prefix: str) -> T:
+    """Fill a dataclass and the ones inside it from dotted names."""
+    arguments = {}
+    for item in fields(cls):
+        name = prefix + item.name
+        if is_dataclass(item.type):
+            arguments[item.name] = _build(item.type, values, name + '.')
+        elif name in values:
+            arguments[item.name] = values[name]
+    return cls(**arguments)
+
+
+def flatten(nested: dict[str, Any], prefix: str = '') -> dict[str, Any]:
+    """Turn nested dictionaries into dotted names."""
+    flat = {}
+    for key, value in nested.items():
+        if isinstance(value, dict):
+            flat.update(flatten(value, f'{prefix}{key}.'))
+        else:
+            flat[f'{prefix}{key}'] = value
+    return flat
+
+
+def from_nested(cls: type[T], nested: dict[str, Any], what: str = 'configuration') -> T:
+    """Build a configuration from nested dictionaries, as YAML and JSON give them."""
+    if not isinstance(nested, dict):
+        raise ConfigurationError(f'{what}: found {type(nested).__name__}; expected a mapping')
+    return from_flat(cls, flatten(nested), what)
+
+
+def to_nested(config: Any) -> dict[str, Any]:
+    """Turn a configuration into nested dictionaries for YAML and JSON."""
+    return asdict(config)

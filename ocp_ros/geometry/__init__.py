@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Arrays in, arrays out: camera models, shadow maps, coverage and depth error (NumPy, Numba)."""

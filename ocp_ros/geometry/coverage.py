@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Space coverage: the volume that at least one camera sees."""
+
+import numpy as np
+
+
+def coverage_grid(bounds: np.ndarray, cell: float) -> tuple[np.ndarray, float]:
+    """
+    Divide a bounding box into equal cells.
+
+    :param bounds: (2, 3), lowest and highest corner, metres.
+    :param cell: wanted edge of a cell, metres; each axis takes the nearest edge that divides it.
+    :returns: centres (M, 3) float32, metres, and the volume of one cell, cubic metres.
+    :raises ValueError: if the cell is not positive.
+    """
+    if not cell > 0.0:
+        raise ValueError(f'coverage cell: found {cell}; expected metres above 0')
+    size = bounds[1] - bounds[0]
+    counts = np.maximum(np.round(size / cell).astype(int), 1)
+    axes = [bounds[0][k] + (np.arange(counts[k]) + 0.5) * size[k] / counts[k] for k in range(3)]
+    centres = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 3)
+    return centres.astype(np.float32), float(size.prod() / counts.prod())
+
+
+def space_coverage(visible_cells: np.ndarray, cell_volume: float) -> float:
+    """
+    Sum the volume of the visible cells.
+
+    :param visible_cells: (M,) bool, whether some camera sees each cell's centre.
+    :param cell_volume: cubic metres.
+    :returns: cubic metres.
+    """
+    return float(np.count_nonzero(visible_cells) * cell_volume)

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Depth observation error: what the depth maps of a room lose if only some points are seen.
+
+Equations 2 and 3 of arXiv 2110.11106, with the mean over a map's pixels instead of their sum. The
+viewpoints never move, so the points that cover each pixel are listed once, nearest first; the
+depth of a partial cloud is then the first visible entry of each list.
+"""
+
+from dataclasses import dataclass
+
+from numba import njit
+import numpy as np
+
+from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.geometry.shadow_maps import footprint, Pose, project, Projection, Settings
+
+
+def viewpoints(bounds: np.ndarray) -> np.ndarray:
+    """
+    Place the viewpoints: the centre, and 2/3 of the way from it to the corners, at half height.
+
+    :param bounds: (2, 3), lowest and highest corner, metres.
+    :returns: (5, 3) float64, metres.
+    """
+    centre = bounds.mean(axis=0)
+    half = 0.5 * (bounds[1] - bounds[0])
+    signs = np.array([[0, 0], [-1, -1], [-1, 1], [1, -1], [1, 1]], dtype=np.float64)
+    offsets = np.zeros((5, 3))
+    offsets[:, :2] = signs * half[:2] * 2.0 / 3.0
+    return centre + offsets
+
+
+@njit(cache=True, nogil=True)
+def _count_candidates(projection, order, half_sides, rows, columns, counts):
+    """Count the points that cover each pixel: counts (H * W,) int64, out."""
+    for i in order:
+        first_row, last_row, first_column, count = footprint(
+            projection.distance[i], projection.elevation[i], projection.azimuth[i],
+            half_sides[i], rows, columns)
+        for row in range(first_row, last_row + 1):
+            for k in range(first_column, first_column + count):
+                counts[row * columns + k % columns] += 1
+
+
+@njit(cache=True, nogil=True)
+def _list_candidates(projection, order, half_sides, rows, columns, ends, indices):
+    """Write each pixel's points in the given order; ends (H * W,) int64 moves to each end."""
+    for i in order:
+        first_row, last_row, first_column, count = footprint(
+            projection.distance[i], projection.elevation[i], projection.azimuth[i],
+            half_sides[i], rows, columns)
+        for row in range(first_row, last_row + 1):
+            for k in range(first_column, first_column + count):
+                cell = row * columns + k % columns
+                indices[ends[cell]] = i
+                ends[cell] += 1
+
+
+@njit(cache=True, nogil=True)
+def _error(starts, indices, distance, full, far, visible):
+    """Sum |partial depth - full depth| over the pixels of one viewpoint."""
+    total = 0.0
+    for cell in range(full.shape[0]):
+        depth = far
+        for k in range(starts[cell], starts[cell + 1]):
+            if visible[indices[k]]:
+                depth = distance[indices[k]]
+                break
+        total += depth - full[cell]
+    return total
+
+
+@dataclass(frozen=True)
+class _View:
+    """One viewpoint: candidate lists per pixel, the points' distances and the full depth map."""
+
+    starts: np.ndarray
+    indices: np.ndarray
+    distance: np.ndarray
+    full: np.ndarray
+
+
+class DepthError:
+    """
+    The depth observation error of a scene for any subset of its points.
+
+    :param points: (N, 3) float32, metres, map frame.
+    :param spacing: (N,) float32, metres.
+    :param bounds: (2, 3), lowest and highest corner, metres.
+    :param settings: rows of the depth maps, and the size of the points in them.
+    """
+
+    def __init__(self, points: np.ndarray, spacing: np.ndarray, bounds: np.ndarray,
+                 settings: Settings) -> None:
+        self.far = float(np.linalg.norm(bounds[1] - bounds[0]))
+        self.shape = (settings.rows, 2 * settings.rows)
+        self.viewpoints = viewpoints(bounds)
+        half_sides = (settings.cube_scale * spacing).astype(np.float32)
+        self._views = [self._view(points, half_sides, position) for position in self.viewpoints]
+        #: The error of seeing nothing, metres.
+        self.worst = self(np.zeros(len(points), dtype=bool))
+
+    def _view(self, points: np.ndarray, half_sides: np.ndarray, position: np.ndarray) -> _View:
+        """List the candidates of every pixel of one viewpoint, nearest first."""
+        rows, columns = self.shape
+        projection = Projection.empty(len(points))
+        # Far enough that a room's own far corner is never cut off by rounding.
+        lens = CameraModel(max_range=2.0 * self.far).lens
+        project(points, np.empty((0, 3), np.float32), Pose(position, np.eye(3)), lens, projection)
+        order = np.argsort(projection.distance, kind='stable')
+        order = order[np.isfinite(projection.distance[order])]
+        counts = np.zeros(rows * columns, dtype=np.int64)
+        _count_candidates(projection, order, half_sides, rows, columns, counts)
+        starts = np.concatenate([[0], np.cumsum(counts)])
+        indices = np.empty(starts[-1], dtype=np.int32)
+        _list_candidates(projection, order, half_sides, rows, columns, starts[:-1].copy(), indices)
+        full = np.full(rows * columns, self.far, dtype=np.float32)
+        covered = counts > 0
+        full[covered] = projection.distance[indices[starts[:-1][covered]]]
+        return _View(starts, indices, projection.distance, full)
+
+    def depth_map(self, viewpoint: int) -> np.ndarray:
+        """
+        Return the depth map of the whole scene.
+
+        :param viewpoint: 0 to 4.
+        :returns: (H, W) float32, metres; an empty pixel reads the bounding box's diagonal.
+        """
+        return self._views[viewpoint].full.reshape(self.shape)
+
+    def __call__(self, visible: np.ndarray) -> float:
+        """
+        Return the depth observation error of the visible points.
+
+        :param visible: (N,) bool.
+        :returns: metres: the sum over the viewpoints of the mean over the pixels.
+        """
+        total = sum(_error(view.starts, view.indices, view.distance, view.full,
+                           np.float32(self.far), visible) for view in self._views)
+        return float(total / (self.shape[0] * self.shape[1]))

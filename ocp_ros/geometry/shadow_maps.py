@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Spherical shadow maps: the distance from a camera to the nearest surface in each direction.
+
+A shadow map is an (H, W) float32 array; row = elevation from -pi/2 to pi/2, column = azimuth from
+-pi to pi, value = metres. The method is section III-B of arXiv 2110.11106.
+"""
+
+import math
+from typing import NamedTuple
+
+from numba import njit
+import numpy as np
+
+from ocp_ros.geometry.cameras import Lens, OMNIDIRECTIONAL, PINHOLE
+
+HALF_PI = 0.5 * np.pi
+TWO_PI = 2.0 * np.pi
+
+
+class Settings(NamedTuple):
+    """
+    How points become surfaces in a shadow map, and how much deeper than it a visible point may be.
+
+    A point is visible if its distance is at most SM[cell] + compensation, where compensation =
+    base + slope * footprint * min(tan(incidence), max_tangent), and footprint = cube_scale *
+    spacing + half a cell at the point's distance: across its footprint, a surface at that
+    incidence is deeper by so much than where it is nearest.
+
+    :ivar rows: rows of a map; it has twice as many columns.
+    :ivar cube_scale: half the side of a point's cube in multiples of its spacing.
+    :ivar base: metres.
+    :ivar slope: 0 for a constant compensation.
+    :ivar max_tangent: cap of the tangent on grazing surfaces.
+    """
+
+    rows: int = 128
+    cube_scale: float = 0.75
+    base: float = 0.06
+    slope: float = 1.0
+    max_tangent: float = 8.0
+
+
+DEFAULT = Settings()
+#: The paper's cube of twice the spacing; it calls its constant small and gives no figure.
+PAPER = Settings(cube_scale=1.0, base=0.1, slope=0.0)
+PRESETS = {'default': DEFAULT, 'paper': PAPER}
+
+
+class Pose(NamedTuple):
+    """
+    Where a camera is and how it is turned.
+
+    :ivar position: (3,) float64, metres, map frame.
+    :ivar rotation: (3, 3) float64, body frame (x forward, y left, z up) to map frame.
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+
+
+class Projection(NamedTuple):
+    """
+    Where points appear from a camera.
+
+    :ivar distance: (N,) float32, metres; inf where the camera cannot measure the point.
+    :ivar elevation: (N,) float32, radians.
+    :ivar azimuth: (N,) float32, radians.
+    :ivar cosine: (N,) float32, of the angle between the ray and the surface's normal.
+    """
+
+    distance: np.ndarray
+    elevation: np.ndarray
+    azimuth: np.ndarray
+    cosine: np.ndarray
+
+    @classmethod
+    def empty(cls, count: int) -> 'Projection':
+        """Allocate room for ``count`` points."""
+        return cls(*(np.empty(count, dtype=np.float32) for _ in cls._fields))
+
+
+@njit(cache=True, nogil=True, inline='always')
+def _in_view(x: float, y: float, z: float, lens: Lens) -> bool:
+    """Tell whether a direction in the camera's body frame lies in the viewing cone."""
+    if lens.kind == OMNIDIRECTIONAL:
+        return True
+    if lens.kind == PINHOLE:
+        return x > 0.0 and abs(y) <= x * lens.half_horizontal and abs(z) <= x * lens.half_vertical
+    return (abs(math.atan2(y, x)) <= lens.half_horizontal
+            and abs(math.atan2(z, math.hypot(x, y))) <= lens.half_vertical)
+
+
+@njit(cache=True, nogil=True)
+def project(points, normals, pose, lens, out):
+    """
+    Write where each point appears from a camera.
+
+    :param points: (N, 3) float32, metres, map frame.
+    :param normals: (N, 3) float32 unit vectors, or (0, 3) for points that face the camera.
+    :param pose: the camera's :class:`Pose`.
+    :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Lens`.
+    :param out: :class:`Projection` of N points.
+    """
+    x0, y0, z0 = pose.position[0], pose.position[1], pose.position[2]
+    rotation = pose.rotation
+    facing = normals.shape[0] == 0
+    for i in range(points.shape[0]):
+        dx, dy, dz = points[i, 0] - x0, points[i, 1] - y0, points[i, 2] - z0
+        flat = math.sqrt(dx * dx + dy * dy)
+        r = math.sqrt(flat * flat + dz * dz)
+        out.distance[i] = r
+        out.elevation[i] = math.atan2(dz, flat)
+        out.azimuth[i] = math.atan2(dy, dx)
+        out.cosine[i] = 1.0
+        if r < lens.min_range or r > lens.max_range or r == 0.0:
+            out.distance[i] = np.inf
+            continue
+        if not facing:
+            dot = dx * normals[i, 0] + dy * normals[i, 1] + dz * normals[i, 2]
+            out.cosine[i] = min(abs(dot) / r, 1.0)
+        if lens.kind != OMNIDIRECTIONAL:
+            x = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
+            y = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
+            z = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
+            if not _in_view(x, y, z, lens):
+                out.distance[i] = np.inf
+
+
+@njit(cache=True, nogil=True, inline='always')
+def cell_of(elevation, azimuth, rows, columns):
+    """Return the (row, column) that holds a direction; azimuth pi is azimuth -pi."""
+    row = min(max(int(math.floor((elevation + HALF_PI) * rows / np.pi)), 0), rows - 1)
+    column = int(math.floor((azimuth + np.pi) * columns / TWO_PI)) % columns
+    return row, column
+
+
+@njit(cache=True, nogil=True, inline='always')
+def footprint(distance, elevation, azimuth, half_side, rows, columns):
+    """
+    Return the cells that a point covers: first and last row, first column and column count.
+
+    The point is a cube, so it covers a rectangle of half-width half_side / r in elevation and
+    half_side / (r cos(elevation)) in azimuth: the cells whose centre lies in the rectangle and,
+    whatever its size, the point's own; full rows where the cube reaches over a pole. The first
+    column may be negative or the last one beyond the map: wrap them.
+    """
+    row, column = cell_of(elevation, azimuth, rows, columns)
+    half = half_side / distance
+    at = (elevation + HALF_PI) * rows / np.pi - 0.5
+    reach = half * rows / np.pi
+    first_row = max(min(int(math.ceil(at - reach)), row), 0)
+    last_row = min(max(int(math.floor(at + reach)), row), rows - 1)
+    to_pole = HALF_PI - abs(elevation)
+    half_azimuth = half / max(math.cos(elevation), 1e-6)
+    if half >= to_pole or half_azimuth >= np.pi:
+        return first_row, last_row, 0, columns
+    at = (azimuth + np.pi) * columns / TWO_PI - 0.5
+    reach = half_azimuth * columns / TWO_PI
+    column = int(math.floor(at + 0.5))
+    first_column = min(int(math.ceil(at - reach)), column)
+    last_column = max(int(math.floor(at + reach)), column)
+    return first_row, last_row, first_column, min(last_column - first_column + 1, columns)
+
+
+@njit(cache=True, nogil=True)
+def splat(projection, spacing, cube_scale, far, shadow_map):
+    """
+    Fill a shadow map with the nearest of the points that cover each cell.
+
+    :param projection: :class:`Projection` of N points.
+    :param spacing: (N,) float32, metres.
+    :param cube_scale: half the side of a point's cube in multiples of its spacing.
+    :param far: what an empty cell reads, metres.
+    :param shadow_map: (H, W) float32, out.
+    """
+    rows, columns = shadow_map.shape
+    shadow_map[:] = far
+    for i in range(spacing.shape[0]):
+        r = projection.distance[i]
+        if r > far:
+            continue
+        first_row, last_row, first_column, count = footprint(
+            r, projection.elevation[i], projection.azimuth[i], cube_scale * spacing[i],
+            rows, columns)
+        for row in range(first_row, last_row + 1):
+            for k in range(first_column, first_column + count):
+                column = k % columns
+                if r < shadow_map[row, column]:
+                    shadow_map[row, column] = r
+
+
+@njit(cache=True, nogil=True)
+def visible(projection, spacing, settings, shadow_map, out):
+    """
+    Add the points that a camera sees, r <= SM[cell] + compensation, to those that others see.
+
+    :param projection: :class:`Projection` of N points from the camera.
+    :param spacing: (N,) float32, metres.
+    :param settings: :class:`Settings`; its docstring has the formula of the compensation.
+    :param shadow_map: (H, W) float32, metres, of the same camera.
+    :param out: (N,) bool, in and out: set where the point is visible, else left alone.
+    """
+    rows, columns = shadow_map.shape
+    for i in range(spacing.shape[0]):
+        r = projection.distance[i]
+        if r == np.inf:
+            continue
+        row, column = cell_of(projection.elevation[i], projection.azimuth[i], rows, columns)
+        cosine = max(projection.cosine[i], np.float32(1e-6))
+        tangent = min(math.sqrt(1.0 - cosine * cosine) / cosine, settings.max_tangent)
+        reach = settings.cube_scale * spacing[i] + r * HALF_PI / rows
+        allowed = settings.base + settings.slope * reach * tangent
+        if r <= shadow_map[row, column] + allowed:
+            out[i] = True

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages to arrays and back, as plain functions; what is malformed is refused with a reason."""
+
+from array import array
+from collections.abc import Mapping
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Pose, PoseArray
+import numpy as np
+from sensor_msgs.msg import PointCloud2, PointField
+from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, UInt8MultiArray
+
+NUMPY_TYPES = {PointField.FLOAT32: 'f4', PointField.FLOAT64: 'f8'}
+
+
+class MessageError(ValueError):
+    """A message that cannot be used; the text says what was found and what was expected."""
+
+
+def stamp_to_ns(stamp: Time) -> int:
+    """Return a stamp as nanoseconds."""
+    return stamp.sec * 1_000_000_000 + stamp.nanosec
+
+
+def ns_to_stamp(nanoseconds: int) -> Time:
+    """Return nanoseconds as a stamp."""
+    return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
+
+
+def cloud_to_msg(points: np.ndarray, header: Header) -> PointCloud2:
+    """
+    Pack a cloud as x, y, z of float32.
+
+    :param points: (N, 3), metres, in the header's frame.
+    """
+    points = np.ascontiguousarray(points, dtype='<f4')
+    message = PointCloud2(
+        header=header, height=1, width=len(points), point_step=12, row_step=12 * len(points),
+        is_bigendian=False, is_dense=True,
+        fields=[PointField(name=name, offset=4 * k, datatype=PointField.FLOAT32, count=1)
+                for k, name in enumerate('xyz')])
+    # An array of bytes is what the setter takes without looking at every element.
+    message.data = array('B', points.tobytes())
+    return message
+
+
+def msg_to_cloud(message: PointCloud2) -> np.ndarray:
+    """
+    Unpack the positions of a cloud of any field layout.
+
+    :returns: (N, 3) float32, metres, in the message's frame; points without a finite position
+        (no return) are left out.
+    :raises MessageError: if x, y or z is missing or the sizes contradict the data.
+    """
+    fields = {field.name: field for field in message.fields}
+    order = '>' if message.is_bigendian else '<'
+    formats, offsets = [], []
+    for name in 'xyz':
+        if name not in fields:
+            raise MessageError(f'cloud: found the fields {sorted(fields)}; expected x, y and z')
+        field = fields[name]
+        if field.datatype not in NUMPY_TYPES or field.count > 1:
+            raise MessageError(f'cloud: found field {name} of datatype {field.datatype} x '
+                               f'{field.count}; expected one FLOAT32 or FLOAT64')
+        formats.append(order + NUMPY_TYPES[field.datatype])
+        offsets.append(field.offset)
+        if field.offset + np.dtype(formats[-1]).itemsize > message.point_step:
+            raise MessageError(f'cloud: found field {name} at offset {field.offset}; expected it '
+                               f'within point_step {message.point_step}')
+    if message.row_step < message.width * message.point_step or \
+            len(message.data) != message.row_step * message.height:
+        raise MessageError(
+            f'cloud: found {len(message.data)} bytes and row_step {message.row_step}; expected '
+            f'{message.height} rows of at least {message.width} x {message.point_step} bytes')
+    if len(message.data) == 0:
+        return np.empty((0, 3), dtype=np.float32)
+    dtype = np.dtype({'names': list('xyz'), 'formats': formats, 'offsets': offsets,
+                      'itemsize': message.point_step})
+    grid = np.ndarray((message.height, message.width), dtype, buffer=memoryview(message.data),
+                      strides=(message.row_step, message.point_step))
+    points = np.stack([grid[name].ravel() for name in 'xyz'], axis=-1).astype(np.float32)
+    finite = np.isfinite(points).all(axis=1)
+    return points if finite.all() else points[finite]
+
+
+def positions_to_msg(positions: np.ndarray, header: Header) -> PoseArray:
+    """
+    Pack camera positions as poses without rotation.
+
+    :param positions: (K, 3), metres, in the header's frame.
+    """
+    return PoseArray(header=header, poses=[
+        Pose(position=Point(x=float(x), y=float(y), z=float(z))) for x, y, z in positions])
+
+
+def msg_to_positions(message: PoseArray, cameras: int | None = None) -> np.ndarray:
+    """
+    Unpack camera positions.
+
+    :param cameras: how many are expected; None for at least one.
+    :returns: (K, 3) float64, metres, in the message's frame.
+    :raises MessageError: if the number differs or a coordinate is not finite.
+    """
+    count = len(message.poses)
+    if count == 0 or (cameras is not None and count != cameras):
+        raise MessageError(f'poses: found {count} cameras; expected '
+                           f'{cameras if cameras is not None else "at least 1"}')
+    positions = np.array([[p.position.x, p.position.y, p.position.z] for p in message.poses])
+    if not np.isfinite(positions).all():
+        raise MessageError('poses: found NaN or inf; expected finite metres')
+    return positions
+
+
+def fields_to_msg(fields: Mapping[str, float]) -> Float64MultiArray:
+    """Pack named numbers; the label of the one dimension lists the names."""
+    message = Float64MultiArray(data=[float(value) for value in fields.values()])
+    message.layout.dim = [MultiArrayDimension(
+        label=','.join(fields), size=len(fields), stride=len(fields))]
+    return message
+
+
+def msg_to_fields(message: Float64MultiArray, expected: tuple[str, ...]) -> dict[str, float]:
+    """
+    Unpack named numbers.
+
+    :param expected: names that must be there.
+    :raises MessageError: if labels and data do not match, a name is missing or not finite.
+    """
+    labels = message.layout.dim[0].label.split(',') if message.layout.dim else []
+    if len(labels) != len(message.data):
+        raise MessageError(f'reward: found {len(labels)} labels for {len(message.data)} numbers; '
+                           'expected as many')
+    fields = dict(zip(labels, message.data))
+    for name in expected:
+        if name not in fields or not np.isfinite(fields[name]):
+            raise MessageError(f'reward: found {fields.get(name, "nothing")} as {name}; expected '
+                               'a finite number')
+    return fields
+
+
+def bytes_to_msg(blob: bytes) -> UInt8MultiArray:
+    """Pack a blob."""
+    message = UInt8MultiArray()
+    message.layout.dim = [MultiArrayDimension(label='safetensors', size=len(blob), stride=len(blob))]
+    message.data = array('B', blob)
+    return message
+
+
+def msg_to_bytes(message: UInt8MultiArray) -> bytes:
+    """Unpack a blob."""
+    return bytes(message.data)

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The main job over real ROS: a simulated rig and a policy, each a process, place cameras in a room.
+
+Writes ``demo.json`` and ``demo.png`` to the output folder and prints a small table.
+"""
+
+import argparse
+from datetime import datetime, timezone
+import json
+import os
+from pathlib import Path
+import signal
+import sys
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.table import Table
+
+from ocp_ros.configuration import to_nested
+from ocp_ros.nodes.processes import free_domain, LOCALHOST, NodeProcess
+from ocp_ros.nodes.sim_node import SimNodeConfig
+from ocp_ros.nodes.watcher import Watch, Watcher
+from ocp_ros.report.picture import draw_placement
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.simulation.config import RigConfig, SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
+
+#: The first turn waits for the kernels to be compiled on a machine that never ran them.
+START_TIMEOUT, TURN_TIMEOUT = 180.0, 60.0
+
+
+def parser() -> argparse.ArgumentParser:
+    """Build the parser."""
+    defaults = SimNodeConfig()
+    top = argparse.ArgumentParser(prog='demo', description=__doc__)
+    top.add_argument('--room', type=Path, help='scan to place cameras in; else a generated room')
+    top.add_argument('--cameras', type=int, default=defaults.rig.cameras)
+    top.add_argument('--turns', type=int, default=defaults.episode.turns)
+    top.add_argument('--height', type=float, default=defaults.rig.height, help='metres')
+    top.add_argument('--seed', type=int, default=defaults.scene.seed, help='of the generated room')
+    top.add_argument('--model', default='default', help='weights: path or name')
+    top.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
+    return top
+
+
+def start_sim(options: argparse.Namespace, domain: int) -> NodeProcess:
+    """Start ``sim_node`` in the chosen room."""
+    parameters = {'rig.cameras': options.cameras, 'episode.turns': options.turns,
+                  'rig.height': options.height, 'scene.seed': options.seed}
+    if options.room:
+        parameters['scene.file'] = options.room.resolve()
+    return NodeProcess('sim_node', domain, options.out / 'logs' / 'sim_node.log', parameters)
+
+
+def run_episode(options: argparse.Namespace, domain: int, watch: Watch) -> None:
+    """Start both nodes and watch them until the placement is final."""
+    node, processes = watch.node, [start_sim(options, domain)]
+    columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
+               TextColumn('{task.fields[error]}'))
+    try:
+        with Progress(*columns, console=Console(stderr=True)) as progress:
+            task = progress.add_task('starting nodes', total=options.turns, error='')
+            watch.until(lambda: node.scene is not None and bool(node.turns()),
+                        START_TIMEOUT, 'first turn of sim_node', processes)
+            processes.append(NodeProcess(
+                'policy_node', domain, options.out / 'logs' / 'policy_node.log',
+                {'model': options.model, 'turns': options.turns}))
+            seen = 1
+            while node.final_turn() is None:
+                watch.until(lambda: len(node.turns()) > seen or node.final_turn() is not None,
+                            START_TIMEOUT if seen == 1 else TURN_TIMEOUT, 'next turn', processes)
+                seen = len(node.turns())
+                progress.update(task, description='placing cameras', completed=seen - 1,
+                                error=f'depth error {node.turns()[-1][1]["depth_error"]:.2f} m')
+    finally:
+        codes = {process.name: process.stop() for process in reversed(processes)}
+    if any(codes.values()):
+        raise RuntimeError(f'found exit codes {codes}; expected 0 from every node')
+
+
+def result_of(options: argparse.Namespace, node: Watcher) -> dict[str, Any]:
+    """Collect the numbers of the episode, as the nodes published them."""
+    final = node.final_turn()
+    fields = [fields for _, fields in node.turns()[:final + 1]]
+    answered = [b['received'] - a['received'] for a, b in zip(fields[1:-1], fields[2:])]
+    return {
+        'room': str(options.room.name if options.room else f'room-{options.seed}'),
+        'points': len(node.scene), 'cameras': len(node.placement), 'turns': final,
+        'depth_error_start': fields[0]['depth_error'], 'depth_error_end': fields[-1]['depth_error'],
+        'space_coverage_start': fields[0]['space_coverage'],
+        'space_coverage_end': fields[-1]['space_coverage'],
+        'seconds_per_turn': float(np.median(answered)) if answered else None,
+        'positions': np.round(node.placement, 4).tolist(), 'model': options.model,
+        'date': datetime.now(timezone.utc).isoformat(timespec='seconds')}
+
+
+def picture(options: argparse.Namespace, node: Watcher, result: dict[str, Any], path: Path) -> None:
+    """Draw the room, the ways of the cameras and where they ended."""
+    config = SimulationConfig(rig=RigConfig(cameras=result['cameras'], height=options.height))
+    scene = Scene(node.scene, name=result['room'])
+    visible = Simulator(scene, config).evaluate(node.placement).visible
+    ways = np.stack([positions for positions, _ in node.turns()[:result['turns'] + 1]])
+    draw_placement(
+        path, scene.points, visible, ways, config.rig.max_range,
+        f'{result["room"]}: {result["cameras"]} cameras placed in {result["turns"]} turns',
+        f'depth error {result["depth_error_start"]:.2f} m → {result["depth_error_end"]:.2f} m, '
+        f'space coverage {result["space_coverage_start"]:.0f} m³ → '
+        f'{result["space_coverage_end"]:.0f} m³, {result["points"]:,} points')
+
+
+def table(result: dict[str, Any]) -> Table:
+    """Lay the numbers out for a terminal."""
+    rows = Table(title=f'{result["room"]}: {result["points"]:,} points, '
+                 f'{result["cameras"]} cameras, {result["turns"]} turns')
+    for name in ('', 'start', 'end'):
+        rows.add_column(name, justify='left' if not name else 'right')
+    for name, key, unit in (('depth error', 'depth_error', 'm'),
+                            ('space coverage', 'space_coverage', 'm³')):
+        rows.add_row(name, f'{result[key + "_start"]:.2f} {unit}', f'{result[key + "_end"]:.2f} {unit}')
+    for number, (x, y, z) in enumerate(result['positions']):
+        rows.add_row(f'camera {number}', '', f'x {x:.2f}  y {y:.2f}  z {z:.2f} m')
+    if result['seconds_per_turn'] is not None:
+        rows.add_row('time per turn', '', f'{1e3 * result["seconds_per_turn"]:.0f} ms')
+    return rows
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the demo; bad input gets one sentence and exit code 2."""
+    options = parser().parse_args(args)
+    signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGINT))
+    os.environ.update(LOCALHOST)
+    domain, holder = free_domain()
+    try:
+        with holder, Watch(domain) as watch:
+            run_episode(options, domain, watch)
+            result = result_of(options, watch.node)
+            picture(options, watch.node, result, options.out / 'demo.png')
+    except RuntimeError as error:
+        print(f'demo: {error}', file=sys.stderr)
+        return 2
+    result['config'] = {'sim_node': to_nested(SimNodeConfig()), 'changed': {
+        'cameras': options.cameras, 'turns': options.turns, 'height': options.height}}
+    (options.out / 'demo.json').write_text(json.dumps(result, indent=2) + '\n')
+    Console().print(table(result))
+    print(f'wrote {options.out / "demo.json"} and {options.out / "demo.png"}')
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

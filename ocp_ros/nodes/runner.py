@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every node's ``main`` does: start, spin, and end with code 0 on SIGINT and SIGTERM."""
+
+from collections.abc import Callable
+import sys
+
+import rclpy
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+
+from ocp_ros.agent.checkpoint import CheckpointError
+from ocp_ros.configuration import ConfigurationError
+from ocp_ros.scenes.scene import SceneError
+
+#: What a user can put right: told in one sentence, exit code 2.
+USER_ERRORS = (CheckpointError, ConfigurationError, SceneError, FileNotFoundError,
+               InvalidParameterTypeException, InvalidParameterValueException)
+
+
+def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
+    """
+    Run one node until it is told to stop.
+
+    :param make_node: builds the node.
+    :param args: command line, None for that of the process.
+    :returns: exit code.
+    """
+    rclpy.init(args=args)
+    node, executor = None, SingleThreadedExecutor()
+    try:
+        node = make_node()
+        executor.add_node(node)
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except USER_ERRORS as error:
+        print(f'{make_node.__name__}: {error}', file=sys.stderr)
+        return 2
+    finally:
+        executor.shutdown()
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+``sim_node``: a simulated rig in a room, in lock-step with whoever commands it.
+
+A turn is known by its stamp. The rig moves when a command for its latest turn arrives, sends that
+turn again when none comes, and ignores commands for older ones; so either side can be killed and
+restarted and the loop goes on.
+"""
+
+from dataclasses import dataclass
+import sys
+
+from geometry_msgs.msg import PoseArray
+import numpy as np
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Float64, Float64MultiArray, Header
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
+
+from ocp_ros.configuration import group, setting
+from ocp_ros.nodes import health, topics
+from ocp_ros.nodes.conversions import (
+    cloud_to_msg, fields_to_msg, MessageError, msg_to_positions, ns_to_stamp, positions_to_msg,
+    stamp_to_ns)
+from ocp_ros.nodes.markers import rig_markers
+from ocp_ros.nodes.parameters import declare
+from ocp_ros.nodes.qos import LATCHED, LOOP
+from ocp_ros.nodes.runner import run
+from ocp_ros.scenes.source import make_scene, SceneConfig
+from ocp_ros.simulation.config import SimulationConfig
+from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.simulator import Simulator
+
+
+@dataclass(frozen=True)
+class SimNodeConfig(SimulationConfig):
+    """Parameters of ``sim_node``."""
+
+    scene: SceneConfig = group(SceneConfig)
+    seed: int = setting(0, 'seed of where the cameras start', 0, 1 << 31)
+    auto_reset: bool = setting(False, 'begin the next episode when one ends')
+    resend_period: float = setting(
+        0.5, 'send the latest turn again after so long without a command, seconds', 0.02, 60.0)
+    frame_id: str = setting('map', 'frame of every message')
+
+
+class SimNode(Node):
+    """Publish what a rig sees, covers and misses; move it as commanded."""
+
+    def __init__(self, **kwargs) -> None:
+        super().__init__('sim_node', **kwargs)
+        self.config = declare(self, SimNodeConfig)
+        self.simulator = Simulator(make_scene(self.config.scene), self.config)
+        self._rng = np.random.default_rng(self.config.seed)
+        self._episodes = self._stamp = self._previous = 0
+        self._counts = {'stale_commands': 0, 'refused_commands': 0, 'resent_turns': 0}
+        self._make_publishers()
+        self.create_subscription(PoseArray, topics.CAMERA_COMMANDS, self._on_command, LOOP)
+        self.create_service(Trigger, '~/reset', self._on_reset)
+        self._resend = self.create_timer(self.config.resend_period, self._on_silence,
+                                         clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._health = health.Health(self, self._status)
+        scene = self.simulator.scene
+        self._scene.publish(cloud_to_msg(scene.points, self._header()))
+        self.get_logger().info(
+            f'{scene.name}: {len(scene)} points, ' + ' x '.join(f'{s:.1f}' for s in scene.size)
+            + f' m, {self.config.rig.cameras} cameras')
+        self._begin()
+
+    def _make_publishers(self) -> None:
+        """Create every publisher."""
+        def loop(kind, name):
+            return self.create_publisher(kind, name, LOOP)
+
+        self._observation = loop(PointCloud2, topics.OBSERVATION)
+        self._poses = loop(PoseArray, topics.CAMERA_POSES)
+        self._reward = loop(Float64MultiArray, topics.REWARD)
+        self._coverage = loop(Float64, topics.SPACE_COVERAGE)
+        self._error = loop(Float64, topics.DEPTH_ERROR)
+        self._scene = self.create_publisher(PointCloud2, topics.SCENE, LATCHED)
+        self._markers = self.create_publisher(MarkerArray, topics.MARKERS, LATCHED)
+
+    def _header(self) -> Header:
+        """Return a header with the latest turn's stamp."""
+        return Header(stamp=ns_to_stamp(self._stamp), frame_id=self.config.frame_id)
+
+    def _begin(self) -> None:
+        """Begin an episode and publish its first turn."""
+        self.episode = Episode(self.simulator, self._rng)
+        self._episodes += 1
+        self._way = [self.episode.turn.positions]
+        self._publish_turn()
+
+    def _publish_turn(self) -> None:
+        """Give the turn a stamp of its own and send it."""
+        self._previous = self._stamp
+        # Strictly later than the one before, whatever the clock does.
+        self._stamp = max(self.get_clock().now().nanoseconds, self._stamp + 1)
+        header, turn = self._header(), self.episode.turn
+        self._turn_messages = (
+            (self._reward, fields_to_msg(self._reward_fields())),
+            (self._poses, positions_to_msg(turn.positions, header)),
+            (self._observation, cloud_to_msg(self.episode.observed_cloud, header)))
+        self._send_turn()
+        self._coverage.publish(Float64(data=turn.space_coverage))
+        self._error.publish(Float64(data=turn.depth_error))
+        if self._markers.get_subscription_count():
+            self._markers.publish(
+                rig_markers(np.array(self._way), self.config.rig.max_range, header))
+
+    def _reward_fields(self) -> dict[str, float]:
+        """Return the fields of the reward topic in their order."""
+        turn, terms = self.episode.turn, self.episode.turn.terms
+        now, before = ns_to_stamp(self._stamp), ns_to_stamp(self._previous)
+        values = (now.sec, now.nanosec, before.sec, before.nanosec, self._episodes, turn.step,
+                  *terms, turn.space_coverage, turn.depth_error, False, turn.truncated)
+        return dict(zip(topics.REWARD_FIELDS, values, strict=True))
+
+    def _send_turn(self) -> None:
+        """Send the latest turn, and wait anew for its command."""
+        for publisher, message in self._turn_messages:
+            publisher.publish(message)
+        self._resend.reset()
+
+    def _on_silence(self) -> None:
+        """Send the turn again: its messages or the answer may have been lost."""
+        if not self.episode.turn.truncated:
+            self._counts['resent_turns'] += 1
+            self._send_turn()
+
+    def _on_command(self, message: PoseArray) -> None:
+        """Move the cameras if the command answers the latest turn."""
+        if stamp_to_ns(message.header.stamp) != self._stamp or self.episode.turn.truncated:
+            self._counts['stale_commands'] += 1
+            return
+        try:
+            target = msg_to_positions(message, self.config.rig.cameras)
+        except MessageError as error:
+            self._counts['refused_commands'] += 1
+            self.get_logger().warning(f'command refused: {error}', throttle_duration_sec=1.0)
+            return
+        self.episode.move((target - self.episode.turn.positions)[:, :2])
+        self._way.append(self.episode.turn.positions)
+        self._publish_turn()
+        if self.episode.turn.truncated and self.config.auto_reset:
+            self._begin()
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Begin a new episode."""
+        self._begin()
+        response.success = True
+        response.message = f'episode {self._episodes}'
+        return response
+
+    def _status(self) -> health.Status:
+        """Say how the loop is."""
+        turn = self.episode.turn
+        waiting = 'episode over' if turn.truncated else 'waiting for commands'
+        return health.OK, waiting, {'episode': self._episodes, 'step': turn.step, **self._counts}
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run(SimNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

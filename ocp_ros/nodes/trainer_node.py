@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+``trainer_node``: learns from the transitions that it overhears and publishes better weights.
+
+It listens to observations, poses, commands and rewards, puts transitions together by stamp, and
+trains in a thread of its own, so that no message waits for a gradient step.
+"""
+
+from dataclasses import dataclass
+import sys
+
+from geometry_msgs.msg import PoseArray
+import numpy as np
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Float64MultiArray, UInt8MultiArray
+
+from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.agent.config import AgentConfig
+from ocp_ros.agent.observation import encode
+from ocp_ros.configuration import group, setting
+from ocp_ros.nodes import health, topics
+from ocp_ros.nodes.conversions import (
+    bytes_to_msg, MessageError, msg_to_cloud, msg_to_fields, msg_to_positions, stamp_to_ns)
+from ocp_ros.nodes.parameters import declare
+from ocp_ros.nodes.qos import LATCHED, LOOP
+from ocp_ros.nodes.runner import run
+from ocp_ros.resources import find_model
+from ocp_ros.training.config import SacConfig
+from ocp_ros.training.learner import Learner, LearnerConfig
+from ocp_ros.training.transitions import Assembler, Bounded, Reward
+
+REWARD_FIELDS = ('stamp_sec', 'stamp_nanosec', 'previous_sec', 'previous_nanosec', 'step',
+                 'reward', 'terminated')
+
+
+@dataclass(frozen=True)
+class TrainerNodeConfig(LearnerConfig):
+    """Parameters of ``trainer_node``."""
+
+    max_step: float = setting(0.5, 'longest step of the policy, metres', 0.001, 10.0)
+    agent: AgentConfig = group(AgentConfig)
+    sac: SacConfig = group(SacConfig)
+
+
+class TrainerNode(Node):
+    """Assemble transitions, train, publish weights."""
+
+    def __init__(self, **kwargs) -> None:
+        super().__init__('trainer_node', **kwargs)
+        self.config = declare(self, TrainerNodeConfig)
+        start = Checkpoint.load(find_model(self.config.model)) if self.config.model else None
+        self.learner = Learner(self.config, self.config.agent, self.config.sac, start)
+        self.assembler = Assembler(self.config.max_step)
+        self._waiting: Bounded = Bounded(16)
+        self._refused = self._published = 0
+        self._weights = self.create_publisher(UInt8MultiArray, topics.POLICY_WEIGHTS, LATCHED)
+        for kind, name, callback in (
+                (Float64MultiArray, topics.REWARD, self._on_reward),
+                (PoseArray, topics.CAMERA_POSES, self._on_turn_part),
+                (PointCloud2, topics.OBSERVATION, self._on_turn_part),
+                (PoseArray, topics.CAMERA_COMMANDS, self._on_command)):
+            self.create_subscription(kind, name, self._guarded(callback), LOOP)
+        self.create_timer(0.1, self._publish_weights,
+                          clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._health = health.Health(self, self._status)
+        self.get_logger().info(f'run {self.learner.run}: {self.learner.updates} updates so far, '
+                               f'checkpoints in {self.learner.folder}')
+
+    def _guarded(self, callback):
+        """Let a callback refuse its message with a reason; the node lives on."""
+        def guarded(message):
+            try:
+                callback(message)
+            except MessageError as error:
+                self._refused += 1
+                self.get_logger().warning(f'message refused: {error}', throttle_duration_sec=1.0)
+        return guarded
+
+    def _on_turn_part(self, message: PointCloud2 | PoseArray) -> None:
+        """Keep an observation or its poses until both are here."""
+        stamp = stamp_to_ns(message.header.stamp)
+        if self.assembler.knows(stamp):
+            return
+        parts = self._waiting.setdefault(stamp, {})
+        self._waiting[stamp] = parts
+        if isinstance(message, PointCloud2):
+            parts['cloud'] = msg_to_cloud(message)
+        else:
+            parts['positions'] = msg_to_positions(message, self.config.cameras)
+        if len(parts) == 2:
+            del self._waiting[stamp]
+            self._learn(self.assembler.add_turn(
+                stamp, self._encode(**parts), parts['positions']))
+
+    def _encode(self, cloud: np.ndarray, positions: np.ndarray) -> dict[str, np.ndarray]:
+        """Compute once what the network reads."""
+        if len(cloud) == 0:
+            raise MessageError('cloud: found no finite point; expected what the cameras see')
+        bounds = np.stack([cloud.min(axis=0), cloud.max(axis=0)])
+        return encode(cloud, positions, bounds, self.config.agent)
+
+    def _on_command(self, message: PoseArray) -> None:
+        """Take the command that answers a turn."""
+        self._learn(self.assembler.add_command(
+            stamp_to_ns(message.header.stamp), msg_to_positions(message, self.config.cameras)))
+
+    def _on_reward(self, message: Float64MultiArray) -> None:
+        """Take the reward of a turn; the first turn of an episode has none."""
+        fields = msg_to_fields(message, REWARD_FIELDS)
+        stamp, previous = (
+            int(fields[f'{name}_sec']) * 1_000_000_000 + int(fields[f'{name}_nanosec'])
+            for name in ('stamp', 'previous'))
+        if fields['step'] > 0:
+            self._learn(self.assembler.add_reward(
+                Reward(previous, stamp, fields['reward'], bool(fields['terminated']))))
+
+    def _learn(self, transitions: list) -> None:
+        """Hand transitions over to the learner."""
+        for transition in transitions:
+            self.learner.add(transition)
+
+    def _publish_weights(self) -> None:
+        """Publish what the learner has made since the last look."""
+        checkpoint = self.learner.take_weights()
+        if checkpoint is not None:
+            self._published += 1
+            self._weights.publish(bytes_to_msg(checkpoint.to_bytes()))
+
+    def _status(self) -> health.Status:
+        """Say how the training is."""
+        learner, assembler = self.learner, self.assembler
+        values = {'run': learner.run, 'transitions': assembler.assembled,
+                  'incomplete': assembler.incomplete, 'inconsistent': assembler.inconsistent,
+                  'refused_messages': self._refused, 'updates': learner.updates,
+                  'weights_published': self._published}
+        if learner.failure is not None:
+            return health.ERROR, f'training stopped: {learner.failure!r}', values
+        return health.OK, 'training', values
+
+    def destroy_node(self) -> None:
+        """Save before the node goes."""
+        self.learner.close()
+        super().destroy_node()
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run(TrainerNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A node that watches a loop of sim and policy, for the demos."""
+
+from collections.abc import Callable
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray
+import numpy as np
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Float64MultiArray
+
+from ocp_ros.nodes import topics
+from ocp_ros.nodes.conversions import msg_to_cloud, msg_to_fields, msg_to_positions, stamp_to_ns
+from ocp_ros.nodes.processes import NodeProcess
+from ocp_ros.nodes.qos import LATCHED, RECORDER
+
+
+class Watcher(Node):
+    """Keep what a loop has published: the scene, every turn, the placement, the diagnostics."""
+
+    def __init__(self, **kwargs) -> None:
+        super().__init__('watcher', **kwargs)
+        self.scene: np.ndarray | None = None
+        self.placement: np.ndarray | None = None
+        #: Stamp in nanoseconds to positions (K, 3), and to the fields of the reward topic.
+        self.positions: dict[int, np.ndarray] = {}
+        self.rewards: dict[int, dict[str, float]] = {}
+        #: Node to its diagnostic values.
+        self.health: dict[str, dict[str, str]] = {}
+        self.create_subscription(PointCloud2, topics.SCENE, self._on_scene, LATCHED)
+        self.create_subscription(PoseArray, topics.PLACEMENT, self._on_placement, LATCHED)
+        self.create_subscription(PoseArray, topics.CAMERA_POSES, self._on_poses, RECORDER)
+        self.create_subscription(Float64MultiArray, topics.REWARD, self._on_reward, RECORDER)
+        self.create_subscription(DiagnosticArray, '/diagnostics', self._on_health, 10)
+
+    def _on_scene(self, message: PointCloud2) -> None:
+        """Keep the scene's points."""
+        self.scene = msg_to_cloud(message)
+
+    def _on_placement(self, message: PoseArray) -> None:
+        """Keep the final answer."""
+        self.placement = msg_to_positions(message)
+
+    def _on_poses(self, message: PoseArray) -> None:
+        """Keep where the cameras are."""
+        self.positions[stamp_to_ns(message.header.stamp)] = msg_to_positions(message)
+
+    def _on_reward(self, message: Float64MultiArray) -> None:
+        """Keep what the turn is worth."""
+        fields = msg_to_fields(message, topics.REWARD_FIELDS)
+        stamp = int(fields['stamp_sec']) * 1_000_000_000 + int(fields['stamp_nanosec'])
+        # A turn that is sent again is still the same turn.
+        self.rewards.setdefault(stamp, {**fields, 'received': time.monotonic()})
+
+    def _on_health(self, message: DiagnosticArray) -> None:
+        """Keep each node's values."""
+        for status in message.status:
+            self.health[status.name.lstrip('/')] = {v.key: v.value for v in status.values}
+
+    def turns(self) -> list[tuple[np.ndarray, dict[str, float]]]:
+        """Return every turn whose two messages are here, oldest first: positions and fields."""
+        return [(self.positions[stamp], self.rewards[stamp])
+                for stamp in sorted(self.rewards) if stamp in self.positions]
+
+    def final_turn(self) -> int | None:
+        """Return the index of the turn that the placement is, None before both are here."""
+        if self.placement is None:
+            return None
+        return next((index for index, (positions, _) in enumerate(self.turns())
+                     if np.array_equal(positions, self.placement)), None)
+
+
+class Watch:
+    """
+    A watcher with its own context and executor; use it in a ``with`` statement.
+
+    :param domain: ROS domain id.
+    """
+
+    def __init__(self, domain: int) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=domain)
+        self.node = Watcher(context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+
+    def __enter__(self) -> 'Watch':
+        """Return itself."""
+        return self
+
+    def __exit__(self, *exception) -> None:
+        """Take everything down in the order that the middleware needs."""
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+    def until(self, predicate: Callable[[], bool], timeout: float, what: str,
+              processes: list[NodeProcess]) -> None:
+        """
+        Spin until something has happened.
+
+        :param predicate: whether it has.
+        :param timeout: seconds to wait for it.
+        :param what: its name for the error message.
+        :param processes: nodes that have to stay alive meanwhile.
+        :raises RuntimeError: if it does not happen in time or a node dies.
+        """
+        deadline = time.monotonic() + timeout
+        while not predicate():
+            for process in processes:
+                process.check()
+            if time.monotonic() > deadline:
+                raise RuntimeError(f'found no {what} within {timeout:.0f} s; last words: ' + '; '.join(
+                    f'{process.name}: {process.tail()}' for process in processes))
+            self.executor.spin_once(timeout_sec=0.1)

@@ -1,0 +1,384 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rooms from files: scans as .ply, .pcd, .las, .laz, .npy, .xyz, and S3DIS rooms as .txt."""
+
+import difflib
+import logging
+from pathlib import Path
+import warnings
+
+import numpy as np
+from plyfile import PlyData
+
+from ocp_ros.scenes.scene import (
+    check_points,
+    likely_up_axis,
+    MIN_POINTS,
+    Scene,
+    SceneError,
+    voxel_downsample,
+    voxel_size_for,
+)
+
+FAR = 1000.0
+MIN_VOXEL = 0.001
+# What the file calls x, y and z up, as the file's axes and signs that make x, y and z of the map.
+UP_AXES = {'x': ([1, 2, 0], [1, 1, 1]), 'y': ([0, 2, 1], [1, -1, 1]), 'z': ([0, 1, 2], [1, 1, 1])}
+
+_log = logging.getLogger(__name__)
+
+
+class SceneWarning(UserWarning):
+    """A room that can be used but may not be what was meant."""
+
+
+def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: float = 1.0,
+               up: str = 'z', drop_nonfinite: bool = False) -> Scene:
+    """
+    Read a room from a file.
+
+    Exact duplicates are removed. Coordinates farther than 1 km from the origin, such as UTM, are
+    moved near it by whole hundreds of metres, since float32 would round them. Both are logged.
+    Normals are kept where the file has them and no point is merged with another.
+
+    :param path: a .ply, .pcd, .las, .laz, .npy, .xyz or .txt file; the room is called by its stem,
+        an S3DIS room ``Area_1/office_1/office_1.txt`` is called ``Area_1_office_1``.
+    :param voxel_size: edge of the cubes whose points are merged, metres; 0 merges none.
+    :param max_points: most points wanted where no voxel size is given; 0 for all of them.
+    :param scale: metres per unit of the file, 0.001 for millimetres.
+    :param up: the axis of the file that points up, ``'x'``, ``'y'`` or ``'z'``.
+    :param drop_nonfinite: leave out the points with NaN or inf rather than refuse the file.
+    :returns: the scene, in metres, z up.
+    :raises SceneError: if the file or an option cannot be used; the message names the file.
+    """
+    path = Path(path)
+    _check_options(path.name, voxel_size, max_points, scale, up)
+    points, normals = _read(path)
+    if drop_nonfinite:
+        points, normals = _without_nonfinite(points, normals, path.name)
+    points = points * scale
+    check_points(points, path.name)
+    axes, signs = UP_AXES[up]
+    points = _near_origin(points[:, axes] * signs, path.name)
+    normals = None if normals is None else _unit(normals[:, axes] * signs)
+    points, normals = _without_duplicates(points.astype(np.float32), normals, path.name)
+    if up == 'z':
+        _warn_if_not_z_up(points, path.name)
+    merged = _merge(points, voxel_size, max_points, path.name)
+    return Scene(merged, _scene_name(path), normals if merged is points else None)
+
+
+def _check_options(name: str, voxel_size: float, max_points: int, scale: float, up: str) -> None:
+    """Refuse options without a meaning."""
+    for option, value, usable, expected in (
+            ('voxel_size', voxel_size, voxel_size == 0 or MIN_VOXEL <= voxel_size < np.inf,
+             f'0 or at least {MIN_VOXEL} m'),
+            ('max_points', max_points, max_points == 0 or max_points >= MIN_POINTS,
+             f'0 or at least {MIN_POINTS}'),
+            ('scale', scale, 0 < scale < np.inf, 'a number above 0, such as 0.001'),
+            ('up', up, up in UP_AXES, "'x', 'y' or 'z'")):
+        if not usable:
+            raise SceneError(f'{name}: found {option}={value!r}; expected {expected}')
+
+
+def _scene_name(path: Path) -> str:
+    """Call a room by its file's stem, or by area and room where the folders are those of S3DIS."""
+    room, area = path.absolute().parent.name, path.absolute().parent.parent.name
+    s3dis = path.suffix == '.txt' and room == path.stem and area.startswith('Area_')
+    return f'{area}_{room}' if s3dis else path.stem
+
+
+def _read(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
+    """Read (N, 3) float64 points in the file's own units and axes, and normals if it has them."""
+    try:
+        _check_file(path)
+        return READERS[path.suffix.lower()](path)
+    except SceneError:
+        raise
+    except ImportError as error:
+        raise SceneError(f'{path.name}: found a {path.suffix} file but no package that reads it '
+                         f'({error}); install laspy and lazrs: pip install "laspy[lazrs]"'
+                         ) from error
+    except OSError as error:
+        raise SceneError(f'{path.name}: found a file that cannot be read ({error}); expected one '
+                         'that may be opened; check its permissions and the disk') from error
+    except Exception as error:  # A broken file makes the libraries raise almost anything.
+        reason = (str(error).splitlines() or [''])[0] or type(error).__name__
+        raise SceneError(f'{path.name}: found content that cannot be read ({reason}); expected a '
+                         f'plain, complete {path.suffix} file; copy or export it again') from error
+
+
+def _check_file(path: Path) -> None:
+    """Refuse a path that is not a file with content and a known suffix."""
+    known = sorted(READERS)
+    if not path.exists():
+        raise SceneError(f'{path}: found no such file; expected one of {" ".join(known)}; check '
+                         'the path')
+    if not path.is_file():
+        inside = [item.name for item in path.glob('*') if item.suffix.lower() in READERS]
+        hint = f'such as {sorted(inside)[0]}' if inside else f'one of {" ".join(known)}'
+        raise SceneError(f'{path}: found a folder or device; expected a file; give the path of a '
+                         f'file, {hint}')
+    if path.suffix.lower() not in READERS:
+        near = difflib.get_close_matches(path.suffix.lower(), known, n=1)
+        hint = f'did you mean {near[0]}?' if near else 'convert it, for example with CloudCompare'
+        raise SceneError(f'{path.name}: found the suffix {path.suffix!r}; expected one of '
+                         f'{" ".join(known)}; {hint}')
+    if path.stat().st_size == 0:
+        raise SceneError(f'{path.name}: found an empty file; expected a room of at least '
+                         f'{MIN_POINTS} points; copy or export it again')
+
+
+def _without_nonfinite(points: np.ndarray, normals: np.ndarray | None, name: str):
+    """Leave out the points with NaN or inf, and their normals."""
+    keep = np.isfinite(points).all(axis=1)
+    if not keep.all():
+        _log.info('%s: %d of %d points kept, the others are NaN or inf',
+                  name, keep.sum(), len(keep))
+    return points[keep], None if normals is None else normals[keep]
+
+
+def _near_origin(points: np.ndarray, name: str) -> np.ndarray:
+    """Move coordinates that float32 would round to the neighbourhood of the origin."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    if np.linalg.norm(np.maximum(abs(low), abs(high))) <= FAR:
+        return points
+    offset = np.round(low, -2)
+    # A warning, since every placement found will be in the moved coordinates.
+    _log.warning('%s: moved by -(%.0f, %.0f, %.0f) m to near the origin', name, *offset)
+    return points - offset
+
+
+def _unit(normals: np.ndarray) -> np.ndarray | None:
+    """Return normals of length one, or None where some have no direction."""
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    usable = np.isfinite(length).all() and (length > 0.0).all()
+    return (normals / length).astype(np.float32) if usable else None
+
+
+def _without_duplicates(points: np.ndarray, normals: np.ndarray | None, name: str):
+    """Keep the first of equal float32 points: the others would have a spacing of zero."""
+    rows = np.ascontiguousarray(points + np.float32(0.0)).view('V12').ravel()
+    first = np.sort(np.unique(rows, return_index=True)[1])
+    if len(first) == len(points):
+        return points, normals
+    _log.info('%s: %d of %d points kept, the others are duplicates', name, len(first), len(points))
+    return points[first], None if normals is None else normals[first]
+
+
+def _warn_if_not_z_up(points: np.ndarray, name: str) -> None:
+    """Warn where floor and ceiling seem to lie across another axis than z."""
+    axis = likely_up_axis(points)
+    if axis != 'z':
+        warnings.warn(
+            f'{name}: found the two fullest layers, floor and ceiling, across {axis}; expected z '
+            f'up; load with up={axis!r} unless z is up', SceneWarning, stacklevel=3)
+
+
+def _merge(points: np.ndarray, voxel_size: float, max_points: int, name: str) -> np.ndarray:
+    """Merge points as asked and refuse it where too few are left."""
+    merged = points
+    if voxel_size == 0 and 0 < max_points < len(points):
+        voxel_size = voxel_size_for(points, max_points)
+    if voxel_size > 0:
+        merged = voxel_downsample(points, voxel_size)
+        _log.info('%s: %d of %d points kept on a %.3f m voxel grid',
+                  name, len(merged), len(points), voxel_size)
+    if len(merged) < MIN_POINTS:
+        raise SceneError(f'{name}: found {len(merged)} points once duplicates and those in one '
+                         f'voxel are merged; expected at least {MIN_POINTS}; use a smaller '
+                         'voxel_size or a denser scan')
+    return merged
+
+
+def _from_fields(fields: dict[str, np.ndarray], name: str):
+    """Take points and normals out of named columns."""
+    missing = [axis for axis in 'xyz' if axis not in fields]
+    if missing:
+        raise SceneError(f'{name}: found the fields {" ".join(fields) or "(none)"} and no '
+                         f'{" ".join(missing)}; expected x, y and z; export the coordinates too')
+    points = np.stack([np.ravel(fields[axis]).astype(np.float64) for axis in 'xyz'], axis=-1)
+    for names in (('nx', 'ny', 'nz'), ('normal_x', 'normal_y', 'normal_z')):
+        if all(axis in fields for axis in names):
+            return points, np.stack([np.ravel(fields[axis]) for axis in names], axis=-1)
+    return points, None
+
+
+def _read_ply(path: Path):
+    """Read the vertices of a PLY file, ascii or binary."""
+    content = PlyData.read(str(path))
+    if 'vertex' not in content:
+        raise SceneError(f'{path.name}: found no vertices; expected the element vertex with x, y '
+                         'and z; export the points, not only faces')
+    rows = content['vertex'].data
+    return _from_fields({field: rows[field] for field in rows.dtype.names}, path.name)
+
+
+def _read_npy(path: Path):
+    """Read a NumPy array of x y z and more columns, or of records; never unpickle."""
+    with path.open('rb') as file:
+        array = np.lib.format.read_array(file, allow_pickle=False)
+    if array.dtype.names:
+        return _from_fields({field: array[field] for field in array.dtype.names}, path.name)
+    if array.ndim != 2 or array.shape[1] < 3 or array.dtype.kind not in 'fiu':
+        raise SceneError(f'{path.name}: found {array.dtype} of shape {array.shape}; expected '
+                         'numbers of shape (N, 3) or wider, one row x y z per point; save it so')
+    return array[:, :3].astype(np.float64), None
+
+
+def _read_las(path: Path):
+    """Read a LAS file, compressed or not."""
+    import laspy  # Here, since only these files need it.
+
+    if path.suffix.lower() == '.laz' and not laspy.LazBackend.detect_available():
+        raise ImportError('laspy has no LAZ backend')
+    content = laspy.read(path)
+    if len(content.points) != content.header.point_count:
+        raise ValueError(f'{len(content.points)} of {content.header.point_count} points')
+    return np.array(content.xyz, dtype=np.float64), None
+
+
+def _read_xyz(path: Path):
+    """Read text with x y z at the start of each line."""
+    return _read_table(path), None
+
+
+def _read_table(path: Path, columns=(0, 1, 2), skip: int = 0) -> np.ndarray:
+    """Read columns of a text file: (N, C) float64; blank lines and what follows # do not count."""
+    with warnings.catch_warnings():
+        # A text without a line of numbers is refused later, in our words.
+        warnings.simplefilter('ignore', UserWarning)
+        try:
+            table = np.loadtxt(path, usecols=columns, skiprows=skip, encoding='latin-1', ndmin=2)
+        except ValueError as error:
+            raise _bad_line(path, columns, skip) or error from None
+    _check_last_line(path)
+    return table
+
+
+def _bad_line(path: Path, columns, skip: int) -> SceneError | None:
+    """Find the first line that is not numbers: NumPy counts rows, which nobody can look up."""
+    with path.open(encoding='latin-1') as file:
+        for number, line in enumerate(file, start=1):
+            values = line.partition('#')[0].split()
+            try:
+                if number > skip and values:
+                    [float(values[column]) for column in columns]
+            except (ValueError, IndexError):
+                return SceneError(
+                    f'{path.name}: found {line.strip()[:60]!r} in line {number}; expected numbers '
+                    'x y z separated by blanks; correct the line or delete it, for example with: '
+                    f'sed -i {number}d {path.name}')
+    return None
+
+
+def _check_last_line(path: Path) -> None:
+    """Refuse a copy that broke off within its last line, which may hold half a number."""
+    with path.open('rb') as file:
+        file.seek(max(path.stat().st_size - 4096, 0))
+        tail = file.read()
+    lines = tail.splitlines()
+    if not tail.endswith(b'\n') and len(lines) > 1:
+        found, expected = (len(line.partition(b'#')[0].split()) for line in (lines[-1], lines[-2]))
+        if 0 < found < expected:
+            raise SceneError(f'{path.name}: found {found} numbers in the last line; expected '
+                             f'{expected} as in the line before; the file is truncated: copy or '
+                             'export it again')
+
+
+def _read_pcd(path: Path):
+    """
+    Read a PCD file: ascii, binary or binary_compressed.
+
+    Not with open3d: it fills a truncated ascii file with whatever was in memory and takes 8-byte
+    coordinates for 4-byte ones, both without a word (0.20), and costs a second to import.
+    """
+    with path.open('rb') as file:
+        header, skip = _pcd_header(file)
+        body = file.read()
+    layout, count = _pcd_layout(header), int(header['POINTS'][0])
+    if header['DATA'] == ['ascii']:
+        fields = _pcd_ascii(path, layout, skip)
+    elif header['DATA'] == ['binary']:
+        rows = np.frombuffer(body, layout, count)
+        fields = {field: rows[field] for field in layout.names}
+    else:
+        fields = _pcd_compressed(body, layout, count)
+    points, normals = _from_fields(fields, path.name)
+    if len(points) != count:
+        raise ValueError(f'{len(points):,} of {count:,} points')
+    return points, normals
+
+
+def _pcd_header(file) -> tuple[dict[str, list[str]], int]:
+    """Read the header of a PCD file up to its last line; return it and its number of lines."""
+    header, lines = {}, 0
+    while 'DATA' not in header:
+        line = file.readline()
+        if not line:
+            raise ValueError('no DATA line')
+        lines += 1
+        key, *values = line.decode('ascii').split() or ['']
+        header[key] = values
+    missing = {'FIELDS', 'SIZE', 'TYPE', 'POINTS'} - header.keys()
+    if missing:
+        raise ValueError(f'no {" ".join(sorted(missing))} in the header')
+    return header, lines
+
+
+def _pcd_layout(header: dict[str, list[str]]) -> np.dtype:
+    """Turn a PCD header into the record of one point."""
+    names, kinds = header['FIELDS'], {'F': '<f', 'I': '<i', 'U': '<u'}
+    repeats = header.get('COUNT', ['1'] * len(names))
+    # Padding fields may all have the same name.
+    return np.dtype([
+        (f'{name}{index}' if name == '_' else name, kinds[kind] + size, (int(repeat),))
+        for index, (name, kind, size, repeat)
+        in enumerate(zip(names, header['TYPE'], header['SIZE'], repeats, strict=True))])
+
+
+def _pcd_ascii(path: Path, layout: np.dtype, skip: int) -> dict[str, np.ndarray]:
+    """Read the fields of a PCD file in ascii, one point per line."""
+    widths = [layout[field].shape[0] for field in layout.names]
+    starts = np.cumsum([0, *widths[:-1]]).tolist()
+    return dict(zip(layout.names, _read_table(path, starts, skip).T, strict=True))
+
+
+def _pcd_compressed(body: bytes, layout: np.dtype, count: int) -> dict[str, np.ndarray]:
+    """Unpack the fields of a compressed PCD file, which lie one after the other."""
+    packed, size = (int(number) for number in np.frombuffer(body, '<u4', 2))
+    body, start, fields = _lzf(body[8:8 + packed], size), 0, {}
+    for field in layout.names:
+        kind = layout[field]
+        fields[field] = np.frombuffer(body, kind, count, start)
+        start += kind.itemsize * count
+    return fields
+
+
+def _lzf(packed: bytes, size: int) -> bytes:
+    """Unpack LibLZF: a control byte below 32 precedes literals, any other a copy from before."""
+    out, i = bytearray(), 0
+    while i < len(packed):
+        control = packed[i]
+        i += 1
+        if control < 32:
+            out += packed[i:i + control + 1]
+            i += control + 1
+            continue
+        length = control >> 5
+        if length == 7:
+            length += packed[i]
+            i += 1
+        start = len(out) - ((control & 31) << 8) - packed[i] - 1
+        i += 1
+        if start < 0:
+            raise ValueError('a copy from before the start')
+        piece = out[start:start + length + 2]
+        # A copy may reach into what it writes: then it repeats.
+        out += (piece * ((length + 2) // len(piece) + 1))[:length + 2]
+    if len(out) != size:
+        raise ValueError(f'{len(out):,} of {size:,} bytes')
+    return bytes(out)
+
+
+READERS = {'.las': _read_las, '.laz': _read_las, '.npy': _read_npy, '.pcd': _read_pcd,
+           '.ply': _read_ply, '.txt': _read_xyz, '.xyz': _read_xyz}

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A scene: the points of a room and what the engine needs to know about them."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+MIN_POINTS = 100
+
+
+class SceneError(ValueError):
+    """A room that cannot be used; the message says what was found and what to do."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """
+    A triangle mesh: the truth that a generated room's points were sampled from.
+
+    :ivar vertices: (V, 3) float32, metres, map frame.
+    :ivar triangles: (T, 3) int32, indices into the vertices.
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """
+    A room as points.
+
+    :ivar points: (N, 3) float32, metres, map frame, z up.
+    :ivar name: what tables and file names call it.
+    :ivar normals: (N, 3) float32 unit vectors, or None.
+    :ivar mesh: the surfaces behind the points where they are known.
+    :raises SceneError: if the points are not a room (see :func:`check_points`).
+    """
+
+    points: np.ndarray
+    name: str = 'scene'
+    normals: np.ndarray | None = None
+    mesh: Mesh | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        """Hold the points as float32 in C order and refuse what is not a room."""
+        check_points(self.points, self.name)
+        object.__setattr__(self, 'points', np.ascontiguousarray(self.points, dtype=np.float32))
+
+    def __len__(self) -> int:
+        """Return the number of points."""
+        return len(self.points)
+
+    @cached_property
+    def bounds(self) -> np.ndarray:
+        """Return the bounding box: (2, 3) float64, lowest and highest corner, metres."""
+        return np.stack([self.points.min(axis=0), self.points.max(axis=0)]).astype(np.float64)
+
+    @property
+    def size(self) -> np.ndarray:
+        """Return the extent of the bounding box: (3,) float64, metres."""
+        return self.bounds[1] - self.bounds[0]
+
+    @cached_property
+    def normals_or_estimate(self) -> np.ndarray:
+        """Return the normals, fitted to the nearest neighbours where none are given."""
+        return self.normals if self.normals is not None else estimate_normals(self.points)
+
+    @cached_property
+    def spacing(self) -> np.ndarray:
+        """Return the distance from each point to its nearest neighbour: (N,) float32, metres."""
+        distance, _ = cKDTree(self.points).query(self.points, k=2)
+        return distance[:, 1].astype(np.float32)
+
+
+def estimate_normals(points: np.ndarray, neighbours: int = 10) -> np.ndarray:
+    """
+    Fit a plane to each point's neighbours.
+
+    :param points: (N, 3), metres.
+    :param neighbours: how many nearest points, itself included.
+    :returns: (N, 3) float32 unit vectors of either sign.
+    """
+    _, indices = cKDTree(points).query(points, k=min(neighbours, len(points)))
+    offsets = points[indices] - points[indices].mean(axis=1, keepdims=True)
+    scatter = np.einsum('nki,nkj->nij', offsets, offsets, dtype=np.float64)
+    return np.ascontiguousarray(np.linalg.eigh(scatter)[1][:, :, 0], dtype=np.float32)
+
+
+def check_points(points: np.ndarray, name: str) -> None:
+    """
+    Refuse points that are not a room in metres.
+
+    :param points: (N, 3) array.
+    :param name: what the message calls them.
+    :raises SceneError: for a wrong shape, fewer than 100 points, NaN or inf, a flat cloud, or a
+        size that no room in metres has.
+    """
+    points = np.asarray(points)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise SceneError(f'{name}: found an array of shape {points.shape}; expected (N, 3), '
+                         'one row x y z per point')
+    if len(points) == 0:
+        raise SceneError(f'{name}: found no points; expected a room of at least {MIN_POINTS}; '
+                         'check that the file was written completely')
+    broken = int(np.count_nonzero(~np.isfinite(points).all(axis=1)))
+    if broken:
+        raise SceneError(
+            f'{name}: found {broken:,} of {len(points):,} points with NaN or inf; expected finite '
+            'metres; remove them first or load with drop_nonfinite=True')
+    if len(points) < MIN_POINTS:
+        raise SceneError(f'{name}: found {len(points)} points; expected at least {MIN_POINTS} to '
+                         'describe a room; use a denser scan')
+    _check_size(np.ptp(points.astype(np.float64), axis=0), name)
+
+
+def _check_size(size: np.ndarray, name: str) -> None:
+    """Refuse a bounding box that is flat or not that of a room in metres."""
+    found = f'{name}: found a bounding box of ' + ' x '.join(f'{s:.4g}' for s in size)
+    if size.max() > 500.0:
+        raise SceneError(f'{found}; expected metres, and no room is that large: these look like '
+                         'millimetres; load with scale=0.001')
+    if size.max() < 0.5:
+        raise SceneError(f'{found}; expected a room of at least 0.5 m: the unit may not be the '
+                         'metre; load with scale=1000 for kilometres, or check the export')
+    if size.min() < 0.05:
+        raise SceneError(f'{found} m; expected a room with volume: the cloud is flat along '
+                         f'{"xyz"[int(size.argmin())]}; use a scan that shows more than one wall')
+
+
+def likely_up_axis(points: np.ndarray) -> str:
+    """
+    Guess which axis of a room points up or down: that between its two fullest layers.
+
+    Floor and ceiling reach over the whole room, walls have openings and differ: each axis scores
+    the geometric mean of the shares of points in its lowest and highest decimetre. The guess
+    leaves z only for clear evidence: another axis with half as high a score again, shorter than z
+    and, since corridors are narrow but no room is lower, longer than 2 m.
+
+    A bare cube has no up, and a closed shaft higher than 1.5 times its width looks like a room
+    lying down: for the first the guess is z, for the second it is wrong.
+
+    :param points: (N, 3), metres.
+    :returns: ``'x'``, ``'y'`` or ``'z'``.
+    """
+    low, high = np.percentile(points, [0.5, 99.5], axis=0)
+    score = np.sqrt((points < low + 0.1).mean(axis=0) * (points > high - 0.1).mean(axis=0))
+    best = int(score.argmax())
+    size = high - low
+    clear = score[best] > 1.5 * score[2] and 2.0 < size[best] < size[2]
+    return 'xyz'[best] if clear else 'z'
+
+
+def voxel_downsample(points: np.ndarray, voxel_size: float) -> np.ndarray:
+    """
+    Replace the points in each cube of a grid by their mean.
+
+    :param points: (N, 3), metres.
+    :param voxel_size: edge of the cubes, metres.
+    :returns: (M, 3) float32, ordered by cube: M <= N.
+    :raises ValueError: if the voxel size is not positive.
+    """
+    if not voxel_size > 0.0:
+        raise ValueError(f'voxel_size: found {voxel_size}; expected metres above 0')
+    keys = _voxel_keys(points, voxel_size)
+    order = np.argsort(keys, kind='stable')
+    starts = np.flatnonzero(np.diff(keys[order], prepend=-1))
+    counts = np.diff(np.append(starts, len(keys)))
+    sums = np.add.reduceat(np.asarray(points, dtype=np.float64)[order], starts, axis=0)
+    return (sums / counts[:, None]).astype(np.float32)
+
+
+def _voxel_keys(points: np.ndarray, voxel_size: float) -> np.ndarray:
+    """Number the cube of each point: (N,) int64, unique per cube."""
+    cell = np.floor((points - points.min(axis=0)) / voxel_size).astype(np.int64)
+    extent = cell.max(axis=0) + 1
+    return (cell[:, 0] * extent[1] + cell[:, 1]) * extent[2] + cell[:, 2]
+
+
+def voxel_size_for(points: np.ndarray, max_points: int) -> float:
+    """
+    Find the smallest voxel size, to 2 %, that leaves at most ``max_points`` points.
+
+    :param points: (N, 3), metres.
+    :param max_points: the most points wanted.
+    :returns: metres.
+    """
+    low, high = 1e-3, 1.0
+    while high / low > 1.02:
+        middle = np.sqrt(low * high)
+        if len(np.unique(_voxel_keys(points, middle))) > max_points:
+            low = middle
+        else:
+            high = middle
+    return float(high)

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a scene comes from: a file or the generator."""
+
+from dataclasses import dataclass
+
+from ocp_ros.configuration import setting
+from ocp_ros.scenes.files import load_scene
+from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.scenes.scene import Scene
+
+
+@dataclass(frozen=True)
+class SceneConfig:
+    """A room from a file, or from the generator where no file is named."""
+
+    file: str = setting('', 'scan to read; empty for a generated room')
+    seed: int = setting(7, 'seed of the generated room', 0, 1 << 31)
+    points: int = setting(15000, 'points of a generated room; a larger scan is thinned to as many',
+                          1000, 5000000)
+    voxel_size: float = setting(
+        0.0, 'thin a scan on a grid of this edge instead, metres; 0 to go by points', 0.0, 10.0)
+    scale: float = setting(1.0, 'metres per unit of the file', 1e-6, 1e6)
+    up: str = setting('z', 'which axis of the file points up', choices=('x', 'y', 'z'))
+    drop_nonfinite: bool = setting(False, 'leave out points with NaN or inf')
+
+
+def make_scene(config: SceneConfig) -> Scene:
+    """
+    Read or generate a room.
+
+    :raises SceneError: if the file cannot be used.
+    """
+    if not config.file:
+        return generate_room(config.seed, config.points)
+    return load_scene(config.file, voxel_size=config.voxel_size, max_points=config.points,
+                      scale=config.scale, up=config.up, drop_nonfinite=config.drop_nonfinite)

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One episode: a rig moves through a scene turn by turn, and what it has seen stays seen."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ocp_ros.simulation.moves import kept_inside
+from ocp_ros.simulation.reward import NO_REWARD, reward, RewardTerms
+from ocp_ros.simulation.simulator import Simulator
+
+
+@dataclass(frozen=True)
+class Turn:
+    """
+    The state after a turn.
+
+    :ivar step: turns since the episode began.
+    :ivar positions: (K, 3) float64, metres, map frame.
+    :ivar space_coverage: cubic metres, of the current placement.
+    :ivar depth_error: metres, of the current placement.
+    :ivar terms: the turn's reward and what it is made of.
+    :ivar truncated: whether the turns are used up.
+    """
+
+    step: int
+    positions: np.ndarray
+    space_coverage: float
+    depth_error: float
+    terms: RewardTerms
+    truncated: bool
+
+
+class Episode:
+    """
+    Move a rig in one scene.
+
+    :param simulator: the engine for the scene.
+    :param rng: where the cameras start is drawn from it.
+    """
+
+    def __init__(self, simulator: Simulator, rng: np.random.Generator) -> None:
+        self.simulator, self.scene = simulator, simulator.scene
+        self.config = simulator.config.episode
+        self.observed = np.zeros(len(self.scene), dtype=bool)
+        self.turn = self._look(0, self._start(rng), NO_REWARD)
+
+    def _start(self, rng: np.random.Generator) -> np.ndarray:
+        """Draw the cameras' positions around the centre: (K, 3) metres."""
+        cameras = self.simulator.config.rig.cameras
+        radius = self.config.start_radius * np.sqrt(rng.random(cameras))
+        angle = rng.uniform(-np.pi, np.pi, cameras)
+        positions = np.empty((cameras, 3))
+        positions[:, :2] = self.scene.bounds.mean(axis=0)[:2]
+        positions[:, :2] += radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        positions[:, 2] = self.simulator.height
+        return kept_inside(positions, self.scene.bounds, self.config.wall_margin)[0]
+
+    def move(self, moves: np.ndarray) -> Turn:
+        """
+        Play one turn.
+
+        :param moves: (K, 2) metres on the plane; a longer one than ``max_step`` is shortened.
+        :returns: the new state, also kept as ``turn``.
+        """
+        moves = np.asarray(moves, dtype=np.float64)
+        length = np.linalg.norm(moves, axis=1, keepdims=True)
+        target = self.turn.positions.copy()
+        target[:, :2] += moves * np.minimum(
+            self.config.max_step / np.maximum(length, 1e-12), 1.0)
+        target, outside = kept_inside(target, self.scene.bounds, self.config.wall_margin)
+        before = self.turn
+        self.turn = self._look(before.step + 1, target, NO_REWARD)
+        simulator = self.simulator
+        terms = reward((before.space_coverage, before.depth_error),
+                       (self.turn.space_coverage, self.turn.depth_error), outside,
+                       simulator.volume, simulator.depth_error.worst, simulator.config.reward)
+        self.turn = Turn(**{**vars(self.turn), 'terms': terms})
+        return self.turn
+
+    def _look(self, step: int, positions: np.ndarray, terms: RewardTerms) -> Turn:
+        """Judge the placement and remember what it sees."""
+        result = self.simulator.evaluate(positions)
+        self.observed |= result.visible
+        return Turn(step, positions, result.space_coverage, result.depth_error, terms,
+                    truncated=step >= self.config.turns)
+
+    @property
+    def observed_cloud(self) -> np.ndarray:
+        """Return all points seen since the episode began: (M, 3) float32, metres, map frame."""
+        return self.scene.points[self.observed]

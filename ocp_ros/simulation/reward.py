@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Rewards of one turn.
+
+``paper``: section III-C of arXiv 2110.11106, a weighted sum of what coverage gained and depth
+error lost, or a penalty, mapped by the third power. Cubing each turn's difference can be gamed:
+leaving slowly and jumping back pays.
+
+``potential``: the difference of a potential, -2 ln(D / D_none + 0.01) + 3 x covered share, so that
+what a path pays depends on its two ends alone.
+"""
+
+import math
+from typing import NamedTuple
+
+from ocp_ros.simulation.config import RewardConfig
+
+
+class RewardTerms(NamedTuple):
+    """
+    What a turn's reward is made of.
+
+    :ivar reward: the reward itself.
+    :ivar delta_space_coverage: cubic metres gained.
+    :ivar delta_depth_error: metres of error lost; positive is better.
+    :ivar penalty: 1.0 if a camera was told to leave the bounding box, else 0.0.
+    """
+
+    reward: float
+    delta_space_coverage: float
+    delta_depth_error: float
+    penalty: float
+
+
+NO_REWARD = RewardTerms(0.0, 0.0, 0.0, 0.0)
+
+
+def potential(space_coverage: float, depth_error: float, volume: float, worst: float) -> float:
+    """
+    Value a placement.
+
+    :param space_coverage: cubic metres.
+    :param depth_error: metres.
+    :param volume: of the bounding box, cubic metres.
+    :param worst: the depth error of seeing nothing, metres.
+    """
+    return -2.0 * math.log(depth_error / worst + 0.01) + 3.0 * space_coverage / volume
+
+
+def reward(before: tuple[float, float], after: tuple[float, float], outside: bool, volume: float,
+           worst: float, config: RewardConfig) -> RewardTerms:
+    """
+    Reward a turn.
+
+    :param before: space coverage (cubic metres) and depth error (metres) before the turn.
+    :param after: the same after it.
+    :param outside: whether a camera was told to leave the bounding box.
+    :param volume: of the bounding box, cubic metres.
+    :param worst: the depth error of seeing nothing, metres.
+    :param config: which reward, and its weights.
+    """
+    gained, lost, penalty = after[0] - before[0], before[1] - after[1], float(outside)
+    if config.kind == 'paper':
+        value = config.coverage * gained + config.depth_error * lost
+        value = (value * (1.0 - penalty) + config.penalty * penalty) ** 3
+    else:
+        value = potential(*after, volume, worst) - potential(*before, volume, worst)
+        value += config.penalty * penalty
+    return RewardTerms(value, gained, lost, penalty)

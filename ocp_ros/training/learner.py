@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A learner that is fed with transitions and trains beside whatever feeds it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+import queue
+import threading
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.logger import configure
+
+from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.agent.config import AgentConfig
+from ocp_ros.configuration import setting
+from ocp_ros.training.config import SacConfig
+from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
+from ocp_ros.training.state import load_state, new_run, save_state
+from ocp_ros.training.transitions import Transition
+
+#: Gradient steps between two looks at the world: short enough to stop at once.
+BURST = 4
+
+
+@dataclass(frozen=True)
+class LearnerConfig:
+    """How a learner keeps pace with its transitions and what it leaves on disk."""
+
+    cameras: int = setting(4, 'number of cameras in the transitions', 1, 64)
+    updates_per_turn: float = setting(1.0, 'gradient steps per transition', 0.0, 100.0)
+    publish_every: int = setting(50, 'gradient steps between two sets of weights', 1, 1 << 31)
+    save_every: int = setting(200, 'gradient steps between two checkpoints', 1, 1 << 31)
+    folder: str = setting('out/trainer', 'where checkpoints and TensorBoard files go')
+    model: str = setting('', 'weights to start from: path or name; empty for random ones')
+    seed: int = setting(0, 'seed of networks and batches', 0, 1 << 31)
+
+
+class Learner:
+    """
+    Train SAC from transitions in a thread of its own.
+
+    It goes on from the checkpoint in its folder where there is one.
+
+    :param config: pace and folder.
+    :param agent: sizes of the networks.
+    :param sac: settings of SAC.
+    :param start: weights to start from, or None.
+    """
+
+    def __init__(self, config: LearnerConfig, agent: AgentConfig, sac: SacConfig,
+                 start: Checkpoint | None = None) -> None:
+        self.config, self.agent, self.sac = config, agent, sac
+        self.folder = Path(config.folder)
+        self.model = make_sac(sac, agent, config.cameras, seed=config.seed)
+        if start is not None:
+            load_actor(self.model, start)
+        self.model.set_logger(configure(str(self.folder / 'tensorboard'), ['tensorboard']))
+        state = self.folder / 'state.safetensors'
+        self.run = load_state(self.model, state) if state.exists() else new_run()
+        self.transitions = 0
+        self.failure: BaseException | None = None
+        self._first_update = self.updates
+        self._fresh: Checkpoint | None = None
+        # The thread alone touches the model; everybody else leaves notes.
+        self._inbox: queue.SimpleQueue[Transition | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._work, name='learner', daemon=True)
+        self._thread.start()
+
+    @property
+    def updates(self) -> int:
+        """Return the gradient steps of this run so far."""
+        return int(self.model._n_updates)
+
+    def add(self, transition: Transition) -> None:
+        """Hand over a transition; returns at once."""
+        self._inbox.put(transition)
+
+    def take_weights(self) -> Checkpoint | None:
+        """Return the weights made since the last call, or None."""
+        fresh, self._fresh = self._fresh, None
+        return fresh
+
+    def close(self) -> None:
+        """Stop training and save what was learned."""
+        self._inbox.put(None)
+        self._thread.join()
+        if self.updates > self._first_update and self.failure is None:
+            self._save()
+
+    def _work(self) -> None:
+        """Train whenever there is something to learn from."""
+        try:
+            while self._read_inbox():
+                if self._behind():
+                    self.model.train(BURST, self.sac.batch_size)
+                    self._after(self.updates)
+        except BaseException as error:
+            # Whoever feeds the learner reports it: an exception ends silently in a thread.
+            self.failure = error
+
+    def _read_inbox(self) -> bool:
+        """Store what has come, wait if there is nothing else to do; False to stop."""
+        while not self._inbox.empty() or not self._behind():
+            transition = self._inbox.get()
+            if transition is None:
+                return False
+            self.model.replay_buffer.add(
+                _batched(transition.observation), _batched(transition.next_observation),
+                transition.actions[None], np.array([transition.reward]),
+                np.array([transition.terminated]), [{}])
+            self.transitions += 1
+            self.model.num_timesteps += 1
+        return True
+
+    def _behind(self) -> bool:
+        """Tell whether there are transitions that have not had their gradient steps yet."""
+        done = self.updates - self._first_update
+        owed = (self.transitions - self.sac.learning_starts) * self.config.updates_per_turn
+        return done + BURST <= owed
+
+    def _after(self, updates: int) -> None:
+        """Log, publish and save when it is time."""
+        if updates % self.config.publish_every < BURST:
+            self._fresh = self.checkpoint()
+            self.model.logger.record('train/transitions', self.transitions)
+            self.model.logger.dump(self.model.num_timesteps)
+        if updates % self.config.save_every < BURST:
+            self._save()
+
+    def checkpoint(self) -> Checkpoint:
+        """Return the actor as it is now."""
+        provenance: dict[str, Any] = {'interactions': int(self.model.num_timesteps),
+                                      'seed': self.config.seed}
+        return actor_checkpoint(self.model, self.agent, self.run, provenance)
+
+    def _save(self) -> None:
+        """Write actor and state, each whole or not at all."""
+        self.checkpoint().save(self.folder / 'actor.safetensors')
+        save_state(self.model, self.folder / 'state.safetensors', self.run)
+
+
+def _batched(observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Give each array a leading axis of one environment."""
+    return {name: value[None] for name, value in observation.items()}

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Package for ROS 2 (ament_python) and for pip."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = 'ocp_ros'
+
+
+def share(folder, pattern='*'):
+    """Install the files of one folder under the package's share."""
+    return (f'share/{NAME}/{folder}', [path for path in glob(f'{folder}/{pattern}')])
+
+
+setup(
+    name=NAME,
+    version='0.1.0',
+    description='Online optimal placement of depth cameras in indoor rooms',
+    license='Apache-2.0',
+    author='The ocp_ros authors',
+    maintainer='The ocp_ros authors',
+    maintainer_email='maintainers@ocp-ros.dev',
+    python_requires='>=3.10',
+    packages=find_packages(include=[NAME, f'{NAME}.*']),
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (f'share/{NAME}', ['package.xml']),
+        share('launch', '*.launch.py'),
+        share('config', '*.*'),
+        share('config/train', '*.yaml'),
+        share('models', '*.*'),
+    ],
+    zip_safe=True,
+    install_requires=[
+        'setuptools', 'numpy>=1.26', 'numba', 'scipy', 'torch', 'safetensors', 'gymnasium',
+        'stable-baselines3', 'tensorboard', 'open3d', 'plyfile', 'laspy[lazrs]', 'matplotlib',
+        'rich', 'pyyaml'],
+    extras_require={'test': ['pytest', 'hypothesis']},
+    entry_points={
+        'console_scripts': [
+            'sim_node = ocp_ros.nodes.sim_node:main',
+            'policy_node = ocp_ros.nodes.policy_node:main',
+            'trainer_node = ocp_ros.nodes.trainer_node:main',
+            'demo = ocp_ros.nodes.demo:main',
+            'train_demo = ocp_ros.nodes.train_demo:main',
+            'ocp = ocp_ros.cli:main',
+        ],
+    },
+)
