@@ -10,7 +10,7 @@ NAME = 'ocp_ros'
 
 def share(folder, pattern='*'):
     """Install the files of one folder under the package's share."""
-    return (f'share/{NAME}/{folder}', [path for path in glob(f'{folder}/{pattern}')])
+    return (f'share/{NAME}/{folder}', sorted(glob(f'{folder}/{pattern}')))
 
 
 setup(
@@ -20,7 +20,7 @@ setup(
     license='Apache-2.0',
     author='The ocp_ros authors',
     maintainer='The ocp_ros authors',
-    maintainer_email='maintainers@ocp-ros.dev',
+    maintainer_email='maintainers@example.org',
     python_requires='>=3.10',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
     data_files=[

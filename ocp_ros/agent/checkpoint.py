@@ -20,7 +20,7 @@ import torch
 
 from ocp_ros.agent.config import AgentConfig
 from ocp_ros.agent.networks import Actor
-from ocp_ros.configuration import ConfigurationError, from_nested, to_nested
+from ocp_ros.configuration import from_nested, to_nested
 
 FORMAT = 'ocp_ros-actor-1'
 KEY = 'ocp_ros'
@@ -53,11 +53,12 @@ class Checkpoint:
         # On the meta device: only shapes are compared, nothing is allocated.
         with torch.device('meta'):
             expected = Actor(self.config).state_dict()
-        missing, extra = expected.keys() - self.weights.keys(), self.weights.keys() - expected.keys()
+        missing, extra = (expected.keys() - self.weights.keys(),
+                          self.weights.keys() - expected.keys())
         if missing or extra:
             raise CheckpointError(
                 f'weights: found other layers than the network has; missing {sorted(missing)}, '
-                f'unknown {sorted(extra)}; use weights made with the same agent settings')
+                f'unknown {sorted(extra)}; expected weights made with the same agent settings')
         for name, tensor in self.weights.items():
             if tensor.shape != expected[name].shape or tensor.dtype != torch.float32:
                 raise CheckpointError(
@@ -74,8 +75,8 @@ class Checkpoint:
 
     def card(self) -> dict[str, Any]:
         """Return all but the weights, as JSON can hold it."""
-        return {'format': FORMAT, 'run': self.run, 'updates': self.updates, 'config': to_nested(self.config),
-                'provenance': self.provenance}
+        return {'format': FORMAT, 'run': self.run, 'updates': self.updates,
+                'config': to_nested(self.config), 'provenance': self.provenance}
 
     def check_replaces(self, running: 'Checkpoint') -> None:
         """
@@ -103,17 +104,15 @@ class Checkpoint:
         try:
             card = json.loads(read_metadata(blob)[KEY])
             if card['format'] != FORMAT:
-                raise CheckpointError(f'{what}: found format {card["format"]!r}; expected {FORMAT}')
+                raise ValueError(f'its format is {card["format"]!r}, not {FORMAT!r}')
             config = from_nested(AgentConfig, card['config'], what)
             known = {'updates': int(card['updates']), 'run': str(card['run']),
                      'provenance': dict(card['provenance'])}
             weights = safetensors.torch.load(bytes(blob))
-        except (SafetensorError, ConfigurationError, KeyError, TypeError, ValueError) as error:
-            if isinstance(error, CheckpointError):
-                raise
+        except (SafetensorError, KeyError, TypeError, ValueError, AttributeError) as error:
             raise CheckpointError(
-                f'{what}: found no readable checkpoint ({type(error).__name__}: {error}); expected '
-                f'a whole safetensors file written by this package') from error
+                f'{what}: found no readable checkpoint ({type(error).__name__}: {error}); '
+                'expected a whole safetensors file written by this package') from error
         return cls(config, weights, **known)
 
     def save(self, path: Path) -> None:

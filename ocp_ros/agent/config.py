@@ -22,6 +22,6 @@ class AgentConfig:
     keys_2: int = setting(8, 'key points of the second unit', 1, 1024)
     group_2: int = setting(8, 'points per group of the second unit', 1, 256)
     radius_2: float = setting(2.0, 'ball query radius of the second unit, metres', 0.01, 50.0)
-    channels: int = setting(32, 'channels C\' of each unit\'s perceptron', 1, 1024)
+    channels: int = setting(32, "channels C' of each unit's perceptron", 1, 1024)
     hidden: int = setting(128, 'width of the heads', 1, 4096)
     length_scale: float = setting(4.0, 'metres that one unit of the network means', 0.01, 100.0)

@@ -45,7 +45,8 @@ def ball_query(points, keys, radius, size):
     for k in range(keys.shape[0]):
         centre, found = points[keys[k]], 0
         for i in range(points.shape[0]):
-            dx, dy, dz = points[i, 0] - centre[0], points[i, 1] - centre[1], points[i, 2] - centre[2]
+            dx, dy = points[i, 0] - centre[0], points[i, 1] - centre[1]
+            dz = points[i, 2] - centre[2]
             if dx * dx + dy * dy + dz * dz <= radius * radius:
                 groups[k, found] = i
                 found += 1

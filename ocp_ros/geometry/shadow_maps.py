@@ -42,8 +42,8 @@ class Settings(NamedTuple):
 
 
 DEFAULT = Settings()
-#: The paper's cube of twice the spacing; it calls its constant small and gives no figure.
-PAPER = Settings(cube_scale=1.0, base=0.1, slope=0.0)
+#: The paper's cube of twice the spacing and a constant, for which it gives no figure.
+PAPER = Settings(cube_scale=1.0, base=0.2, slope=0.0)
 PRESETS = {'default': DEFAULT, 'paper': PAPER}
 
 

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ROS 2 nodes; the only folder that imports rclpy and message packages."""

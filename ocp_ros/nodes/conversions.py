@@ -140,8 +140,8 @@ def msg_to_fields(message: Float64MultiArray, expected: tuple[str, ...]) -> dict
 
 def bytes_to_msg(blob: bytes) -> UInt8MultiArray:
     """Pack a blob."""
-    message = UInt8MultiArray()
-    message.layout.dim = [MultiArrayDimension(label='safetensors', size=len(blob), stride=len(blob))]
+    message, size = UInt8MultiArray(), len(blob)
+    message.layout.dim = [MultiArrayDimension(label='safetensors', size=size, stride=size)]
     message.data = array('B', blob)
     return message
 

@@ -89,7 +89,8 @@ def result_of(options: argparse.Namespace, node: Watcher) -> dict[str, Any]:
     return {
         'room': str(options.room.name if options.room else f'room-{options.seed}'),
         'points': len(node.scene), 'cameras': len(node.placement), 'turns': final,
-        'depth_error_start': fields[0]['depth_error'], 'depth_error_end': fields[-1]['depth_error'],
+        'depth_error_start': fields[0]['depth_error'],
+        'depth_error_end': fields[-1]['depth_error'],
         'space_coverage_start': fields[0]['space_coverage'],
         'space_coverage_end': fields[-1]['space_coverage'],
         'seconds_per_turn': float(np.median(answered)) if answered else None,
@@ -97,7 +98,8 @@ def result_of(options: argparse.Namespace, node: Watcher) -> dict[str, Any]:
         'date': datetime.now(timezone.utc).isoformat(timespec='seconds')}
 
 
-def picture(options: argparse.Namespace, node: Watcher, result: dict[str, Any], path: Path) -> None:
+def picture(options: argparse.Namespace, node: Watcher, result: dict[str, Any],
+            path: Path) -> None:
     """Draw the room, the ways of the cameras and where they ended."""
     config = SimulationConfig(rig=RigConfig(cameras=result['cameras'], height=options.height))
     scene = Scene(node.scene, name=result['room'])
@@ -119,7 +121,7 @@ def table(result: dict[str, Any]) -> Table:
         rows.add_column(name, justify='left' if not name else 'right')
     for name, key, unit in (('depth error', 'depth_error', 'm'),
                             ('space coverage', 'space_coverage', 'm³')):
-        rows.add_row(name, f'{result[key + "_start"]:.2f} {unit}', f'{result[key + "_end"]:.2f} {unit}')
+        rows.add_row(name, *(f'{result[f"{key}_{end}"]:.2f} {unit}' for end in ('start', 'end')))
     for number, (x, y, z) in enumerate(result['positions']):
         rows.add_row(f'camera {number}', '', f'x {x:.2f}  y {y:.2f}  z {z:.2f} m')
     if result['seconds_per_turn'] is not None:

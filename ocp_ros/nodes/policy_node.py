@@ -20,8 +20,13 @@ from ocp_ros.agent.policy import Policy
 from ocp_ros.configuration import setting
 from ocp_ros.nodes import health, topics
 from ocp_ros.nodes.conversions import (
-    MessageError, msg_to_bytes, msg_to_cloud, msg_to_fields, msg_to_positions, positions_to_msg,
-    stamp_to_ns)
+    MessageError,
+    msg_to_bytes,
+    msg_to_cloud,
+    msg_to_fields,
+    msg_to_positions,
+    positions_to_msg,
+)
 from ocp_ros.nodes.parameters import declare
 from ocp_ros.nodes.qos import LATCHED, LOOP
 from ocp_ros.nodes.runner import run
@@ -43,7 +48,7 @@ class PolicyNodeConfig:
     convergence_turns: int = setting(
         3, 'turns of standing still that make the placement final', 1, 1000)
     explore: bool = setting(
-        False, 'draw moves from the policy\'s distribution and never settle: for training')
+        False, "draw moves from the policy's distribution and never settle: for training")
     seed: int = setting(0, 'seed of the exploration', 0, 1 << 31)
 
 
@@ -99,7 +104,7 @@ class PolicyNode(Node):
         self._act()
 
     def _act(self) -> None:
-        """Answer a turn once both its messages are here; a turn sent again gets the same answer."""
+        """Answer a turn once both its messages are here; the same turn gets the same answer."""
         cloud, poses = self._cloud, self._poses
         if cloud is None or poses is None or cloud.header.stamp != poses.header.stamp:
             return
@@ -148,7 +153,8 @@ class PolicyNode(Node):
             return
         self.policy = Policy(checkpoint)
         self._counts['weights_swapped'] += 1
-        self.get_logger().info(f'weights swapped: {running.updates} -> {checkpoint.updates} updates')
+        self.get_logger().info(
+            f'weights swapped: {running.updates} -> {checkpoint.updates} updates')
 
     def _refuse(self, error: MessageError) -> None:
         """Count a message that cannot be used and say why."""

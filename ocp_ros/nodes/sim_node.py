@@ -23,8 +23,14 @@ from visualization_msgs.msg import MarkerArray
 from ocp_ros.configuration import group, setting
 from ocp_ros.nodes import health, topics
 from ocp_ros.nodes.conversions import (
-    cloud_to_msg, fields_to_msg, MessageError, msg_to_positions, ns_to_stamp, positions_to_msg,
-    stamp_to_ns)
+    cloud_to_msg,
+    fields_to_msg,
+    MessageError,
+    msg_to_positions,
+    ns_to_stamp,
+    positions_to_msg,
+    stamp_to_ns,
+)
 from ocp_ros.nodes.markers import rig_markers
 from ocp_ros.nodes.parameters import declare
 from ocp_ros.nodes.qos import LATCHED, LOOP

@@ -79,7 +79,8 @@ def result_of(watch: Watch, seconds: float) -> dict[str, Any]:
     """Collect the counts that the nodes published about themselves."""
     trainer, policy = (watch.node.health[name] for name in ('trainer_node', 'policy_node'))
     names = ('transitions', 'incomplete', 'inconsistent', 'updates', 'weights_published')
-    return {'turns': len(watch.node.rewards), 'turns_per_second': len(watch.node.rewards) / seconds,
+    turns = len(watch.node.rewards)
+    return {'turns': turns, 'turns_per_second': turns / seconds,
             **{name: int(trainer[name]) for name in names},
             'weights_arrived': int(policy['weights_swapped']),
             'policy_updates': int(policy['weights_updates']), 'run': policy['weights_run']}

@@ -23,7 +23,13 @@ from ocp_ros.agent.observation import encode
 from ocp_ros.configuration import group, setting
 from ocp_ros.nodes import health, topics
 from ocp_ros.nodes.conversions import (
-    bytes_to_msg, MessageError, msg_to_cloud, msg_to_fields, msg_to_positions, stamp_to_ns)
+    bytes_to_msg,
+    MessageError,
+    msg_to_cloud,
+    msg_to_fields,
+    msg_to_positions,
+    stamp_to_ns,
+)
 from ocp_ros.nodes.parameters import declare
 from ocp_ros.nodes.qos import LATCHED, LOOP
 from ocp_ros.nodes.runner import run

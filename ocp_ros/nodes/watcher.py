@@ -114,6 +114,7 @@ class Watch:
             for process in processes:
                 process.check()
             if time.monotonic() > deadline:
-                raise RuntimeError(f'found no {what} within {timeout:.0f} s; last words: ' + '; '.join(
-                    f'{process.name}: {process.tail()}' for process in processes))
+                words = '; '.join(f'{process.name}: {process.tail()}' for process in processes)
+                raise RuntimeError(
+                    f'found no {what} within {timeout:.0f} s; last words: {words}')
             self.executor.spin_once(timeout_sec=0.1)

@@ -31,8 +31,11 @@ LIGHT = np.array([-0.35, 0.6, 0.72])
 ELEVATION = np.radians(42.0)
 #: The viewer stands in the south, so that x runs right and y runs away as in the plan.
 AZIMUTHS = np.radians([-60.0, -120.0])
+#: What is level and higher above the floor than this may be a ceiling, metres.
 HEADROOM = 1.8
+#: Width of the columns that stay or go together when walls are taken away, metres.
 COLUMN = 0.3
+#: How many neighbours agree on where the inside of a wall is.
 VOTERS = 60
 
 
@@ -84,7 +87,7 @@ def draw_placement(path: str | Path, points: np.ndarray, observed: np.ndarray | 
     figure.text(0.03, 0.9, subtitle, fontsize=14, color=PALE_INK, va='center')
     _draw_plan(figure.add_axes((0.045, 0.13, 0.44, 0.73)), room, paths, max_range)
     _draw_cutaway(figure.add_axes((0.505, 0.1, 0.485, 0.77)), room, paths, max_range)
-    _draw_legend(figure, observed, max_range)
+    _draw_legend(figure, observed, max_range, len(paths) > 1)
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, format='png', dpi=100)
 
@@ -125,7 +128,7 @@ def _surface(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     pitch = distance[:, 1:5].mean(axis=1)
     usual = max(float(np.median(pitch)), 1e-3)
     pitch = np.clip(pitch, 0.8 * usual, 1.5 * usual)
-    return normals[near[rows, best]], pitch * np.clip(1.25 - 1.4 * misfit / pitch, 0.6, 0.95)
+    return normals[near[rows, best]], pitch * np.clip(1.35 - 1.4 * misfit / pitch, 0.6, 1.0)
 
 
 def _colours(points: np.ndarray, observed: np.ndarray | None) -> np.ndarray:
@@ -256,15 +259,16 @@ def _disc_grid(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return x, y, np.hypot(x, y)
 
 
-def _draw_range(axes: Axes, centre: np.ndarray, max_range: float, colour: str,
+def _draw_range(axes: Axes, centre: np.ndarray, max_range: float, colour: str, strength: float,
                 clip: Polygon) -> None:
     """Draw the ball that a camera measures as a bubble: clear inside, soft towards its rim."""
     r = _disc_grid(256)[2]
     image = np.full((*r.shape, 4), (*to_rgb(colour), 0.0))
-    image[..., 3] = np.where(r < 1.0, 0.2 * r ** 8, 0.0)
+    image[..., 3] = np.where(r < 1.0, 0.22 * strength * r ** 8, 0.0)
     (x, y), m = centre, max_range
     axes.imshow(image, extent=(x - m, x + m, y - m, y + m), zorder=2).set_clip_path(clip)
-    rim = Circle((x, y), m, fill=False, edgecolor=colour, linewidth=1.2, alpha=0.7, zorder=2)
+    rim = Circle((x, y), m, fill=False, edgecolor=colour, linewidth=1.2, zorder=2,
+                 alpha=0.4 + 0.3 * strength)
     axes.add_patch(rim).set_clip_path(clip)
 
 
@@ -284,10 +288,12 @@ def _draw_ball(axes: Axes, at: np.ndarray, number: int, colour: str) -> None:
 
 def _draw_cameras(axes: Axes, paths: np.ndarray, max_range: float, clip: Polygon) -> None:
     """Draw ranges, paths (T, K, 2), starts and final positions, and fit the axes to all of it."""
+    # Many bubbles on top of each other would hide the room.
+    strength = min(1.0, 2.0 / np.sqrt(paths.shape[1]))
     casing = [patheffects.withStroke(linewidth=4.5, foreground='white')]
     for k in range(paths.shape[1]):
         colour, path = CAMERA_COLOURS[k % len(CAMERA_COLOURS)], paths[:, k]
-        _draw_range(axes, path[-1], max_range, colour, clip)
+        _draw_range(axes, path[-1], max_range, colour, strength, clip)
         if len(path) > 1:
             axes.plot(*path.T, color=colour, linewidth=2.4, zorder=4, path_effects=casing)
             axes.plot(*path[0], 'o', markersize=7, markerfacecolor='white', markeredgewidth=2.0,
@@ -342,13 +348,15 @@ def _draw_triad(axes: Axes, view: np.ndarray) -> None:
                   textcoords='offset points', color=PALE_INK, fontsize=11, va='top')
 
 
-def _draw_legend(figure: Figure, observed: np.ndarray | None, max_range: float) -> None:
+def _draw_legend(figure: Figure, observed: np.ndarray | None, max_range: float,
+                 moved: bool) -> None:
     """Explain the marks in one line below the panels."""
     ladder = np.arange(4.0)[:, None] * (0.0, 0.0, 1.0)
     dot = {'color': PALE_INK, 'linestyle': 'none', 'marker': 'o'}
     entries = {
         'start': Line2D([], [], markersize=8, markerfacecolor='white', markeredgewidth=2.0, **dot),
-        'path': Line2D([], [], color=PALE_INK, linewidth=2.4),
+        'path': Line2D([], [], color=PALE_INK, linewidth=2.4)} if moved else {}
+    entries |= {
         'final position': Line2D([], [], markersize=15, **dot),
         f'range {max_range:g} m': Line2D([], [], markersize=17, markerfacecolor='#eceef0', **dot),
         'darker is higher': tuple(Patch(color=c) for c in _colours(ladder, None))}

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where rooms come from: files and the generator."""

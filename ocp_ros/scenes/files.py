@@ -9,18 +9,20 @@ import warnings
 import numpy as np
 from plyfile import PlyData
 
+from ocp_ros.scenes.pcd import read_pcd_fields
 from ocp_ros.scenes.scene import (
     check_points,
     likely_up_axis,
     MIN_POINTS,
+    MIN_VOXEL,
     Scene,
     SceneError,
     voxel_downsample,
     voxel_size_for,
 )
+from ocp_ros.scenes.tables import read_table
 
 FAR = 1000.0
-MIN_VOXEL = 0.001
 # What the file calls x, y and z up, as the file's axes and signs that make x, y and z of the map.
 UP_AXES = {'x': ([1, 2, 0], [1, 1, 1]), 'y': ([0, 2, 1], [1, -1, 1]), 'z': ([0, 1, 2], [1, 1, 1])}
 
@@ -144,7 +146,8 @@ def _near_origin(points: np.ndarray, name: str) -> np.ndarray:
         return points
     offset = np.round(low, -2)
     # A warning, since every placement found will be in the moved coordinates.
-    _log.warning('%s: moved by -(%.0f, %.0f, %.0f) m to near the origin', name, *offset)
+    _log.warning('%s: found coordinates far from the origin; subtracted (%.0f, %.0f, %.0f) m',
+                 name, *offset)
     return points - offset
 
 
@@ -239,145 +242,12 @@ def _read_las(path: Path):
 
 def _read_xyz(path: Path):
     """Read text with x y z at the start of each line."""
-    return _read_table(path), None
-
-
-def _read_table(path: Path, columns=(0, 1, 2), skip: int = 0) -> np.ndarray:
-    """Read columns of a text file: (N, C) float64; blank lines and what follows # do not count."""
-    with warnings.catch_warnings():
-        # A text without a line of numbers is refused later, in our words.
-        warnings.simplefilter('ignore', UserWarning)
-        try:
-            table = np.loadtxt(path, usecols=columns, skiprows=skip, encoding='latin-1', ndmin=2)
-        except ValueError as error:
-            raise _bad_line(path, columns, skip) or error from None
-    _check_last_line(path)
-    return table
-
-
-def _bad_line(path: Path, columns, skip: int) -> SceneError | None:
-    """Find the first line that is not numbers: NumPy counts rows, which nobody can look up."""
-    with path.open(encoding='latin-1') as file:
-        for number, line in enumerate(file, start=1):
-            values = line.partition('#')[0].split()
-            try:
-                if number > skip and values:
-                    [float(values[column]) for column in columns]
-            except (ValueError, IndexError):
-                return SceneError(
-                    f'{path.name}: found {line.strip()[:60]!r} in line {number}; expected numbers '
-                    'x y z separated by blanks; correct the line or delete it, for example with: '
-                    f'sed -i {number}d {path.name}')
-    return None
-
-
-def _check_last_line(path: Path) -> None:
-    """Refuse a copy that broke off within its last line, which may hold half a number."""
-    with path.open('rb') as file:
-        file.seek(max(path.stat().st_size - 4096, 0))
-        tail = file.read()
-    lines = tail.splitlines()
-    if not tail.endswith(b'\n') and len(lines) > 1:
-        found, expected = (len(line.partition(b'#')[0].split()) for line in (lines[-1], lines[-2]))
-        if 0 < found < expected:
-            raise SceneError(f'{path.name}: found {found} numbers in the last line; expected '
-                             f'{expected} as in the line before; the file is truncated: copy or '
-                             'export it again')
+    return read_table(path), None
 
 
 def _read_pcd(path: Path):
-    """
-    Read a PCD file: ascii, binary or binary_compressed.
-
-    Not with open3d: it fills a truncated ascii file with whatever was in memory and takes 8-byte
-    coordinates for 4-byte ones, both without a word (0.20), and costs a second to import.
-    """
-    with path.open('rb') as file:
-        header, skip = _pcd_header(file)
-        body = file.read()
-    layout, count = _pcd_layout(header), int(header['POINTS'][0])
-    if header['DATA'] == ['ascii']:
-        fields = _pcd_ascii(path, layout, skip)
-    elif header['DATA'] == ['binary']:
-        rows = np.frombuffer(body, layout, count)
-        fields = {field: rows[field] for field in layout.names}
-    else:
-        fields = _pcd_compressed(body, layout, count)
-    points, normals = _from_fields(fields, path.name)
-    if len(points) != count:
-        raise ValueError(f'{len(points):,} of {count:,} points')
-    return points, normals
-
-
-def _pcd_header(file) -> tuple[dict[str, list[str]], int]:
-    """Read the header of a PCD file up to its last line; return it and its number of lines."""
-    header, lines = {}, 0
-    while 'DATA' not in header:
-        line = file.readline()
-        if not line:
-            raise ValueError('no DATA line')
-        lines += 1
-        key, *values = line.decode('ascii').split() or ['']
-        header[key] = values
-    missing = {'FIELDS', 'SIZE', 'TYPE', 'POINTS'} - header.keys()
-    if missing:
-        raise ValueError(f'no {" ".join(sorted(missing))} in the header')
-    return header, lines
-
-
-def _pcd_layout(header: dict[str, list[str]]) -> np.dtype:
-    """Turn a PCD header into the record of one point."""
-    names, kinds = header['FIELDS'], {'F': '<f', 'I': '<i', 'U': '<u'}
-    repeats = header.get('COUNT', ['1'] * len(names))
-    # Padding fields may all have the same name.
-    return np.dtype([
-        (f'{name}{index}' if name == '_' else name, kinds[kind] + size, (int(repeat),))
-        for index, (name, kind, size, repeat)
-        in enumerate(zip(names, header['TYPE'], header['SIZE'], repeats, strict=True))])
-
-
-def _pcd_ascii(path: Path, layout: np.dtype, skip: int) -> dict[str, np.ndarray]:
-    """Read the fields of a PCD file in ascii, one point per line."""
-    widths = [layout[field].shape[0] for field in layout.names]
-    starts = np.cumsum([0, *widths[:-1]]).tolist()
-    return dict(zip(layout.names, _read_table(path, starts, skip).T, strict=True))
-
-
-def _pcd_compressed(body: bytes, layout: np.dtype, count: int) -> dict[str, np.ndarray]:
-    """Unpack the fields of a compressed PCD file, which lie one after the other."""
-    packed, size = (int(number) for number in np.frombuffer(body, '<u4', 2))
-    body, start, fields = _lzf(body[8:8 + packed], size), 0, {}
-    for field in layout.names:
-        kind = layout[field]
-        fields[field] = np.frombuffer(body, kind, count, start)
-        start += kind.itemsize * count
-    return fields
-
-
-def _lzf(packed: bytes, size: int) -> bytes:
-    """Unpack LibLZF: a control byte below 32 precedes literals, any other a copy from before."""
-    out, i = bytearray(), 0
-    while i < len(packed):
-        control = packed[i]
-        i += 1
-        if control < 32:
-            out += packed[i:i + control + 1]
-            i += control + 1
-            continue
-        length = control >> 5
-        if length == 7:
-            length += packed[i]
-            i += 1
-        start = len(out) - ((control & 31) << 8) - packed[i] - 1
-        i += 1
-        if start < 0:
-            raise ValueError('a copy from before the start')
-        piece = out[start:start + length + 2]
-        # A copy may reach into what it writes: then it repeats.
-        out += (piece * ((length + 2) // len(piece) + 1))[:length + 2]
-    if len(out) != size:
-        raise ValueError(f'{len(out):,} of {size:,} bytes')
-    return bytes(out)
+    """Read a PCD file: ascii, binary or binary_compressed."""
+    return _from_fields(read_pcd_fields(path), path.name)
 
 
 READERS = {'.las': _read_las, '.laz': _read_las, '.npy': _read_npy, '.pcd': _read_pcd,

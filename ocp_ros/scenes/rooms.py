@@ -163,7 +163,7 @@ def _sample_at(plan: RoomPlan, pitch: float, rng) -> np.ndarray:
 
 
 def _exposed(points: np.ndarray, plan: RoomPlan, own: int) -> np.ndarray:
-    """Tell which points a scan could see: not in or against another solid, not on a hidden side."""
+    """Tell which points a scan could see: not in or against another solid or the shell."""
     keep = np.ones(len(points), dtype=bool)
     for index, (low, high) in enumerate(plan.boxes):
         if index != own:

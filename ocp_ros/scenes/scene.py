@@ -8,6 +8,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 MIN_POINTS = 100
+#: Metres: smallest edge of a voxel, and largest extent of a scene.
+MIN_VOXEL, LARGEST = 0.001, 500.0
 
 
 class SceneError(ValueError):
@@ -48,6 +50,12 @@ class Scene:
         """Hold the points as float32 in C order and refuse what is not a room."""
         check_points(self.points, self.name)
         object.__setattr__(self, 'points', np.ascontiguousarray(self.points, dtype=np.float32))
+        if self.normals is not None:
+            if np.shape(self.normals) != self.points.shape:
+                raise SceneError(f'{self.name}: found normals of shape {np.shape(self.normals)}; '
+                                 f'expected {self.points.shape}, one per point')
+            object.__setattr__(
+                self, 'normals', np.ascontiguousarray(self.normals, dtype=np.float32))
 
     def __len__(self) -> int:
         """Return the number of points."""
@@ -113,13 +121,18 @@ def check_points(points: np.ndarray, name: str) -> None:
     if len(points) < MIN_POINTS:
         raise SceneError(f'{name}: found {len(points)} points; expected at least {MIN_POINTS} to '
                          'describe a room; use a denser scan')
-    _check_size(np.ptp(points.astype(np.float64), axis=0), name)
+    _check_size(points.astype(np.float64), name)
 
 
-def _check_size(size: np.ndarray, name: str) -> None:
+def _check_size(points: np.ndarray, name: str) -> None:
     """Refuse a bounding box that is flat or not that of a room in metres."""
+    size = np.ptp(points, axis=0)
     found = f'{name}: found a bounding box of ' + ' x '.join(f'{s:.4g}' for s in size)
-    if size.max() > 500.0:
+    if size.max() > LARGEST:
+        core = np.subtract(*np.percentile(points, [98, 2], axis=0))
+        if core.max() <= 0.1 * size.max():
+            raise SceneError(f'{found} m around points that mostly lie within {core.max():.3g}; '
+                             'expected one room; remove the stray points')
         raise SceneError(f'{found}; expected metres, and no room is that large: these look like '
                          'millimetres; load with scale=0.001')
     if size.max() < 0.5:
@@ -160,10 +173,10 @@ def voxel_downsample(points: np.ndarray, voxel_size: float) -> np.ndarray:
     :param points: (N, 3), metres.
     :param voxel_size: edge of the cubes, metres.
     :returns: (M, 3) float32, ordered by cube: M <= N.
-    :raises ValueError: if the voxel size is not positive.
+    :raises ValueError: if the voxel size is below a millimetre.
     """
-    if not voxel_size > 0.0:
-        raise ValueError(f'voxel_size: found {voxel_size}; expected metres above 0')
+    if not voxel_size >= MIN_VOXEL:
+        raise ValueError(f'voxel_size: found {voxel_size}; expected at least {MIN_VOXEL} m')
     keys = _voxel_keys(points, voxel_size)
     order = np.argsort(keys, kind='stable')
     starts = np.flatnonzero(np.diff(keys[order], prepend=-1))
@@ -187,7 +200,7 @@ def voxel_size_for(points: np.ndarray, max_points: int) -> float:
     :param max_points: the most points wanted.
     :returns: metres.
     """
-    low, high = 1e-3, 1.0
+    low, high = MIN_VOXEL, 2.0 * LARGEST
     while high / low > 1.02:
         middle = np.sqrt(low * high)
         if len(np.unique(_voxel_keys(points, middle))) > max_points:

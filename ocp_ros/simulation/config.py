@@ -43,7 +43,7 @@ class EpisodeConfig:
 
     turns: int = setting(30, 'turns until the episode ends', 1, 100000)
     max_step: float = setting(0.5, 'farthest a camera moves in one turn, metres', 0.001, 10.0)
-    start_radius: float = setting(0.5, 'cameras start within this of the centre, metres', 0.0, 50.0)
+    start_radius: float = setting(0.5, 'cameras start this near the centre, metres', 0.0, 50.0)
     wall_margin: float = setting(
         0.1, 'cameras stay this far inside the bounding box, metres', 0.0, 5.0)
 
@@ -55,7 +55,7 @@ class RewardConfig:
     kind: str = setting('potential', 'reward: potential or paper', choices=('potential', 'paper'))
     coverage: float = setting(0.02, 'paper: K_SC, per cubic metre', 0.0, 1000.0)
     depth_error: float = setting(1.0, 'paper: K_DOE, per metre', 0.0, 1000.0)
-    penalty: float = setting(-1.0, 'K_P, reward of a turn that leads out of the room', -1000.0, 0.0)
+    penalty: float = setting(-1.0, 'K_P, for a turn that leads out of the room', -1000.0, 0.0)
 
 
 @dataclass(frozen=True)

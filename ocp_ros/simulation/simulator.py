@@ -45,7 +45,7 @@ class Simulator:
         if self.height >= scene.bounds[1, 2]:
             raise SceneError(
                 f'{scene.name}: found a room {scene.size[2]:.2f} m high; expected more than the '
-                f'cameras\' height of {config.rig.height:.2f} m; lower rig.height')
+                f"cameras' height of {config.rig.height:.2f} m; lower rig.height")
         self.depth_error = DepthError(scene.points, scene.spacing, scene.bounds, self.settings)
         self.grid, self.cell_volume = coverage_grid(scene.bounds, config.engine.coverage_cell)
         self._no_spacing = np.zeros(len(self.grid), dtype=np.float32)

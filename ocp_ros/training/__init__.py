@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Soft actor-critic from stable-baselines3: replay, augmentation, runs, learner."""

@@ -18,7 +18,7 @@ class SacConfig:
     buffer_size: int = setting(40000, 'transitions the replay buffer holds', 100, 10000000)
     learning_starts: int = setting(1000, 'transitions before the first gradient step', 1, 1000000)
     gamma: float = setting(0.95, 'discount per turn', 0.0, 1.0)
-    tau: float = setting(0.01, 'share of the target networks replaced per gradient step', 1e-6, 1.0)
+    tau: float = setting(0.01, 'share of the targets replaced per gradient step', 1e-6, 1.0)
     entropy: float = setting(0.1, 'first entropy coefficient; it is then learned', 1e-6, 100.0)
     target_entropy: float = setting(
         -1.5, 'target entropy per component of the action', -10.0, 1.0)

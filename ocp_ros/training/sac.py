@@ -189,7 +189,7 @@ def load_actor(model: SAC, checkpoint: Checkpoint) -> None:
     """
     if checkpoint.config != model.policy.features_extractor_kwargs['agent']:
         raise CheckpointError(
-            f'weights: found {checkpoint.config}; expected the trainer\'s own agent settings, '
+            f"weights: found {checkpoint.config}; expected the trainer's own agent settings, "
             f'{model.policy.features_extractor_kwargs["agent"]}')
     for part, module in _actor_parts(model).items():
         module.load_state_dict({name.removeprefix(f'{part}.'): value

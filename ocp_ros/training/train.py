@@ -119,9 +119,9 @@ def train(config: TrainingConfig, folder: Path) -> Checkpoint:
         lambda: EncodedObservation(CameraPlacementEnv(rooms, config.simulation), config.agent)
         for _ in range(config.environments)])
     cameras = config.simulation.rig.cameras
-    model = make_sac(config.sac, config.agent, cameras, env, config.seed, str(folder / 'tensorboard'),
-                     train_freq=1,
-                     gradient_steps=max(round(config.updates_per_turn * config.environments), 1))
+    steps = max(round(config.updates_per_turn * config.environments), 1)
+    model = make_sac(config.sac, config.agent, cameras, env, config.seed,
+                     str(folder / 'tensorboard'), train_freq=1, gradient_steps=steps)
     state = folder / 'state.safetensors'
     run = load_state(model, state) if state.exists() else new_run()
     columns = (TextColumn('{task.description}'), MofNCompleteColumn(), TimeRemainingColumn(),

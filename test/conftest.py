@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fixtures for real nodes on real DDS in one process, without launch files."""
+
+from contextlib import ExitStack
+import os
+from pathlib import Path
+import time
+
+import numpy as np
+import pytest
+
+from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.agent.config import AgentConfig
+from ocp_ros.scenes.rooms import generate_room
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope='session')
+def room():
+    """Return a generated room of about 2,000 points."""
+    return generate_room(7, 2000)
+
+
+@pytest.fixture(scope='session')
+def small_agent():
+    """Return sizes of a network that trains in milliseconds."""
+    return AgentConfig(points=64, keys_1=8, group_1=4, keys_2=4, group_2=4, channels=8, hidden=16)
+
+
+@pytest.fixture
+def checkpoint(small_agent):
+    """Return random weights."""
+    return random_checkpoint(small_agent)
+
+
+def random_checkpoint(agent, seed=0, **known):
+    """Return a checkpoint with random weights."""
+    import torch
+
+    from ocp_ros.agent.networks import Actor
+    torch.manual_seed(seed)
+    return Checkpoint(agent, Actor(agent).state_dict(), **known)
+
+
+@pytest.fixture(scope='session')
+def domain(tmp_path_factory):
+    """Hold a ROS domain that no other test process uses."""
+    pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
+    from ocp_ros.nodes.processes import free_domain, LOCALHOST
+    os.environ.update(LOCALHOST)
+    os.environ['ROS_LOG_DIR'] = str(tmp_path_factory.mktemp('ros'))
+    number, holder = free_domain()
+    with holder:
+        yield number
+
+
+class Graph:
+    """Nodes of one test in one context, spun by hand."""
+
+    def __init__(self, domain: int) -> None:
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=domain)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.nodes = []
+
+    def add(self, kind, **parameters):
+        """Start a node; ``a__b`` in a keyword is the parameter ``a.b``."""
+        from rclpy.parameter import Parameter
+        overrides = [Parameter(name.replace('__', '.'), value=value)
+                     for name, value in parameters.items()]
+        node = kind(context=self.context, parameter_overrides=overrides)
+        self.executor.add_node(node)
+        self.nodes.append(node)
+        return node
+
+    def remove(self, node) -> None:
+        """Stop a node as if its process had ended."""
+        self.executor.remove_node(node)
+        self.nodes.remove(node)
+        node.destroy_node()
+
+    def until(self, predicate, timeout=20.0) -> None:
+        """Spin until something has happened; fail if it does not."""
+        deadline = time.monotonic() + timeout
+        while not predicate():
+            assert time.monotonic() < deadline, 'nothing happened within the time limit'
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def close(self) -> None:
+        """Take everything down; another order can crash in the DDS layer."""
+        import rclpy
+        self.executor.shutdown()
+        for node in self.nodes:
+            node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture
+def graph(domain):
+    """Return a graph of nodes of its own."""
+    with ExitStack() as stack:
+        made = Graph(domain)
+        stack.callback(made.close)
+        yield made
+
+
+class Probe:
+    """A node that publishes and records, for tests."""
+
+    def __init__(self, graph: Graph) -> None:
+        import rclpy.node
+        self.graph = graph
+        self.node = graph.add(lambda **kwargs: rclpy.node.Node('probe', **kwargs))
+        self.received = {}
+
+    def listen(self, kind, topic, qos):
+        """Record what arrives on a topic."""
+        self.received[topic] = []
+        self.node.create_subscription(kind, topic, self.received[topic].append, qos)
+
+    def publisher(self, kind, topic, qos, subscribers=1):
+        """Return a publisher that is connected already."""
+        publisher = self.node.create_publisher(kind, topic, qos)
+        self.graph.until(lambda: publisher.get_subscription_count() >= subscribers)
+        return publisher
+
+    def last(self, topic):
+        """Return the latest message of a topic, waiting for the first."""
+        self.graph.until(lambda: self.received[topic])
+        return self.received[topic][-1]
+
+
+@pytest.fixture
+def probe(graph):
+    """Return a node that publishes and records."""
+    return Probe(graph)
+
+
+def assert_same(one, other):
+    """Assert that two encoded observations are equal bit for bit."""
+    assert one.keys() == other.keys()
+    for name, value in one.items():
+        assert np.array_equal(value, other[name]), name

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The shape of the tree: who may import whom, and files that must agree."""
+
+import ast
+import re
+import xml.etree.ElementTree as ElementTree
+
+from conftest import ROOT
+import pytest
+
+import ocp_ros
+
+PACKAGE = ROOT / 'ocp_ros'
+#: Each layer may import itself, those before it and the modules that stand beside the layers.
+LAYERS = ['geometry', 'scenes', 'simulation', 'agent', 'planners', 'training', 'benchmark',
+          'report', 'nodes']
+BESIDE = {'configuration', 'resources'}
+#: Packages that only some layers may import at all.
+ONLY = {
+    'rclpy': {'nodes'}, 'sensor_msgs': {'nodes'}, 'geometry_msgs': {'nodes'},
+    'stable_baselines3': {'training'}, 'torch': {'agent', 'training'},
+    'gymnasium': {'simulation', 'training'}, 'matplotlib': {'report'},
+    'open3d': {'scenes', 'benchmark'}}
+
+
+def imports(path):
+    """Return the full names of all modules that a file imports, anywhere in it."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f'{path}: relative import'
+            found |= {node.module, *(f'{node.module}.{alias.name}' for alias in node.names)}
+    return found
+
+
+def modules():
+    """Return (path, layer) of every module that belongs to a layer."""
+    return [(path, path.relative_to(PACKAGE).parts[0]) for path in sorted(PACKAGE.rglob('*.py'))
+            if path.parent != PACKAGE]
+
+
+@pytest.mark.parametrize(('path', 'layer'), modules(), ids=lambda value: str(value)[-40:])
+def test_the_data_flows_one_way(path, layer):
+    allowed = set(LAYERS[:LAYERS.index(layer) + 1]) | BESIDE
+    for name in imports(path):
+        top, *rest = name.split('.')
+        if top == 'ocp_ros' and rest:
+            assert rest[0] in allowed, f'{layer} must not import {name}'
+        assert layer in ONLY.get(top, {layer}), f'{layer} must not import {name}'
+
+
+def test_geometry_needs_numpy_and_numba_alone():
+    for path, layer in modules():
+        if layer == 'geometry':
+            tops = {name.split('.')[0] for name in imports(path)}
+            assert tops <= {'numpy', 'numba', 'math', 'typing', 'dataclasses', 'ocp_ros'}, path
+
+
+def test_the_version_is_the_same_everywhere():
+    package = ElementTree.parse(ROOT / 'package.xml').getroot()
+    setup = (ROOT / 'setup.py').read_text()
+    version = package.findtext('version')
+    assert version == ocp_ros.__version__
+    assert f"version='{version}'" in setup
+    assert re.search(rf'^{re.escape(version)} \(', (ROOT / 'CHANGELOG.rst').read_text(), re.M)
+
+
+def test_package_xml_lists_every_ros_package_that_nodes_import():
+    package = ElementTree.parse(ROOT / 'package.xml').getroot()
+    listed = {item.text for item in package.iter('exec_depend')}
+    ros = {'rclpy', 'launch', 'launch_ros', 'ament_index_python'}
+    used = {name.split('.')[0] for path in [*PACKAGE.rglob('*.py'), *ROOT.glob('launch/*.py')]
+            for name in imports(path)}
+    assert {name for name in used if name in ros or name.endswith(('_msgs', '_interfaces'))
+            or name == 'std_srvs'} <= listed
+    assert package.find('export/build_type').text == 'ament_python'
+
+
+def test_every_entry_point_exists():
+    for module, function in re.findall(r"= (ocp_ros[\w.]+):(\w+)'", (ROOT / 'setup.py').read_text()):
+        path = ROOT / (module.replace('.', '/') + '.py')
+        names = {node.name for node in ast.parse(path.read_text()).body
+                 if isinstance(node, ast.FunctionDef)}
+        assert function in names, module
+
+
+def test_every_source_file_names_its_license():
+    for path in [*PACKAGE.rglob('*.py'), *ROOT.glob('test/*.py'), *ROOT.glob('launch/*.py')]:
+        assert path.read_text().startswith('# SPDX-License-Identifier: Apache-2.0\n'), path

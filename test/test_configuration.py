@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Configuration: defaults, round trips, and errors that say what to do."""
+
+import numpy as np
+import pytest
+import yaml
+
+from conftest import ROOT
+from ocp_ros.configuration import ConfigurationError, from_flat, from_nested, leaves, to_nested
+from ocp_ros.simulation.config import SimulationConfig
+from ocp_ros.training.config import TrainingConfig
+from ocp_ros.training.train import read_config
+
+
+def test_what_is_left_out_keeps_its_default():
+    config = from_nested(SimulationConfig, {'rig': {'cameras': 2}})
+    assert config.rig.cameras == 2
+    assert config.rig.max_range == SimulationConfig().rig.max_range
+
+
+@pytest.mark.parametrize('cls', [SimulationConfig, TrainingConfig])
+def test_nested_form_comes_back(cls):
+    assert from_nested(cls, to_nested(cls())) == cls()
+
+
+@pytest.mark.parametrize(('values', 'words'), [
+    ({'rig.camera': 2}, "unknown name 'rig.camera'; did you mean 'rig.cameras'"),
+    ({'zzz': 2}, "unknown name 'zzz'; expected one of"),
+    ({'rig.cameras': 0}, 'rig.cameras: found 0; expected 1 to 64'),
+    ({'rig.cameras': '4'}, "rig.cameras: found '4' \\(str\\); expected int"),
+    ({'rig.cameras': True}, 'rig.cameras: found True'),
+    ({'rig.height': float('nan')}, 'rig.height: found nan; expected 0'),
+    ({'reward.kind': 'papr'}, "reward.kind: found 'papr'; expected one of"),
+])
+def test_a_bad_setting_is_named_with_what_was_expected(values, words):
+    with pytest.raises(ConfigurationError, match=words):
+        from_flat(SimulationConfig, values)
+
+
+def test_whole_numbers_are_welcome_where_yaml_forgot_the_point():
+    assert from_flat(SimulationConfig, {'rig.max_range': 5}).rig.max_range == 5.0
+
+
+def test_something_else_than_a_mapping_is_refused(tmp_path):
+    (tmp_path / 'c.yaml').write_text('- 1\n- 2\n')
+    with pytest.raises(ConfigurationError, match='c.yaml: found list; expected a mapping'):
+        read_config(tmp_path / 'c.yaml')
+
+
+def test_every_setting_has_a_default_in_its_own_range():
+    for name, item in leaves(TrainingConfig).items():
+        assert isinstance(item.default, item.type), name
+        low = item.metadata['low']
+        assert low is None or low <= item.default <= item.metadata['high'], name
+        assert len(item.metadata['description']) > 5
+
+
+def test_training_and_test_rooms_never_overlap():
+    with pytest.raises(ConfigurationError, match='rooms both in training and in test'):
+        from_nested(TrainingConfig, {'rooms': {'training_first': 10}})
+
+
+@pytest.mark.parametrize('path', sorted((ROOT / 'config' / 'train').glob('*.yaml')),
+                         ids=lambda path: path.name)
+def test_every_shipped_training_configuration_is_valid(path):
+    assert np.isfinite(read_config(path).sac.learning_rate)
+
+
+@pytest.mark.parametrize('name', ['sim', 'policy', 'trainer'])
+def test_every_shipped_parameter_file_is_valid(name):
+    pytest.importorskip('rclpy', reason='node parameters need ROS 2 (rclpy)')
+    from ocp_ros.nodes.policy_node import PolicyNodeConfig
+    from ocp_ros.nodes.sim_node import SimNodeConfig
+    from ocp_ros.nodes.trainer_node import TrainerNodeConfig
+    classes = {'sim_node': SimNodeConfig, 'policy_node': PolicyNodeConfig,
+               'trainer_node': TrainerNodeConfig}
+    content = yaml.safe_load((ROOT / 'config' / f'{name}.yaml').read_text())
+    for key, value in content.items():
+        cls = classes[key.removeprefix('/**/')]
+        from_nested(cls, value['ros__parameters'], key)

@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulated rig: moves, rewards, episodes and the Gymnasium environment."""
+
+import warnings
+
+from gymnasium.utils.env_checker import check_env
+from hypothesis import given, settings as budget, strategies as st
+import numpy as np
+import pytest
+from stable_baselines3.common.env_checker import check_env as check_env_sb3
+
+from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.scenes.scene import SceneError
+from ocp_ros.simulation.config import (
+    EngineConfig,
+    EpisodeConfig,
+    RewardConfig,
+    RigConfig,
+    SimulationConfig,
+)
+from ocp_ros.simulation.env import CameraPlacementEnv
+from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.moves import bounded_moves, kept_inside
+from ocp_ros.simulation.reward import potential, reward
+from ocp_ros.simulation.simulator import Simulator
+
+SMALL = SimulationConfig(engine=EngineConfig(rows=32, coverage_cell=0.5))
+seeds = st.integers(0, 2 ** 32 - 1)
+
+
+@pytest.fixture(scope='module')
+def simulator(room):
+    """Return the engine for a small room."""
+    return Simulator(room, SMALL)
+
+
+@pytest.fixture
+def env(room):
+    """Return an environment of two small rooms."""
+    return CameraPlacementEnv([room, generate_room(8, 2000)], SMALL, observation_points=128)
+
+
+def play(env, seed, turns=6):
+    """Return everything an episode of random actions gives."""
+    rng = np.random.default_rng(seed)
+    observation, info = env.reset(seed=seed)
+    record = [(observation, 0.0, False, False, info)]
+    for _ in range(turns):
+        record.append(env.step(rng.uniform(-1, 1, env.action_space.shape).astype(np.float32)))
+    return record
+
+
+def test_gymnasiums_checker_has_nothing_to_say(env):
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        check_env(env, skip_render_check=True)
+
+
+def test_stable_baselines3s_checker_has_nothing_to_say(env):
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        # It advises a custom policy for anything but vectors and images, and there is one.
+        warnings.filterwarnings('ignore', '.*unconventional shape')
+        check_env_sb3(env, warn=True)
+
+
+def test_the_same_seed_is_the_same_episode(env, room):
+    other = CameraPlacementEnv([room, generate_room(8, 2000)], SMALL, observation_points=128)
+    for one, two in zip(play(env, 11), play(other, 11), strict=True):
+        assert all(np.array_equal(one[0][key], two[0][key]) for key in one[0])
+        assert one[1:] == two[1:]
+
+
+def test_another_seed_is_another_episode(env):
+    one, two = play(env, 11)[-1], play(env, 12)[-1]
+    assert not np.array_equal(one[0]['camera_positions'], two[0]['camera_positions'])
+
+
+def test_an_episode_is_truncated_and_never_terminated(room):
+    config = SimulationConfig(engine=SMALL.engine, episode=EpisodeConfig(turns=3))
+    env = CameraPlacementEnv([room], config)
+    record = play(env, 0, turns=3)
+    assert [r[3] for r in record] == [False, False, False, True]
+    assert not any(r[2] for r in record)
+
+
+def test_all_terms_of_the_reward_are_in_info(env):
+    _, value, _, _, info = play(env, 1)[-1]
+    assert info['reward'] == value
+    assert {'delta_space_coverage', 'delta_depth_error', 'penalty', 'space_coverage',
+            'depth_error', 'worst_depth_error', 'scene', 'step'} <= info.keys()
+
+
+def test_the_room_can_be_chosen(env):
+    assert env.reset(options={'scene': 1})[1]['scene'] == 'room-8'
+
+
+def test_no_rooms_are_an_error():
+    with pytest.raises(ValueError, match='scenes: found none'):
+        CameraPlacementEnv([])
+
+
+def test_where_nothing_is_seen_the_cameras_are_all_that_is_known(room):
+    config = SimulationConfig(engine=SMALL.engine, rig=RigConfig(max_range=0.1))
+    observation, info = CameraPlacementEnv([room], config).reset(seed=0)
+    assert info['depth_error'] == info['worst_depth_error']
+    np.testing.assert_allclose(observation['bounds'][0], observation['camera_positions'].min(0))
+
+
+@given(seed=seeds)
+@budget(max_examples=15, deadline=None)
+def test_what_was_observed_stays_observed(simulator, seed):
+    rng = np.random.default_rng(seed)
+    episode = Episode(simulator, rng)
+    for _ in range(4):
+        before = episode.observed.copy()
+        episode.move(rng.uniform(-1, 1, (4, 2)))
+        assert (episode.observed >= before).all()
+        assert len(episode.observed_cloud) == episode.observed.sum()
+
+
+@given(seed=seeds, scale=st.floats(0.0, 100.0))
+@budget(max_examples=25, deadline=None)
+def test_cameras_never_move_too_far_nor_leave_the_room(simulator, seed, scale):
+    rng = np.random.default_rng(seed)
+    episode = Episode(simulator, rng)
+    low, high = simulator.scene.bounds
+    for _ in range(3):
+        before = episode.turn.positions
+        turn = episode.move(scale * rng.normal(size=(4, 2)))
+        assert np.linalg.norm(turn.positions - before, axis=1).max() <= 0.5 + 1e-9
+        assert (turn.positions >= low + [0.1, 0.1, 0.0] - 1e-9).all()
+        assert (turn.positions <= high - [0.1, 0.1, 0.0] + 1e-9).all()
+        assert (turn.positions[:, 2] == simulator.height).all()
+
+
+def test_leaving_the_bounding_box_is_penalised_and_prevented(simulator):
+    episode = Episode(simulator, np.random.default_rng(0))
+    penalties = [episode.move(np.tile([0.5, 0.0], (4, 1))).terms.penalty for _ in range(12)]
+    assert penalties[0] == 0.0 and penalties[-1] == 1.0
+    assert episode.turn.positions[:, 0].max() <= simulator.scene.bounds[1, 0] - 0.1 + 1e-9
+
+
+@given(seed=seeds)
+@budget(max_examples=15, deadline=None)
+def test_one_camera_more_never_sees_less(simulator, seed):
+    low, high = simulator.scene.bounds
+    positions = np.random.default_rng(seed).uniform(low, high, (3, 3))
+    fewer, more = simulator.evaluate(positions[:2]), simulator.evaluate(positions)
+    assert (more.visible >= fewer.visible).all()
+    assert more.space_coverage >= fewer.space_coverage
+    assert more.depth_error <= fewer.depth_error
+
+
+def test_the_potential_reward_telescopes(simulator):
+    rng = np.random.default_rng(4)
+    episode = Episode(simulator, rng)
+    first, total = episode.turn, 0.0
+    for _ in range(5):
+        total += episode.move(rng.uniform(-0.2, 0.2, (4, 2))).terms.reward
+
+    def value(turn):
+        return potential(turn.space_coverage, turn.depth_error, simulator.volume,
+                         simulator.depth_error.worst)
+
+    assert total == pytest.approx(value(episode.turn) - value(first))
+
+
+def test_the_papers_reward_is_its_formula():
+    config = RewardConfig(kind='paper', coverage=0.02, depth_error=1.0, penalty=-2.0)
+    terms = reward((10.0, 5.0), (25.0, 4.5), False, 100.0, 50.0, config)
+    assert terms.reward == pytest.approx((0.02 * 15.0 + 0.5) ** 3)
+    assert (terms.delta_space_coverage, terms.delta_depth_error) == (15.0, 0.5)
+    assert reward((10.0, 5.0), (25.0, 4.5), True, 100.0, 50.0, config).reward == -8.0
+
+
+@given(actions=st.lists(st.tuples(st.floats(-1, 1), st.floats(-1, 1)), min_size=1, max_size=6))
+def test_no_move_is_longer_than_the_longest_step(actions):
+    moves = bounded_moves(np.array(actions), 0.5)
+    assert np.linalg.norm(moves, axis=1).max() <= 0.5 + 1e-12
+    short = np.linalg.norm(actions, axis=1) <= 1.0
+    np.testing.assert_allclose(moves[short], 0.5 * np.array(actions)[short])
+
+
+def test_a_box_narrower_than_its_margins_keeps_its_middle():
+    bounds = np.array([[0.0, 0.0, 0.0], [0.1, 5.0, 3.0]])
+    inside, outside = kept_inside(np.array([[-3.0, 1.0, 1.0]]), bounds, 0.2)
+    np.testing.assert_allclose(inside, [[0.05, 1.0, 1.0]])
+    assert outside
+
+
+def test_cameras_above_the_ceiling_are_an_error(room):
+    with pytest.raises(SceneError, match=r'found a room .* expected more .* lower rig.height'):
+        Simulator(room, SimulationConfig(rig=RigConfig(height=9.0)))
+
+
+def test_the_paper_preset_runs(room):
+    config = SimulationConfig(engine=EngineConfig(preset='paper', rows=32),
+                              reward=RewardConfig(kind='paper'))
+    record = play(CameraPlacementEnv([room], config), 2)
+    assert np.isfinite([r[1] for r in record]).all()

@@ -1,0 +1,301 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``policy_node`` on real DDS."""
+
+from copy import deepcopy
+import subprocess
+import sys
+
+from conftest import random_checkpoint
+import numpy as np
+import pytest
+import torch
+
+pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
+
+from geometry_msgs.msg import PoseArray
+from sensor_msgs.msg import PointCloud2, PointField
+from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
+
+from ocp_ros.agent.checkpoint import CheckpointError
+from ocp_ros.agent.policy import Policy
+from ocp_ros.nodes import qos, topics
+from ocp_ros.nodes.conversions import (
+    bytes_to_msg,
+    cloud_to_msg,
+    fields_to_msg,
+    msg_to_positions,
+    ns_to_stamp,
+    positions_to_msg,
+    stamp_to_ns,
+)
+from ocp_ros.nodes.policy_node import PolicyNode
+from ocp_ros.nodes.sim_node import SimNode
+from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.moves import bounded_moves
+
+SMALL = {'scene__points': 2000, 'engine__rows': 32, 'engine__coverage_cell': 0.5}
+POSITIONS = np.array([[4.0, 4.0, 1.9], [5.0, 4.0, 1.9], [4.0, 5.0, 1.9]])
+
+
+@pytest.fixture
+def model(checkpoint, tmp_path):
+    """Return the path of random weights."""
+    checkpoint.save(tmp_path / 'random.safetensors')
+    return str(tmp_path / 'random.safetensors')
+
+
+@pytest.fixture
+def robot(graph, probe, model, room):
+    """Return the probe as a rig: it sends turns and hears commands."""
+    probe.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
+    probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
+
+    def start(**parameters):
+        probe.policy = graph.add(PolicyNode, model=model, **parameters)
+        probe.clouds = probe.publisher(PointCloud2, topics.OBSERVATION, qos.LOOP)
+        probe.poses = probe.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
+        return probe.policy
+
+    def send(stamp, cloud=room.points, positions=POSITIONS):
+        header = Header(stamp=ns_to_stamp(stamp), frame_id='map')
+        probe.poses.publish(positions_to_msg(positions, header))
+        probe.clouds.publish(cloud_to_msg(cloud, header))
+
+    def command(stamp):
+        def found():
+            return [m for m in probe.received[topics.CAMERA_COMMANDS]
+                    if stamp_to_ns(m.header.stamp) == stamp]
+        graph.until(found)
+        return found()[-1]
+
+    probe.start, probe.send, probe.command = start, send, command
+    return probe
+
+
+def test_a_command_answers_the_turn_it_belongs_to(robot, checkpoint, room):
+    robot.start()
+    robot.send(5)
+    answer = robot.command(5)
+    assert answer.header.frame_id == 'map'
+    expected = POSITIONS.copy()
+    expected[:, :2] += bounded_moves(Policy(checkpoint).act(room.points, POSITIONS), 0.5)
+    np.testing.assert_allclose(msg_to_positions(answer), expected, atol=1e-6)
+
+
+def test_the_parts_of_different_turns_are_not_mixed(robot, room):
+    policy = robot.start()
+    header = Header(stamp=ns_to_stamp(1), frame_id='map')
+    robot.poses.publish(positions_to_msg(POSITIONS, header))
+    robot.graph.until(lambda: policy._poses is not None)
+    header.stamp = ns_to_stamp(2)
+    robot.clouds.publish(cloud_to_msg(room.points, header))
+    robot.graph.until(lambda: policy._cloud is not None)
+    assert policy._counts['turns_answered'] == 0
+    robot.send(3)
+    robot.command(3)
+    assert policy._counts['turns_answered'] == 1
+
+
+def test_a_turn_sent_again_gets_the_same_answer(robot):
+    policy = robot.start(explore=True)
+    robot.send(7)
+    first = robot.command(7)
+    robot.send(7)
+    robot.graph.until(lambda: len(robot.received[topics.CAMERA_COMMANDS]) >= 2)
+    assert robot.received[topics.CAMERA_COMMANDS][-1] == first
+    assert policy._counts['turns_answered'] == 1
+
+
+def test_commands_stay_inside_the_observed_bounds(robot, room):
+    robot.start(wall_margin=0.3)
+    low, high = room.bounds
+    corners = np.array([[low[0], low[1], 1.9], [high[0], high[1], 1.9], [50.0, -50.0, 1.9]])
+    for stamp in range(1, 6):
+        robot.send(stamp, positions=corners)
+        found = msg_to_positions(robot.command(stamp))
+        assert (found[:, :2] >= low[:2] + 0.3 - 1e-6).all()
+        assert (found[:, :2] <= high[:2] - 0.3 + 1e-6).all()
+
+
+def test_nan_from_the_network_holds_the_cameras(robot):
+    policy = robot.start()
+    with torch.no_grad():
+        policy.policy.actor.head.out.bias.fill_(float('nan'))
+    robot.send(1)
+    np.testing.assert_allclose(msg_to_positions(robot.command(1)), POSITIONS)
+
+
+def _without_x(cloud):
+    cloud.fields = cloud.fields[1:]
+
+
+def _short(cloud):
+    cloud.data = cloud.data[:-5]
+
+
+def _of_integers(cloud):
+    cloud.fields[0].datatype = PointField.INT32
+
+
+def _beyond_the_point(cloud):
+    cloud.fields[2].offset = 4000
+
+
+def _overflowing(cloud):
+    cloud.width = cloud.height = 2 ** 31
+
+
+def _wrong_row_step(cloud):
+    cloud.row_step = 3
+
+
+def _without_points(cloud):
+    cloud.width, cloud.row_step, cloud.data = 0, 0, []
+
+
+@pytest.mark.parametrize('spoil', [
+    _without_x, _short, _of_integers, _beyond_the_point, _overflowing, _wrong_row_step,
+    _without_points])
+def test_a_malformed_cloud_is_refused_and_the_node_lives(robot, room, spoil):
+    policy = robot.start()
+    header = Header(stamp=ns_to_stamp(1), frame_id='map')
+    cloud = cloud_to_msg(room.points, header)
+    spoil(cloud)
+    robot.poses.publish(positions_to_msg(POSITIONS, header))
+    robot.clouds.publish(cloud)
+    robot.graph.until(lambda: policy._counts['refused_messages'] >= 1)
+    assert not robot.received[topics.CAMERA_COMMANDS]
+    robot.send(2)
+    robot.command(2)
+
+
+def test_poses_with_nan_are_refused(robot):
+    policy = robot.start()
+    robot.send(1, positions=np.where(POSITIONS == 5.0, np.nan, POSITIONS))
+    robot.graph.until(lambda: policy._counts['refused_messages'] >= 1)
+    assert not robot.received[topics.CAMERA_COMMANDS]
+
+
+def test_the_placement_is_final_when_the_turns_are_used_up(robot):
+    robot.start(turns=2, convergence_distance=0.0)
+    for stamp in (1, 2, 3):
+        robot.send(stamp)
+        robot.command(stamp)
+    placement = robot.last(topics.PLACEMENT)
+    assert stamp_to_ns(placement.header.stamp) == 3
+    np.testing.assert_allclose(msg_to_positions(placement), POSITIONS)
+    robot.send(4)
+    np.testing.assert_allclose(msg_to_positions(robot.command(4)), POSITIONS)
+
+
+def test_the_placement_is_final_when_the_cameras_stand_still(robot):
+    robot.start(convergence_distance=1.0, convergence_turns=2)
+    for stamp in (1, 2, 3):
+        robot.send(stamp)
+        robot.command(stamp)
+    assert stamp_to_ns(robot.last(topics.PLACEMENT).header.stamp) == 3
+
+
+def test_who_comes_late_gets_the_placement(robot):
+    robot.start(turns=1)
+    for stamp in (1, 2):
+        robot.send(stamp)
+        robot.command(stamp)
+    late = []
+    robot.node.create_subscription(PoseArray, topics.PLACEMENT, late.append, qos.LATCHED)
+    robot.graph.until(lambda: late)
+    np.testing.assert_allclose(msg_to_positions(late[0]), POSITIONS)
+
+
+def test_a_new_episode_starts_the_turns_anew(robot):
+    policy = robot.start(turns=1)
+    for stamp in (1, 2):
+        robot.send(stamp)
+        robot.command(stamp)
+    assert policy._settled
+    rewards = robot.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
+    rewards.publish(fields_to_msg({'episode': 2, 'step': 0}))
+    robot.graph.until(lambda: not policy._settled)
+    robot.send(3)
+    assert not np.allclose(msg_to_positions(robot.command(3)), POSITIONS)
+
+
+def test_weights_are_swapped_in_whole(robot, small_agent, room):
+    policy = robot.start()
+    new = random_checkpoint(small_agent, seed=1, updates=10, run='a')
+    weights = robot.publisher(UInt8MultiArray, topics.POLICY_WEIGHTS, qos.LATCHED)
+    weights.publish(bytes_to_msg(new.to_bytes()))
+    robot.graph.until(lambda: policy._counts['weights_swapped'] == 1)
+    robot.send(1)
+    expected = POSITIONS.copy()
+    expected[:, :2] += bounded_moves(Policy(new).act(room.points, POSITIONS), 0.5)
+    np.testing.assert_allclose(msg_to_positions(robot.command(1)), expected, atol=1e-6)
+
+
+def test_weights_that_cannot_be_used_are_refused(robot, small_agent):
+    policy = robot.start()
+    weights = robot.publisher(UInt8MultiArray, topics.POLICY_WEIGHTS, qos.LATCHED)
+    good = random_checkpoint(small_agent, updates=10, run='a')
+    other = random_checkpoint(type(small_agent)(), updates=20, run='a')
+    broken = deepcopy(good)
+    broken.weights['head.out.bias'][0] = float('nan')
+    blobs = [good.to_bytes(), good.to_bytes()[:-7], b'', b'\xff' * 64, other.to_bytes(),
+             broken.to_bytes(),
+             random_checkpoint(small_agent, updates=9, run='a').to_bytes()]
+    for number, blob in enumerate(blobs):
+        weights.publish(bytes_to_msg(blob))
+        robot.graph.until(lambda: sum(policy._counts[k] for k in (
+            'weights_swapped', 'weights_refused')) == number + 1)
+    assert policy._counts['weights_swapped'] == 1
+    assert policy.policy.checkpoint.updates == 10
+
+
+def test_a_killed_and_restarted_policy_continues_the_episode(graph, model):
+    sim = graph.add(SimNode, resend_period=0.05, **SMALL)
+    policy = graph.add(PolicyNode, model=model, convergence_distance=0.0)
+    graph.until(lambda: sim.episode.turn.step >= 3)
+    graph.remove(policy)
+    step, observed = sim.episode.turn.step, sim.episode.observed.copy()
+    policy = graph.add(PolicyNode, model=model, convergence_distance=0.0)
+    graph.until(lambda: sim.episode.turn.step >= step + 3)
+    assert sim._episodes == 1
+    assert (sim.episode.observed >= observed).all()
+    graph.until(lambda: policy._step >= step)
+
+
+def test_an_episode_over_ros_is_the_episode_of_the_engine(graph, probe, model, checkpoint):
+    sim = graph.add(SimNode, seed=3, **SMALL)
+    probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
+    episode = Episode(sim.simulator, np.random.default_rng(3))
+    graph.add(PolicyNode, model=model, turns=30, convergence_distance=0.0)
+    while not episode.turn.truncated:
+        positions = episode.turn.positions
+        target = positions.copy()
+        actions = Policy(checkpoint).act(episode.observed_cloud, positions)
+        target[:, :2] += bounded_moves(actions, 0.5)
+        cloud = episode.observed_cloud
+        target[:, :2] = np.clip(target[:, :2], cloud.min(axis=0)[:2].astype(float) + 0.1,
+                                cloud.max(axis=0)[:2].astype(float) - 0.1)
+        episode.move((target - positions)[:, :2])
+    placement = msg_to_positions(probe.last(topics.PLACEMENT))
+    np.testing.assert_allclose(placement, episode.turn.positions, atol=1e-9)
+    assert sim.episode.turn.depth_error == episode.turn.depth_error
+
+
+def test_a_model_that_is_not_there_is_an_error_that_lists_those_that_are(graph):
+    with pytest.raises(FileNotFoundError, match="no file 'nowhere' .*'default'"):
+        graph.add(PolicyNode, model='nowhere')
+
+
+def test_a_model_that_is_no_model_is_refused(graph, tmp_path):
+    (tmp_path / 'pickle.safetensors').write_bytes(b'\x80\x04K\x01.')
+    with pytest.raises(CheckpointError, match='pickle.safetensors: found no readable checkpoint'):
+        graph.add(PolicyNode, model=str(tmp_path / 'pickle.safetensors'))
+
+
+def test_it_starts_without_the_heavy_packages():
+    heavy = "{'open3d', 'stable_baselines3', 'matplotlib', 'gymnasium'}"
+    code = ('import sys, ocp_ros.nodes.policy_node; '
+            f'found = {heavy} & set(sys.modules); sys.exit(str(found) if found else 0)')
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

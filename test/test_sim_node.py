@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``sim_node`` on real DDS."""
+
+from copy import deepcopy
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
+
+from geometry_msgs.msg import PoseArray
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.qos import qos_check_compatible, QoSCompatibility
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Float64, Float64MultiArray, Header
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import Marker, MarkerArray
+
+from ocp_ros.configuration import ConfigurationError
+from ocp_ros.nodes import qos, topics
+from ocp_ros.nodes.conversions import (
+    msg_to_cloud,
+    msg_to_fields,
+    msg_to_positions,
+    positions_to_msg,
+    stamp_to_ns,
+)
+from ocp_ros.nodes.sim_node import SimNode
+from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.scenes.scene import SceneError
+
+SMALL = {'scene__points': 2000, 'engine__rows': 32, 'engine__coverage_cell': 0.5}
+TURN = ((PointCloud2, topics.OBSERVATION), (PoseArray, topics.CAMERA_POSES),
+        (Float64MultiArray, topics.REWARD))
+
+
+@pytest.fixture
+def loop(graph, probe):
+    """Return the probe, listening, and a function that starts a sim with a command publisher."""
+    for kind, topic in TURN:
+        probe.listen(kind, topic, qos.LOOP)
+
+    def start(**parameters):
+        sim = graph.add(SimNode, **{**SMALL, **parameters})
+        probe.commands = probe.publisher(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
+        probe.last(topics.OBSERVATION)
+        return sim
+
+    probe.start = start
+    return probe
+
+
+def answer(loop, sim, move=(0.3, 0.0)):
+    """Command a move from the latest turn, wait until it has been played, return the target."""
+    stamp = sim._stamp
+    poses = turn_message(loop, topics.CAMERA_POSES, stamp)
+    target = msg_to_positions(poses)
+    target[:, :2] += move
+    loop.commands.publish(positions_to_msg(target, poses.header))
+    loop.graph.until(lambda: sim._stamp != stamp)
+    return target
+
+
+def turn_message(loop, topic, stamp):
+    """Return the message of a topic that belongs to a turn, waiting for it."""
+    def found():
+        return [m for m in loop.received[topic] if stamp_to_ns(m.header.stamp) == stamp]
+
+    loop.graph.until(found)
+    return found()[0]
+
+
+def test_an_observation_is_the_cloud_seen_so_far(loop):
+    sim = loop.start()
+    message = loop.last(topics.OBSERVATION)
+    assert message.header.frame_id == 'map'
+    assert [f.name for f in message.fields] == ['x', 'y', 'z']
+    assert message.point_step == 12 and message.is_dense and not message.is_bigendian
+    assert np.array_equal(msg_to_cloud(message), sim.episode.observed_cloud)
+    assert 0 < message.width < len(sim.simulator.scene)
+
+
+def test_the_three_messages_of_a_turn_share_their_stamp(loop):
+    sim = loop.start()
+    answer(loop, sim)
+    for topic in (topics.OBSERVATION, topics.CAMERA_POSES):
+        turn_message(loop, topic, sim._stamp)
+
+    def rewards():
+        fields = [msg_to_fields(m, topics.REWARD_FIELDS) for m in loop.received[topics.REWARD]]
+        return {int(f['stamp_sec']) * 10 ** 9 + int(f['stamp_nanosec']): f for f in fields}
+
+    loop.graph.until(lambda: sim._stamp in rewards())
+    latest = rewards()[sim._stamp]
+    assert int(latest['previous_sec']) * 10 ** 9 + int(latest['previous_nanosec']) == sim._previous
+    assert latest['step'] == 1 and latest['episode'] == 1
+    assert latest['reward'] == sim.episode.turn.terms.reward
+    assert latest['depth_error'] == sim.episode.turn.depth_error
+
+
+def test_a_command_moves_the_cameras(loop):
+    sim = loop.start()
+    target = answer(loop, sim)
+    np.testing.assert_allclose(sim.episode.turn.positions, target, atol=1e-9)
+
+
+def test_a_long_command_is_shortened_to_the_longest_step(loop):
+    sim = loop.start(episode__max_step=0.2)
+    before = sim.episode.turn.positions
+    answer(loop, sim, move=(3.0, 4.0))
+    moved = sim.episode.turn.positions - before
+    np.testing.assert_allclose(moved, [[0.12, 0.16, 0.0]] * 4, atol=1e-9)
+
+
+def test_a_stale_command_is_ignored(loop):
+    sim = loop.start(resend_period=0.05)
+    old = loop.last(topics.CAMERA_POSES)
+    answer(loop, sim)
+    loop.commands.publish(old)
+    loop.graph.until(lambda: sim._counts['stale_commands'] == 1)
+    assert sim.episode.turn.step == 1
+
+
+@pytest.mark.parametrize('spoil', ['too few', 'NaN', 'inf'])
+def test_a_malformed_command_is_refused_and_the_node_lives(loop, spoil):
+    sim = loop.start()
+    message = deepcopy(loop.last(topics.CAMERA_POSES))
+    if spoil == 'too few':
+        message.poses = message.poses[:2]
+    else:
+        message.poses[1].position.x = float(spoil)
+    loop.commands.publish(message)
+    loop.graph.until(lambda: sim._counts['refused_commands'] == 1)
+    answer(loop, sim)
+    assert sim.episode.turn.step == 1
+    assert np.isfinite(sim.episode.turn.positions).all()
+
+
+def test_a_turn_is_sent_again_until_it_is_answered(loop):
+    sim = loop.start(resend_period=0.05)
+    loop.graph.until(lambda: len(loop.received[topics.OBSERVATION]) >= 3)
+    stamps = {stamp_to_ns(m.header.stamp) for m in loop.received[topics.OBSERVATION]}
+    assert stamps == {sim._stamp}
+    assert sim.episode.turn.step == 0
+
+
+def test_an_episode_ends_truncated_and_stays_there(loop):
+    sim = loop.start(episode__turns=2)
+    answer(loop, sim)
+    answer(loop, sim)
+    assert sim.episode.turn.truncated
+    loop.graph.until(lambda: msg_to_fields(loop.last(topics.REWARD), ())['truncated'] == 1.0)
+    assert msg_to_fields(loop.last(topics.REWARD), ())['terminated'] == 0.0
+    stale = sim._counts['stale_commands']
+    loop.commands.publish(positions_to_msg(sim.episode.turn.positions, sim._header()))
+    loop.graph.until(lambda: sim._counts['stale_commands'] > stale)
+    assert sim.episode.turn.step == 2
+
+
+def test_the_next_episode_begins_by_itself_where_wanted(loop):
+    sim = loop.start(episode__turns=1, auto_reset=True)
+    answer(loop, sim)
+    loop.graph.until(lambda: sim._episodes == 2)
+    assert sim.episode.turn.step == 0
+
+
+def test_reset_begins_a_new_episode(loop):
+    sim = loop.start()
+    answer(loop, sim)
+    client = loop.node.create_client(Trigger, '/sim_node/reset')
+    assert client.wait_for_service(timeout_sec=10.0)
+    future = client.call_async(Trigger.Request())
+    loop.graph.until(future.done)
+    assert future.result().success and future.result().message == 'episode 2'
+    assert sim.episode.turn.step == 0
+    loop.graph.until(lambda: msg_to_fields(loop.last(topics.REWARD), ())['episode'] == 2.0)
+
+
+def test_who_comes_late_gets_the_scene_and_the_markers(graph, probe):
+    sim = graph.add(SimNode, **SMALL)
+    probe.listen(PointCloud2, topics.SCENE, qos.LATCHED)
+    probe.listen(MarkerArray, topics.MARKERS, qos.LATCHED)
+    assert np.array_equal(msg_to_cloud(probe.last(topics.SCENE)), generate_room(7, 2000).points)
+    graph.until(lambda: sim._markers.get_subscription_count() > 0)
+    client = probe.node.create_client(Trigger, '/sim_node/reset')
+    assert client.wait_for_service(timeout_sec=10.0)
+    client.call_async(Trigger.Request())
+    markers = probe.last(topics.MARKERS).markers
+    ranges = [m for m in markers if m.ns == 'ranges']
+    assert len(markers) == 12 and len(ranges) == 4
+    assert all(m.type == Marker.SPHERE and m.scale.x == 8.0 for m in ranges)
+
+
+def test_coverage_and_error_are_published_for_plots(graph, probe):
+    probe.listen(Float64, topics.SPACE_COVERAGE, qos.LOOP)
+    probe.listen(Float64, topics.DEPTH_ERROR, qos.LOOP)
+    sim = graph.add(SimNode, **SMALL)
+    graph.until(lambda: sim._error.get_subscription_count() > 0)
+    graph.until(lambda: sim._coverage.get_subscription_count() > 0)
+    sim._begin()
+    turn = sim.episode.turn
+    graph.until(lambda: probe.last(topics.SPACE_COVERAGE).data == turn.space_coverage)
+    graph.until(lambda: probe.last(topics.DEPTH_ERROR).data == turn.depth_error)
+
+
+def test_the_same_seed_gives_the_same_start(graph):
+    one, other = (graph.add(SimNode, seed=5, **SMALL) for _ in range(2))
+    assert np.array_equal(one.episode.turn.positions, other.episode.turn.positions)
+
+
+def test_an_unknown_parameter_is_an_error_that_names_the_nearest(graph):
+    with pytest.raises(ConfigurationError, match=r"'rig.camera'; did you mean 'rig.cameras'"):
+        graph.add(SimNode, rig__camera=3)
+
+
+def test_rclpy_refuses_values_out_of_range_and_of_the_wrong_type(graph):
+    with pytest.raises(InvalidParameterValueException):
+        graph.add(SimNode, rig__cameras=0)
+    with pytest.raises(InvalidParameterTypeException):
+        graph.add(SimNode, rig__max_range=4)
+
+
+def test_every_parameter_has_a_description(graph):
+    sim = graph.add(SimNode, **SMALL)
+    names = [n for n in sim.list_parameters([], 0).names if '.' in n and 'qos' not in n]
+    assert 'scene.file' in names and 'reward.kind' in names
+    assert all(len(sim.describe_parameter(name).description) > 5 for name in names)
+
+
+def test_cameras_above_the_ceiling_are_refused(graph):
+    with pytest.raises(SceneError, match=r'room-7: found a room .* m high; .*rig.height'):
+        graph.add(SimNode, rig__height=5.0, **SMALL)
+
+
+def test_both_ends_of_every_profile_fit():
+    for profile in (qos.LOOP, qos.LATCHED):
+        assert qos_check_compatible(profile, profile)[0] == QoSCompatibility.OK
+    assert qos_check_compatible(qos.LOOP, qos.RECORDER)[0] == QoSCompatibility.OK
+    assert qos_check_compatible(qos.LOOP, qos.LATCHED)[0] == QoSCompatibility.ERROR
+
+
+def test_a_header_is_stamped_with_the_turn(loop):
+    sim = loop.start()
+    stamp = loop.last(topics.OBSERVATION).header.stamp
+    assert sim._header() == Header(stamp=stamp, frame_id='map')
