@@ -2,7 +2,9 @@
 """The agent: sampling, observation cache, networks, checkpoints, policy."""
 
 from conftest import assert_same, random_checkpoint
-from hypothesis import given, settings as budget, strategies as st
+from hypothesis import given
+from hypothesis import settings as budget
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 import torch

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Configuration: defaults, round trips, and errors that say what to do."""
 
+from conftest import ROOT
 import numpy as np
 import pytest
 import yaml
 
-from conftest import ROOT
 from ocp_ros.configuration import ConfigurationError, from_flat, from_nested, leaves, to_nested
 from ocp_ros.simulation.config import SimulationConfig
 from ocp_ros.training.config import TrainingConfig

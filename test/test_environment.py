@@ -4,7 +4,9 @@
 import warnings
 
 from gymnasium.utils.env_checker import check_env
-from hypothesis import given, settings as budget, strategies as st
+from hypothesis import given
+from hypothesis import settings as budget
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 from stable_baselines3.common.env_checker import check_env as check_env_sb3

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import twins
 
+from ocp_ros.benchmark.truth import ray_cast
 from ocp_ros.geometry import shadow_maps
 from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
 from ocp_ros.geometry.clouds import fixed_size
@@ -196,7 +197,7 @@ def test_visibility_agrees_with_ray_casting(preset, least):
         for _ in range(2):
             position = np.append(rng.uniform(scene.bounds[0, :2] + 0.5, scene.bounds[1, :2] - 0.5),
                                  1.9)
-            truth = twins.ray_cast(scene.mesh, scene.points, position, 6.0)
+            truth = ray_cast(scene.mesh, scene.points, position, 6.0)
             seen = look(scene.points, scene.spacing, scene.normals_or_estimate,
                         Pose(position, np.eye(3)), CameraModel(0.0, 6.0), preset)[2]
             right += (seen & truth).sum()

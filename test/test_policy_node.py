@@ -297,5 +297,6 @@ def test_it_starts_without_the_heavy_packages():
     heavy = "{'open3d', 'stable_baselines3', 'matplotlib', 'gymnasium'}"
     code = ('import sys, ocp_ros.nodes.policy_node; '
             f'found = {heavy} & set(sys.modules); sys.exit(str(found) if found else 0)')
-    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
+                          check=False)
     assert done.returncode == 0, done.stderr

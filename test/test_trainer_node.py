@@ -58,7 +58,7 @@ def topics_of_a_loop(probe, start, room):
         return Header(stamp=ns_to_stamp(stamp), frame_id='map')
 
     def reward(previous, stamp, step=1.0):
-        values = {name: 0.0 for name in topics.REWARD_FIELDS}
+        values = dict.fromkeys(topics.REWARD_FIELDS, 0.0)
         values |= {'previous_nanosec': previous, 'stamp_nanosec': stamp, 'step': step,
                    'reward': 0.5}
         rewards.publish(fields_to_msg(values))

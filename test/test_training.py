@@ -12,7 +12,6 @@ from stable_baselines3.common.buffers import DictReplayBuffer
 import torch
 
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
-from ocp_ros.agent.networks import Actor
 from ocp_ros.agent.observation import encode
 from ocp_ros.agent.policy import Policy
 from ocp_ros.cli import main
@@ -20,8 +19,8 @@ from ocp_ros.configuration import from_nested
 from ocp_ros.simulation.config import EngineConfig, EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.env import CameraPlacementEnv
 from ocp_ros.training.augmentation import (
-    SYMMETRIES,
     SymmetricReplayBuffer,
+    SYMMETRIES,
     turn,
     turn_observation,
 )
@@ -229,8 +228,9 @@ def test_a_learner_reports_its_failure(small_agent, tmp_path):
 def test_transitions_are_assembled_in_any_order_of_their_parts(small_agent):
     positions = np.zeros((2, 3))
     after = positions + [0.25, 0.0, 0.0]
-    parts = [lambda a: a.add_turn(1, {'n': 1}, positions), lambda a: a.add_turn(2, {'n': 2}, after),
-             lambda a: a.add_command(1, after), lambda a: a.add_reward(Reward(1, 2, 0.5, False))]
+    parts = [lambda a: a.add_turn(1, {'n': 1}, positions),
+             lambda a: a.add_turn(2, {'n': 2}, after), lambda a: a.add_command(1, after),
+             lambda a: a.add_reward(Reward(1, 2, 0.5, False))]
     for order in ([0, 1, 2, 3], [3, 2, 1, 0], [2, 0, 3, 1]):
         assembler = Assembler(max_step=0.5)
         found = [t for k in order for t in parts[k](assembler)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Slow, obvious NumPy twins of the engine's kernels, and ray casting as the truth."""
+"""Slow, obvious NumPy twins of the engine's kernels."""
 
 import numpy as np
 
@@ -83,17 +83,3 @@ def depth_error(points, spacing, positions, far, settings, seen):
         part = shadow_map(r[seen], e[seen], a[seen], half[seen], settings.rows, far)
         total += np.abs(part - full).mean()
     return total
-
-
-def ray_cast(mesh, points, position, max_range):
-    """Return (N,) bool: whether nothing of the mesh stands between a camera and each point."""
-    import open3d as o3d
-    caster = o3d.t.geometry.RaycastingScene()
-    caster.add_triangles(o3d.core.Tensor(mesh.vertices),
-                         o3d.core.Tensor(mesh.triangles.astype(np.uint32)))
-    d = points - np.asarray(position, dtype=np.float32)
-    r = np.linalg.norm(d, axis=1)
-    origins = np.broadcast_to(np.asarray(position, dtype=np.float32), d.shape)
-    rays = np.concatenate([origins, d / r[:, None]], axis=1).astype(np.float32)
-    hit = caster.cast_rays(o3d.core.Tensor(rays))['t_hit'].numpy()
-    return (hit >= r - 0.01) & (r <= max_range)

@@ -122,7 +122,7 @@ def table(result: dict[str, Any]) -> Table:
     for name, key, unit in (('depth error', 'depth_error', 'm'),
                             ('space coverage', 'space_coverage', 'm³')):
         rows.add_row(name, *(f'{result[f"{key}_{end}"]:.2f} {unit}' for end in ('start', 'end')))
-    for number, (x, y, z) in enumerate(result['positions']):
+    for number, (x, y, z) in enumerate(result['positions'], start=1):
         rows.add_row(f'camera {number}', '', f'x {x:.2f}  y {y:.2f}  z {z:.2f} m')
     if result['seconds_per_turn'] is not None:
         rows.add_row('time per turn', '', f'{1e3 * result["seconds_per_turn"]:.0f} ms')

@@ -14,6 +14,7 @@ import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
+import torch
 
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.agent.policy import Policy
@@ -171,6 +172,8 @@ class PolicyNode(Node):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
+    # The network is small: more threads would only take cores from the rest of the robot.
+    torch.set_num_threads(1)
     return run(PolicyNode, args)
 
 

@@ -2,6 +2,7 @@
 """What every node's ``main`` does: start, spin, and end with code 0 on SIGINT and SIGTERM."""
 
 from collections.abc import Callable
+import logging
 import sys
 
 import rclpy
@@ -26,6 +27,9 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     :param args: command line, None for that of the process.
     :returns: exit code.
     """
+    # What the engine has to say, such as how a large scan was thinned.
+    logging.basicConfig(format='[%(levelname)s] [%(name)s]: %(message)s')
+    logging.getLogger('ocp_ros').setLevel(logging.INFO)
     rclpy.init(args=args)
     node, executor = None, SingleThreadedExecutor()
     try:

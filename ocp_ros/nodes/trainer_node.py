@@ -16,6 +16,7 @@ from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
+import torch
 
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.config import AgentConfig
@@ -57,6 +58,7 @@ class TrainerNode(Node):
     def __init__(self, **kwargs) -> None:
         super().__init__('trainer_node', **kwargs)
         self.config = declare(self, TrainerNodeConfig)
+        torch.set_num_threads(self.config.threads)
         start = Checkpoint.load(find_model(self.config.model)) if self.config.model else None
         self.learner = Learner(self.config, self.config.agent, self.config.sac, start)
         self.assembler = Assembler(self.config.max_step)

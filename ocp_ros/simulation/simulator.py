@@ -57,16 +57,18 @@ class Simulator:
         """Return the volume of the bounding box in cubic metres."""
         return float(self.scene.size.prod())
 
-    def shadow_map(self, pose: Pose) -> np.ndarray:
+    def look(self, pose: Pose, seen: np.ndarray) -> np.ndarray:
         """
-        Compute what is nearest to a camera in each direction.
+        Add the points that one camera sees to those that others see.
 
         :param pose: the camera's pose.
-        :returns: (H, W) float32, metres; overwritten by the next call.
+        :param seen: (N,) bool, in and out.
+        :returns: the camera's shadow map, (H, W) float32, metres; overwritten by the next call.
         """
         scene, settings = self.scene, self.settings
         project(scene.points, scene.normals_or_estimate, pose, self.lens, self._points)
         splat(self._points, scene.spacing, settings.cube_scale, self.lens.max_range, self._map)
+        visible(self._points, scene.spacing, settings, self._map, seen)
         return self._map
 
     def evaluate(self, positions: np.ndarray) -> Evaluation:
@@ -79,8 +81,7 @@ class Simulator:
         covered = np.zeros(len(self.grid), dtype=bool)
         for position in np.asarray(positions, dtype=np.float64):
             pose = Pose(position, np.eye(3))
-            shadow_map = self.shadow_map(pose)
-            visible(self._points, self.scene.spacing, self.settings, shadow_map, seen)
+            shadow_map = self.look(pose, seen)
             project(self.grid, NO_NORMALS, pose, self.lens, self._cells)
             visible(self._cells, self._no_spacing, self.settings, shadow_map, covered)
         return Evaluation(seen, space_coverage(covered, self.cell_volume), self.depth_error(seen))

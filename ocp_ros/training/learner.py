@@ -33,6 +33,8 @@ class LearnerConfig:
     folder: str = setting('out/trainer', 'where checkpoints and TensorBoard files go')
     model: str = setting('', 'weights to start from: path or name; empty for random ones')
     seed: int = setting(0, 'seed of networks and batches', 0, 1 << 31)
+    threads: int = setting(
+        1, 'CPU threads of a gradient step; more only help where cores are idle', 1, 1024)
 
 
 class Learner:

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The main jobs, as a user starts them: node processes over DDS."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+from conftest import ROOT
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
+
+from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.nodes import demo, train_demo
+from ocp_ros.nodes.processes import NodeProcess
+from ocp_ros.scenes.rooms import generate_room
+
+WASHITSU = ROOT.parent / 'shared' / 'data' / 'rooms' / 'washitsu.ply'
+READY = {'sim_node': 'cameras', 'policy_node': 'updates', 'trainer_node': 'updates so far'}
+
+
+def check(out, turns, cameras):
+    """Return the demo's result after checking what always holds."""
+    result = json.loads((out / 'demo.json').read_text())
+    assert (result['cameras'], np.shape(result['positions'])) == (cameras, (cameras, 3))
+    assert 0 < result['turns'] <= turns
+    for name in ('depth_error_start', 'depth_error_end', 'space_coverage_start',
+                 'space_coverage_end'):
+        assert np.isfinite(result[name]) and result[name] >= 0.0
+    assert (out / 'demo.png').stat().st_size > 50_000
+    return result
+
+
+def test_the_demo_places_cameras_in_the_default_room(tmp_path, capsys):
+    assert demo.main(['--out', str(tmp_path)]) == 0
+    result = check(tmp_path, 30, 4)
+    assert result['depth_error_end'] < 0.8 * result['depth_error_start']
+    assert 'depth error' in capsys.readouterr().out
+    room = generate_room(7)
+    low, high = room.bounds
+    assert ((result['positions'] >= low) & (result['positions'] <= high)).all()
+
+
+@pytest.mark.skipif(not WASHITSU.exists(), reason='the real scans are not beside the project')
+def test_the_demo_takes_a_scan_and_any_number_of_cameras(tmp_path):
+    assert demo.main(['--out', str(tmp_path), '--room', str(WASHITSU), '--cameras', '2']) == 0
+    assert check(tmp_path, 30, 2)['room'] == 'washitsu.ply'
+
+
+@pytest.mark.parametrize(('arguments', 'words'), [
+    (['--room', 'nowhere.ply'], 'nowhere.ply: found no such file'),
+    (['--cameras', '0'], 'rig.cameras'),
+    (['--height', '9.0'], 'lower rig.height')])
+def test_bad_input_gets_a_reason_and_code_2(tmp_path, capsys, arguments, words):
+    assert demo.main(['--out', str(tmp_path), *arguments]) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_trained_weights_arrive_in_the_policy(tmp_path):
+    assert train_demo.main(['--out', str(tmp_path), '--turns', '150']) == 0
+    result = json.loads((tmp_path / 'train_demo.json').read_text())
+    assert result['turns'] >= 150 and result['weights_arrived'] >= 1
+    saved = Checkpoint.load(tmp_path / 'trainer' / 'actor.safetensors')
+    assert saved.run == result['run'] and 0 < result['policy_updates'] <= saved.updates
+    assert result['incomplete'] == result['inconsistent'] == 0
+
+
+@pytest.mark.parametrize('name', READY)
+@pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM])
+def test_a_node_ends_with_0_when_it_is_told_to(domain, tmp_path, name, how):
+    parameters = {'folder': tmp_path / 'run'} if name == 'trainer_node' else {}
+    node = NodeProcess(name, domain, tmp_path / 'log', parameters)
+    try:
+        while READY[name] not in node.log.read_text():
+            node.check()
+            try:
+                node.process.wait(timeout=0.1)
+            except subprocess.TimeoutExpired:
+                continue
+        node.process.send_signal(how)
+        assert node.process.wait(timeout=30.0) == 0, node.log.read_text()
+    finally:
+        node.stop()
+    assert 'Traceback' not in node.log.read_text()
+
+
+def test_a_bad_parameter_ends_a_node_with_one_sentence(domain):
+    done = subprocess.run(
+        [sys.executable, '-m', 'ocp_ros.nodes.policy_node', '--ros-args', '-p', 'turnz:=3'],
+        env={**os.environ, 'ROS_DOMAIN_ID': str(domain)}, capture_output=True, text=True,
+        timeout=60, check=False)
+    assert done.returncode == 2
+    assert "unknown name 'turnz'; did you mean 'turns'" in done.stderr
+    assert 'Traceback' not in done.stderr

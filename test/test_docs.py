@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the documentation says is what there is."""
+
+import re
+import subprocess
+import sys
+
+from conftest import ROOT
+import pytest
+
+
+def test_every_parameter_is_in_the_table_as_it_is():
+    pytest.importorskip('rclpy', reason='node parameters need ROS 2 (rclpy)')
+    done = subprocess.run([sys.executable, str(ROOT / 'tools' / 'parameter_table')],
+                          capture_output=True, text=True, check=True)
+    found = [line for line in (ROOT / 'docs' / 'ros.md').read_text().splitlines()
+             if re.match(r'\| `\w+_node` \|', line)]
+    # Where they differ, tools/parameter_table prints what belongs there.
+    assert found == done.stdout.splitlines()
+
+
+def test_every_topic_and_field_is_documented():
+    pytest.importorskip('rclpy', reason='topics need ROS 2 (rclpy)')
+    from ocp_ros.nodes import topics
+    text = (ROOT / 'docs' / 'ros.md').read_text()
+    names = [value for name, value in vars(topics).items() if name.isupper()]
+    for name in [n for n in names if isinstance(n, str)] + list(topics.REWARD_FIELDS):
+        assert f'`{name}`' in text, name
+
+
+@pytest.mark.parametrize('page', ['README.md', 'CONTRIBUTING.md', 'docs/ros.md', 'docs/engine.md'])
+def test_links_and_folders_exist(page):
+    path = ROOT / page
+    text = path.read_text()
+    for target in re.findall(r'\]\((?!http)([^)#]+)', text):
+        assert (path.parent / target).exists(), target
+    for folder in re.findall(r'`(ocp_ros/\w+)`', text):
+        assert (ROOT / folder).is_dir(), folder
+    for target in re.findall(r'(?:`|^    )make ([a-z-]+)', text, re.M):
+        makefile = (ROOT / 'Makefile').read_text()
+        assert re.search(rf'^{target}:', makefile, re.M), target
+
+
+def test_the_readmes_python_example_runs(tmp_path, monkeypatch, capsys):
+    import numpy as np
+    from plyfile import PlyData, PlyElement
+
+    from ocp_ros.scenes.rooms import generate_room
+    points = generate_room(1, 3000).points.astype(np.float32)
+    rows = points.view([(axis, 'f4') for axis in 'xyz']).ravel()
+    PlyData([PlyElement.describe(rows, 'vertex')]).write(str(tmp_path / 'room.ply'))
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / 'README.md').read_text()
+    code = re.search(r'((?:    from ocp_ros.*\n)+\n(?:    .*\n)+)', text).group(1)
+    exec(re.sub('^    ', '', code, flags=re.M), {})
+    error, coverage, share = map(float, capsys.readouterr().out.split())
+    assert error > 0.0 and coverage > 1.0 and 0.0 < share < 1.0
