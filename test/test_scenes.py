@@ -474,7 +474,7 @@ def test_voxels_agree_with_a_dictionary(points, voxel_size):
 
 @pytest.mark.parametrize('voxel_size', [0.0, -0.1, np.nan])
 def test_a_voxel_needs_a_size(voxel_size):
-    with pytest.raises(ValueError, match='voxel_size: found .*; expected metres above 0'):
+    with pytest.raises(ValueError, match='voxel_size: found .*; expected at least 0.001 m'):
         voxel_downsample(ROOM, voxel_size)
 
 

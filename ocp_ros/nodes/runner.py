@@ -8,6 +8,7 @@ import sys
 import rclpy
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
 from ocp_ros.agent.checkpoint import CheckpointError
@@ -38,6 +39,10 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except rclpy_implementation.RCLError:
+        # A signal ends the context at any moment, in the middle of a callback too.
+        if rclpy.ok():
+            raise
     except USER_ERRORS as error:
         print(f'{make_node.__name__}: {error}', file=sys.stderr)
         return 2

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every node's ``main`` does when its end comes at an awkward moment."""
+
+import pytest
+
+pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
+
+import rclpy
+from rclpy.node import Node
+from std_msgs.msg import Float64
+
+from ocp_ros.nodes.runner import run
+from ocp_ros.scenes.scene import SceneError
+
+
+@pytest.fixture(autouse=True)
+def in_domain(domain, monkeypatch):
+    """Use the test's own domain: ``run`` initialises the default context."""
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+
+
+def test_a_signal_while_a_node_publishes_ends_it_with_0():
+    def make_node():
+        publisher = Node('ending').create_publisher(Float64, 'number', 1)
+        rclpy.shutdown()
+        publisher.publish(Float64())
+
+    assert run(make_node, []) == 0
+    assert not rclpy.ok()
+
+
+def test_any_other_error_of_the_middleware_is_not_hidden():
+    from rclpy.impl.implementation_singleton import rclpy_implementation
+
+    def make_node():
+        raise rclpy_implementation.RCLError('something else')
+
+    with pytest.raises(rclpy_implementation.RCLError, match='something else'):
+        run(make_node, [])
+    assert not rclpy.ok()
+
+
+def test_what_a_user_can_put_right_is_told_in_one_sentence(capsys):
+    def make_node():
+        raise SceneError('room.ply: found nothing; expected points')
+
+    assert run(make_node, []) == 2
+    assert capsys.readouterr().err == 'make_node: room.ply: found nothing; expected points\n'
