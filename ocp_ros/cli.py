@@ -14,7 +14,7 @@ def _train(arguments: argparse.Namespace) -> None:
     """Train a policy and print what it does in rooms it has never seen."""
     from ocp_ros.training.train import read_config, train
     config = read_config(arguments.config)
-    checkpoint = train(config, arguments.out)
+    checkpoint = train(config, arguments.out, f'ocp train --config {arguments.config}')
     test = checkpoint.provenance['test']
     for name in ('random_moves', 'policy'):
         figures = test[name]

@@ -103,12 +103,13 @@ def act_of(policy: Policy):
     return lambda cloud, positions, rng: policy.act(cloud, positions)
 
 
-def train(config: TrainingConfig, folder: Path) -> Checkpoint:
+def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint:
     """
     Train, or go on with what the folder holds, and report on the test rooms.
 
     :param config: the run's settings.
     :param folder: where the run lives.
+    :param command: what started it, for the card.
     :returns: the best checkpoint; its provenance has the curve and the test's figures, those of
         random moves beside them.
     """
@@ -130,18 +131,19 @@ def train(config: TrainingConfig, folder: Path) -> Checkpoint:
         left = config.interactions - model.num_timesteps
         model.learn(max(left, 0), callback=Watch(config, folder, run, progress),
                     reset_num_timesteps=False, tb_log_name='sac')
-    return report(config, folder)
+    return report(config, folder, command)
 
 
-def report(config: TrainingConfig, folder: Path) -> Checkpoint:
+def report(config: TrainingConfig, folder: Path, command: str) -> Checkpoint:
     """Play the test rooms with the best weights and at random; write the figures into the card."""
     best = Checkpoint.load(folder / 'best.safetensors')
     engines = simulators(make_rooms(config, 'test'), config.simulation)
     records = _records(folder)
+    on_gpu = config.sac.device != 'cpu' and torch.cuda.is_available()
+    hardware = torch.cuda.get_device_name() if on_gpu else f'CPU, {torch.get_num_threads()} threads'
     provenance = {
-        **best.provenance, 'hardware': f'{torch.get_num_threads()} threads on a CPU'
-        if config.sac.device == 'cpu' or not torch.cuda.is_available() else
-        torch.cuda.get_device_name(), 'seconds': records[-1]['seconds'], 'curve': records,
+        **best.provenance, 'command': command, 'hardware': hardware,
+        'seconds': records[-1]['seconds'], 'curve': records,
         'test': {'rooms': len(engines), 'policy': evaluate(act_of(Policy(best)), engines),
                  'random_moves': evaluate(random_moves, engines)}}
     final = replace(best, provenance=provenance)

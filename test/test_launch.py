@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Launch files describe what they say, where ROS's launch system is installed."""
+
+import importlib.util
+
+from conftest import ROOT
+import pytest
+
+
+@pytest.mark.parametrize(('name', 'nodes'), [('demo', 2), ('train', 3)])
+def test_a_launch_file_starts_its_nodes(name, nodes, monkeypatch):
+    pytest.importorskip('launch_ros', reason='launch files need ROS 2 from apt (launch_ros)')
+    from launch_ros.actions import Node
+    monkeypatch.setattr('ament_index_python.packages.get_package_share_directory',
+                        lambda package: str(ROOT))
+    path = ROOT / 'launch' / f'{name}.launch.py'
+    spec = importlib.util.spec_from_file_location(name, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    entities = module.generate_launch_description().entities
+    assert sum(isinstance(entity, Node) for entity in entities) == nodes
