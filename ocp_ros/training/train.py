@@ -140,7 +140,8 @@ def report(config: TrainingConfig, folder: Path, command: str) -> Checkpoint:
     engines = simulators(make_rooms(config, 'test'), config.simulation)
     records = _records(folder)
     on_gpu = config.sac.device != 'cpu' and torch.cuda.is_available()
-    hardware = torch.cuda.get_device_name() if on_gpu else f'CPU, {torch.get_num_threads()} threads'
+    threads = f'CPU, {torch.get_num_threads()} threads'
+    hardware = torch.cuda.get_device_name() if on_gpu else threads
     provenance = {
         **best.provenance, 'command': command, 'hardware': hardware,
         'seconds': records[-1]['seconds'], 'curve': records,
