@@ -21,7 +21,7 @@ def _reliable(durability: DurabilityPolicy, depth: int) -> QoSProfile:
 LOOP = _reliable(DurabilityPolicy.VOLATILE, 10)
 
 #: The same for somebody who must not miss a turn while the loop does not wait for them.
-RECORDER = _reliable(DurabilityPolicy.VOLATILE, 1000)
+RECORDER = _reliable(DurabilityPolicy.VOLATILE, 200)
 
 #: The latest state for whoever comes late: scene, placement, weights, markers.
 LATCHED = _reliable(DurabilityPolicy.TRANSIENT_LOCAL, 1)

@@ -32,7 +32,7 @@ from ocp_ros.nodes.conversions import (
     stamp_to_ns,
 )
 from ocp_ros.nodes.parameters import declare
-from ocp_ros.nodes.qos import LATCHED, LOOP
+from ocp_ros.nodes.qos import LATCHED, RECORDER
 from ocp_ros.nodes.runner import run
 from ocp_ros.resources import find_model
 from ocp_ros.training.config import SacConfig
@@ -70,7 +70,7 @@ class TrainerNode(Node):
                 (PoseArray, topics.CAMERA_POSES, self._on_turn_part),
                 (PointCloud2, topics.OBSERVATION, self._on_turn_part),
                 (PoseArray, topics.CAMERA_COMMANDS, self._on_command)):
-            self.create_subscription(kind, name, self._guarded(callback), LOOP)
+            self.create_subscription(kind, name, self._guarded(callback), RECORDER)
         self.create_timer(0.1, self._publish_weights,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._health = health.Health(self, self._status)
