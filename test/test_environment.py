@@ -26,7 +26,7 @@ from ocp_ros.simulation.moves import bounded_moves, kept_inside
 from ocp_ros.simulation.reward import potential, reward
 from ocp_ros.simulation.simulator import Simulator
 
-SMALL = SimulationConfig(engine=EngineConfig(rows=32, coverage_cell=0.5))
+SMALL = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=32, coverage_cell=0.5))
 seeds = st.integers(0, 2 ** 32 - 1)
 
 
@@ -197,7 +197,7 @@ def test_cameras_above_the_ceiling_are_an_error(room):
 
 
 def test_the_paper_preset_runs(room):
-    config = SimulationConfig(engine=EngineConfig(preset='paper', rows=32),
+    config = SimulationConfig(engine=EngineConfig(preset='paper', error_rows=32),
                               reward=RewardConfig(kind='paper'))
     record = play(CameraPlacementEnv([room], config), 2)
     assert np.isfinite([r[1] for r in record]).all()

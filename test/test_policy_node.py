@@ -33,7 +33,8 @@ from ocp_ros.nodes.sim_node import SimNode
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.moves import bounded_moves
 
-SMALL = {'scene__points': 2000, 'engine__rows': 32, 'engine__coverage_cell': 0.5}
+SMALL = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
+         'engine__coverage_cell': 0.5}
 POSITIONS = np.array([[4.0, 4.0, 1.9], [5.0, 4.0, 1.9], [4.0, 5.0, 1.9]])
 
 

@@ -16,7 +16,6 @@ import pytest
 from ocp_ros.scenes.files import load_scene, SceneWarning
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import (
-    estimate_normals,
     likely_up_axis,
     Scene,
     SceneError,
@@ -155,7 +154,7 @@ def test_an_s3dis_room_is_called_by_area_and_room(tmp_path):
 
 
 def test_ply_normals_are_kept_turned_and_of_length_one(tmp_path):
-    path, normals = tmp_path / 'room.ply', 3.0 * estimate_normals(ROOM)
+    path, normals = tmp_path / 'room.ply', 3.0 * Scene(ROOM).normals_or_estimate
     write_ply(path, turned(ROOM, TO_Y_UP), **dict(zip(('nx', 'ny', 'nz'),
                                                       turned(normals, TO_Y_UP).T)))
     scene = load_scene(path, up='y')
@@ -439,14 +438,15 @@ def test_estimated_normals_stand_on_the_surface():
     flat = rng.uniform(0.0, 4.0, (600, 3)) * [1.0, 1.0, 0.0]
     tilt = np.array([0.6, 0.0, 0.8])
     turn = np.stack([np.cross([0.0, 1.0, 0.0], tilt), [0.0, 1.0, 0.0], tilt], axis=1)
-    normals = estimate_normals(flat @ turn.T)
+    normals = Scene(flat @ turn.T).normals_or_estimate
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-5)
     np.testing.assert_allclose(abs(normals @ tilt), 1.0, atol=1e-4)
 
 
 def test_normals_are_estimated_only_where_none_are_given():
     given_normals = np.tile(np.float32([0.0, 0.0, 1.0]), (len(ROOM), 1))
-    assert Scene(ROOM, normals=given_normals).normals_or_estimate is given_normals
+    scene = Scene(ROOM, normals=given_normals)
+    np.testing.assert_array_equal(scene.normals_or_estimate, given_normals)
     axis_aligned = abs(generate_room(3, 12000).normals_or_estimate).max(axis=1)
     assert np.median(axis_aligned) > 0.999
 

@@ -29,7 +29,8 @@ from ocp_ros.nodes.sim_node import SimNode
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import SceneError
 
-SMALL = {'scene__points': 2000, 'engine__rows': 32, 'engine__coverage_cell': 0.5}
+SMALL = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
+         'engine__coverage_cell': 0.5}
 TURN = ((PointCloud2, topics.OBSERVATION), (PoseArray, topics.CAMERA_POSES),
         (Float64MultiArray, topics.REWARD))
 

@@ -28,7 +28,8 @@ from ocp_ros.nodes.policy_node import PolicyNode
 from ocp_ros.nodes.sim_node import SimNode
 from ocp_ros.nodes.trainer_node import TrainerNode
 
-SIM = {'scene__points': 2000, 'engine__rows': 32, 'engine__coverage_cell': 0.5}
+SIM = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
+       'engine__coverage_cell': 0.5}
 AGENT = {'agent__points': 64, 'agent__keys_1': 8, 'agent__group_1': 4, 'agent__keys_2': 4,
          'agent__group_2': 4, 'agent__channels': 8, 'agent__hidden': 16}
 SAC = {'sac__learning_starts': 12, 'sac__batch_size': 8, 'sac__buffer_size': 400,

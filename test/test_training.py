@@ -38,7 +38,7 @@ from ocp_ros.training.state import load_state, save_state
 from ocp_ros.training.train import train
 from ocp_ros.training.transitions import Assembler, Reward, Transition
 
-SIMULATION = SimulationConfig(engine=EngineConfig(rows=16, coverage_cell=1.0),
+SIMULATION = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=16, coverage_cell=1.0),
                               episode=EpisodeConfig(turns=6))
 SAC = SacConfig(learning_starts=12, batch_size=8, buffer_size=400, device='cpu')
 
@@ -269,7 +269,8 @@ def test_evaluation_starts_everybody_from_the_same_place(room):
 
 TINY = {'interactions': 48, 'environments': 2, 'evaluate_every': 24,
         'rooms': {'training': 1, 'validation': 1, 'test': 1, 'points': 1500},
-        'simulation': {'engine': {'rows': 16, 'coverage_cell': 1.0}, 'episode': {'turns': 6}},
+        'simulation': {'engine': {'preset': 'fast', 'error_rows': 16, 'coverage_cell': 1.0},
+                       'episode': {'turns': 6}},
         'agent': {'points': 64, 'keys_1': 8, 'group_1': 4, 'keys_2': 4, 'group_2': 4,
                   'channels': 8, 'hidden': 16},
         'sac': {'learning_starts': 12, 'batch_size': 8, 'buffer_size': 400, 'device': 'cpu'}}

@@ -4,8 +4,8 @@
 import numpy as np
 
 
-def project(points, normals, position, rotation, model):
-    """Return distance (inf where not measured), elevation, azimuth and cosine, each (N,)."""
+def project(points, position, rotation, model):
+    """Return distance (inf where not measured), elevation and azimuth, each (N,)."""
     d = points.astype(np.float64) - position
     r = np.linalg.norm(d, axis=1)
     elevation = np.arctan2(d[:, 2], np.hypot(d[:, 0], d[:, 1]))
@@ -20,11 +20,46 @@ def project(points, normals, position, rotation, model):
             cone = ((np.abs(np.arctan2(y, x)) <= model.horizontal_fov / 2)
                     & (np.abs(np.arctan2(z, np.hypot(x, y))) <= model.vertical_fov / 2))
         measured &= cone
-    cosine = np.ones(len(points))
-    if len(normals):
-        with np.errstate(invalid='ignore'):
-            cosine = np.abs((d * normals).sum(axis=1)) / r
-    return np.where(measured, r, np.inf), elevation, azimuth, cosine
+    return np.where(measured, r, np.inf), elevation, azimuth
+
+
+def directions(rows):
+    """Return the unit vectors through the cells' centres: (H, W, 3)."""
+    cell = np.pi / rows
+    elevation = (-np.pi / 2 + (np.arange(rows) + 0.5) * cell)[:, None]
+    azimuth = (-np.pi + (np.arange(2 * rows) + 0.5) * cell)[None, :]
+    return np.stack(np.broadcast_arrays(np.cos(elevation) * np.cos(azimuth),
+                                        np.cos(elevation) * np.sin(azimuth),
+                                        np.sin(elevation)), axis=-1)
+
+
+def disc(point, normal, position, rows):
+    """Return, per cell, the distance to a point's plane and how far from the point that is."""
+    d = point - position
+    rays = directions(rows)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        distance = (d @ normal) / (rays @ normal)
+    offset = np.linalg.norm(distance[..., None] * rays - d, axis=-1)
+    return distance, np.where(distance > 0, offset, np.inf)
+
+
+def visible_surfels(points, normals, radius, position, settings, shadow):
+    """Return (N,) bool: plane at most base + share * radius behind one of the 4 nearest cells."""
+    rows = settings.rows
+    d = points.astype(np.float64) - position
+    row = (np.arctan2(d[:, 2], np.hypot(d[:, 0], d[:, 1])) + np.pi / 2) * rows / np.pi
+    column = (np.arctan2(d[:, 1], d[:, 0]) + np.pi) * rows / np.pi
+    rays, seen = directions(rows), np.zeros(len(points), dtype=bool)
+    for i in range(len(points)):
+        r = np.linalg.norm(d[i])
+        for k in (int(np.floor(row[i] - 0.5)), int(np.floor(row[i] + 0.5))):
+            for m in (int(np.floor(column[i] - 0.5)), int(np.floor(column[i] + 0.5))):
+                if 0 <= k < rows:
+                    ray = rays[k, m % (2 * rows)]
+                    plane = np.clip((ray @ normals[i]) / (d[i] @ normals[i]), 0.7 / r, 1.4 / r)
+                    behind = settings.base + settings.share * radius[i]
+                    seen[i] |= 1.0 / plane <= shadow[k, m % (2 * rows)] + behind
+    return seen
 
 
 def covered(distance, elevation, azimuth, half_side, rows):
@@ -58,28 +93,22 @@ def shadow_map(distance, elevation, azimuth, half_sides, rows, far):
     return result
 
 
-def visible(distance, elevation, azimuth, cosine, spacing, settings, shadow):
+def visible(distance, elevation, azimuth, compensation, shadow):
     """Return (N,) bool: r <= SM[cell] + compensation."""
     rows, columns = shadow.shape
     row = np.clip(((elevation + np.pi / 2) * rows / np.pi).astype(int), 0, rows - 1)
     column = np.floor((azimuth + np.pi) * columns / (2 * np.pi)).astype(int) % columns
-    cosine = np.clip(cosine, 1e-6, 1.0)
-    tangent = np.minimum(np.sqrt(1 - cosine ** 2) / cosine, settings.max_tangent)
-    measured = np.isfinite(distance)
-    reach = settings.cube_scale * spacing + np.where(measured, distance, 0) * np.pi / rows / 2
-    return measured & (
-        distance <= shadow[row, column] + settings.base + settings.slope * reach * tangent)
+    return np.isfinite(distance) & (distance <= shadow[row, column] + compensation)
 
 
-def depth_error(points, spacing, positions, far, settings, seen):
+def depth_error(points, half_sides, positions, far, rows, seen):
     """Return the sum over viewpoints of the mean difference of two depth maps."""
     total = 0.0
     for position in positions:
         d = points.astype(np.float64) - position
         r = np.linalg.norm(d, axis=1)
         e, a = np.arctan2(d[:, 2], np.hypot(d[:, 0], d[:, 1])), np.arctan2(d[:, 1], d[:, 0])
-        half = settings.cube_scale * spacing
-        full = shadow_map(r, e, a, half, settings.rows, far)
-        part = shadow_map(r[seen], e[seen], a[seen], half[seen], settings.rows, far)
+        full = shadow_map(r, e, a, half_sides, rows, far)
+        part = shadow_map(r[seen], e[seen], a[seen], half_sides[seen], rows, far)
         total += np.abs(part - full).mean()
     return total

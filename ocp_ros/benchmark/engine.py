@@ -21,8 +21,10 @@ from rich.progress import track
 from rich.table import Table
 
 from ocp_ros.benchmark.truth import ray_cast
-from ocp_ros.geometry.shadow_maps import Pose, PRESETS
+from ocp_ros.geometry.shadow_maps import Pose
+from ocp_ros.geometry.visibility import PRESETS
 from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.config import EngineConfig, RigConfig, SimulationConfig
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.simulator import Simulator
@@ -31,6 +33,8 @@ DENSITIES = (15000, 40000, 100000)
 RANGE = 6.0
 #: Rooms for the figures; none of them is a training room.
 FIRST_ROOM = 200
+#: Metres from a camera to the nearest surface.
+CLEARANCE = 0.35
 
 
 def median_seconds(call: Callable[[], Any], repeats: int) -> float:
@@ -44,11 +48,29 @@ def median_seconds(call: Callable[[], Any], repeats: int) -> float:
     return float(np.median(times))
 
 
+def free_places(scene: Scene, height: float, count: int, rng: np.random.Generator) -> np.ndarray:
+    """
+    Draw places where a camera could hang: nothing of the room within 0.35 m.
+
+    :param scene: the room.
+    :param height: metres, map frame.
+    :param count: how many places.
+    :param rng: draws them.
+    :returns: (count, 3) float64, metres.
+    """
+    places = []
+    while len(places) < count:
+        place = np.append(rng.uniform(*scene.bounds[:, :2]), height)
+        if np.linalg.norm(scene.points - place, axis=1).min() >= CLEARANCE:
+            places.append(place)
+    return np.array(places)
+
+
 def fidelity(preset: str, density: int, rooms: int, positions: int) -> dict[str, float]:
     """
     Compare the visibility of one preset with ray casting.
 
-    :param preset: ``default`` or ``paper``.
+    :param preset: ``fine``, ``fast`` or ``paper``.
     :param density: points per room.
     :param rooms: how many rooms.
     :param positions: how many places of a camera in each.
@@ -60,11 +82,10 @@ def fidelity(preset: str, density: int, rooms: int, positions: int) -> dict[str,
     for seed in range(FIRST_ROOM, FIRST_ROOM + rooms):
         scene = generate_room(seed, density)
         simulator, rng = Simulator(scene, config), np.random.default_rng(seed)
-        low, high = scene.bounds[:, :2] + [[0.4], [-0.4]]
-        for _ in range(positions):
-            pose = Pose(np.append(rng.uniform(low, high), simulator.height), np.eye(3))
+        for position in free_places(scene, simulator.height, positions, rng):
+            pose = Pose(position, np.eye(3))
             seen = np.zeros(len(scene), dtype=bool)
-            seconds = median_seconds(partial(simulator.look, pose, seen), 3)
+            seconds = median_seconds(partial(simulator.visibility.look, pose, seen), 3)
             nanoseconds.append(1e9 * seconds / len(scene))
             truth = ray_cast(scene.mesh, scene.points, pose.position, RANGE)
             right += int((seen & truth).sum())

@@ -13,7 +13,7 @@ from numba import njit
 import numpy as np
 
 from ocp_ros.geometry.cameras import CameraModel
-from ocp_ros.geometry.shadow_maps import footprint, Pose, project, Projection, Settings
+from ocp_ros.geometry.shadow_maps import footprint, Pose, project, Projection
 
 
 def viewpoints(bounds: np.ndarray) -> np.ndarray:
@@ -88,15 +88,16 @@ class DepthError:
     :param points: (N, 3) float32, metres, map frame.
     :param spacing: (N,) float32, metres.
     :param bounds: (2, 3), lowest and highest corner, metres.
-    :param settings: rows of the depth maps, and the size of the points in them.
+    :param rows: rows of the depth maps; they have twice as many columns.
+    :param cube_scale: half the side of a point's cube in multiples of its spacing.
     """
 
-    def __init__(self, points: np.ndarray, spacing: np.ndarray, bounds: np.ndarray,
-                 settings: Settings) -> None:
+    def __init__(self, points: np.ndarray, spacing: np.ndarray, bounds: np.ndarray, rows: int,
+                 cube_scale: float) -> None:
         self.far = float(np.linalg.norm(bounds[1] - bounds[0]))
-        self.shape = (settings.rows, 2 * settings.rows)
+        self.shape = (rows, 2 * rows)
         self.viewpoints = viewpoints(bounds)
-        half_sides = (settings.cube_scale * spacing).astype(np.float32)
+        half_sides = (cube_scale * spacing).astype(np.float32)
         self._views = [self._view(points, half_sides, position) for position in self.viewpoints]
         #: The error of seeing nothing, metres.
         self.worst = self(np.zeros(len(points), dtype=bool))
@@ -107,7 +108,7 @@ class DepthError:
         projection = Projection.empty(len(points))
         # Far enough that a room's own far corner is never cut off by rounding.
         lens = CameraModel(max_range=2.0 * self.far).lens
-        project(points, np.empty((0, 3), np.float32), Pose(position, np.eye(3)), lens, projection)
+        project(points, Pose(position, np.eye(3)), lens, projection)
         order = np.argsort(projection.distance, kind='stable')
         order = order[np.isfinite(projection.distance[order])]
         counts = np.zeros(rows * columns, dtype=np.int64)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Spherical shadow maps: the distance from a camera to the nearest surface in each direction.
+Spherical shadow maps of points as cubes: the distance to the nearest surface in each direction.
 
 A shadow map is an (H, W) float32 array; row = elevation from -pi/2 to pi/2, column = azimuth from
 -pi to pi, value = metres. The method is section III-B of arXiv 2110.11106.
@@ -18,33 +18,18 @@ HALF_PI = 0.5 * np.pi
 TWO_PI = 2.0 * np.pi
 
 
-class Settings(NamedTuple):
+class CubeSettings(NamedTuple):
     """
-    How points become surfaces in a shadow map, and how much deeper than it a visible point may be.
-
-    A point is visible if its distance is at most SM[cell] + compensation, where compensation =
-    base + slope * footprint * min(tan(incidence), max_tangent), and footprint = cube_scale *
-    spacing + half a cell at the point's distance: across its footprint, a surface at that
-    incidence is deeper by so much than where it is nearest.
+    How points fill a shadow map as cubes, and how much deeper than it a visible point may be.
 
     :ivar rows: rows of a map; it has twice as many columns.
     :ivar cube_scale: half the side of a point's cube in multiples of its spacing.
-    :ivar base: metres.
-    :ivar slope: 0 for a constant compensation.
-    :ivar max_tangent: cap of the tangent on grazing surfaces.
+    :ivar compensation: metres.
     """
 
-    rows: int = 128
-    cube_scale: float = 0.75
-    base: float = 0.06
-    slope: float = 1.0
-    max_tangent: float = 8.0
-
-
-DEFAULT = Settings()
-#: The paper's cube of twice the spacing and a constant, for which it gives no figure.
-PAPER = Settings(cube_scale=1.0, base=0.2, slope=0.0)
-PRESETS = {'default': DEFAULT, 'paper': PAPER}
+    rows: int
+    cube_scale: float
+    compensation: float
 
 
 class Pose(NamedTuple):
@@ -66,13 +51,11 @@ class Projection(NamedTuple):
     :ivar distance: (N,) float32, metres; inf where the camera cannot measure the point.
     :ivar elevation: (N,) float32, radians.
     :ivar azimuth: (N,) float32, radians.
-    :ivar cosine: (N,) float32, of the angle between the ray and the surface's normal.
     """
 
     distance: np.ndarray
     elevation: np.ndarray
     azimuth: np.ndarray
-    cosine: np.ndarray
 
     @classmethod
     def empty(cls, count: int) -> 'Projection':
@@ -81,7 +64,7 @@ class Projection(NamedTuple):
 
 
 @njit(cache=True, nogil=True, inline='always')
-def _in_view(x: float, y: float, z: float, lens: Lens) -> bool:
+def in_view(x: float, y: float, z: float, lens: Lens) -> bool:
     """Tell whether a direction in the camera's body frame lies in the viewing cone."""
     if lens.kind == OMNIDIRECTIONAL:
         return True
@@ -92,19 +75,17 @@ def _in_view(x: float, y: float, z: float, lens: Lens) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def project(points, normals, pose, lens, out):
+def project(points, pose, lens, out):
     """
     Write where each point appears from a camera.
 
     :param points: (N, 3) float32, metres, map frame.
-    :param normals: (N, 3) float32 unit vectors, or (0, 3) for points that face the camera.
     :param pose: the camera's :class:`Pose`.
     :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Lens`.
     :param out: :class:`Projection` of N points.
     """
     x0, y0, z0 = pose.position[0], pose.position[1], pose.position[2]
     rotation = pose.rotation
-    facing = normals.shape[0] == 0
     for i in range(points.shape[0]):
         dx, dy, dz = points[i, 0] - x0, points[i, 1] - y0, points[i, 2] - z0
         flat = math.sqrt(dx * dx + dy * dy)
@@ -112,18 +93,14 @@ def project(points, normals, pose, lens, out):
         out.distance[i] = r
         out.elevation[i] = math.atan2(dz, flat)
         out.azimuth[i] = math.atan2(dy, dx)
-        out.cosine[i] = 1.0
         if r < lens.min_range or r > lens.max_range or r == 0.0:
             out.distance[i] = np.inf
             continue
-        if not facing:
-            dot = dx * normals[i, 0] + dy * normals[i, 1] + dz * normals[i, 2]
-            out.cosine[i] = min(abs(dot) / r, 1.0)
         if lens.kind != OMNIDIRECTIONAL:
             x = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
             y = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
             z = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
-            if not _in_view(x, y, z, lens):
+            if not in_view(x, y, z, lens):
                 out.distance[i] = np.inf
 
 
@@ -191,25 +168,20 @@ def splat(projection, spacing, cube_scale, far, shadow_map):
 
 
 @njit(cache=True, nogil=True)
-def visible(projection, spacing, settings, shadow_map, out):
+def visible(projection, compensation, shadow_map, out):
     """
     Add the points that a camera sees, r <= SM[cell] + compensation, to those that others see.
 
     :param projection: :class:`Projection` of N points from the camera.
-    :param spacing: (N,) float32, metres.
-    :param settings: :class:`Settings`; its docstring has the formula of the compensation.
+    :param compensation: metres.
     :param shadow_map: (H, W) float32, metres, of the same camera.
     :param out: (N,) bool, in and out: set where the point is visible, else left alone.
     """
     rows, columns = shadow_map.shape
-    for i in range(spacing.shape[0]):
+    for i in range(out.shape[0]):
         r = projection.distance[i]
         if r == np.inf:
             continue
         row, column = cell_of(projection.elevation[i], projection.azimuth[i], rows, columns)
-        cosine = max(projection.cosine[i], np.float32(1e-6))
-        tangent = min(math.sqrt(1.0 - cosine * cosine) / cosine, settings.max_tangent)
-        reach = settings.cube_scale * spacing[i] + r * HALF_PI / rows
-        allowed = settings.base + settings.slope * reach * tangent
-        if r <= shadow_map[row, column] + allowed:
+        if r <= shadow_map[row, column] + compensation:
             out[i] = True

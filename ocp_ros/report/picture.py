@@ -16,7 +16,7 @@ from matplotlib.patches import Circle, Patch, Polygon
 import numpy as np
 from scipy.spatial import cKDTree, ConvexHull
 
-from ocp_ros.scenes.scene import estimate_normals
+from ocp_ros.scenes.scene import edge_aware_normals, NEIGHBOURS
 
 #: Told apart with any kind of colour vision; red is left to what nobody sees.
 CAMERA_COLOURS = ('#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '#332288', '#f0e442',
@@ -112,23 +112,17 @@ def _surface(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     Fit discs to the surfaces behind the points.
 
-    A plane fitted across an edge is slanted. Each point therefore takes the best fitted of the
-    planes of its neighbours that it lies on, which keeps edges sharp.
-
     :returns: (N, 3) unit normals of either sign and (N,) radii in metres, smaller where points lie
         on no surface.
     """
-    normals = estimate_normals(points)
-    distance, near = cKDTree(points).query(points, k=min(10, len(points)))
-    offsets = points[near] - points[:, None]
+    distance, near = cKDTree(points).query(points, k=min(NEIGHBOURS, len(points)))
+    normals = edge_aware_normals(points, near)
+    offsets = points[near[:, :10]] - points[:, None]
     misfit = np.einsum('nki,ni->nk', offsets, normals).std(axis=1)
-    total = misfit[near] + np.abs(np.einsum('nki,nki->nk', offsets, normals[near]))
-    best = total.argmin(axis=1)
-    rows = np.arange(len(points))
     pitch = distance[:, 1:5].mean(axis=1)
     usual = max(float(np.median(pitch)), 1e-3)
     pitch = np.clip(pitch, 0.8 * usual, 1.5 * usual)
-    return normals[near[rows, best]], pitch * np.clip(1.35 - 1.4 * misfit / pitch, 0.6, 1.0)
+    return normals, pitch * np.clip(1.35 - 1.4 * misfit / pitch, 0.6, 1.0)
 
 
 def _colours(points: np.ndarray, observed: np.ndarray | None) -> np.ndarray:

@@ -8,6 +8,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 MIN_POINTS = 100
+#: Nearest points that a point's plane is fitted to, itself included.
+NEIGHBOURS = 14
 #: Metres: smallest edge of a voxel, and largest extent of a scene.
 MIN_VOXEL, LARGEST = 0.001, 500.0
 
@@ -72,29 +74,54 @@ class Scene:
         return self.bounds[1] - self.bounds[0]
 
     @cached_property
+    def _neighbours(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return distances and indices of the nearest points, the point itself first."""
+        return cKDTree(self.points).query(self.points, k=NEIGHBOURS)
+
+    @cached_property
     def normals_or_estimate(self) -> np.ndarray:
         """Return the normals, fitted to the nearest neighbours where none are given."""
-        return self.normals if self.normals is not None else estimate_normals(self.points)
+        if self.normals is not None:
+            return self.normals
+        return edge_aware_normals(self.points, self._neighbours[1])
 
     @cached_property
     def spacing(self) -> np.ndarray:
         """Return the distance from each point to its nearest neighbour: (N,) float32, metres."""
-        distance, _ = cKDTree(self.points).query(self.points, k=2)
-        return distance[:, 1].astype(np.float32)
+        return self._neighbours[0][:, 1].astype(np.float32)
+
+    @cached_property
+    def pitch(self) -> np.ndarray:
+        """Return the edge of the square that each point stands for: (N,) float32, metres."""
+        # A disc through the eighth neighbour holds eight points' squares.
+        return (self._neighbours[0][:, 8] * np.sqrt(np.pi / 8.0)).astype(np.float32)
 
 
-def estimate_normals(points: np.ndarray, neighbours: int = 10) -> np.ndarray:
+def edge_aware_normals(points: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
     """
-    Fit a plane to each point's neighbours.
+    Fit a plane to each point's neighbours; then take, of those planes nearby, the one that fits.
+
+    A plane that is fitted across an edge is neither side's. So each point adopts the plane of the
+    neighbour for which the point's distance to it, in spacings, and the plane's own roughness are
+    least: on an edge that is the plane of a neighbour farther inside its face.
 
     :param points: (N, 3), metres.
-    :param neighbours: how many nearest points, itself included.
+    :param neighbours: (N, K) indices of the nearest points, the point itself first.
     :returns: (N, 3) float32 unit vectors of either sign.
     """
-    _, indices = cKDTree(points).query(points, k=min(neighbours, len(points)))
-    offsets = points[indices] - points[indices].mean(axis=1, keepdims=True)
+    around = points[neighbours]
+    offsets = around - around.mean(axis=1, keepdims=True)
     scatter = np.einsum('nki,nkj->nij', offsets, offsets, dtype=np.float64)
-    return np.ascontiguousarray(np.linalg.eigh(scatter)[1][:, :, 0], dtype=np.float32)
+    spread, directions = np.linalg.eigh(scatter)
+    normals = directions[:, :, 0]
+    roughness = np.sqrt(np.clip(spread[:, 0] / np.maximum(spread.sum(axis=1), 1e-30), 0.0, 1.0))
+    candidates = neighbours[:, :12]
+    offsets = points[:, None] - points[candidates]
+    distance = np.abs(np.einsum('nki,nki->nk', offsets, normals[candidates]))
+    typical = max(float(np.linalg.norm(points - points[neighbours[:, 1]], axis=1).mean()), 1e-9)
+    best = (distance / typical + 3.0 * roughness[candidates]).argmin(axis=1)
+    chosen = candidates[np.arange(len(points)), best]
+    return np.ascontiguousarray(normals[chosen], dtype=np.float32)
 
 
 def check_points(points: np.ndarray, name: str) -> None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from ocp_ros.configuration import group, setting
 from ocp_ros.geometry.cameras import CameraModel
-from ocp_ros.geometry.shadow_maps import PRESETS, Settings
+from ocp_ros.geometry.visibility import PRESETS
 
 
 @dataclass(frozen=True)
@@ -27,14 +27,10 @@ class RigConfig:
 class EngineConfig:
     """Resolution and rules of the shadow maps."""
 
-    preset: str = setting('default', 'visibility rules: default or paper', choices=tuple(PRESETS))
-    rows: int = setting(128, 'rows of a shadow map; it has twice as many columns', 16, 2048)
+    preset: str = setting('fine', 'visibility rules: fine, fast or paper', choices=tuple(PRESETS))
+    error_rows: int = setting(
+        128, 'rows of the depth maps of the error; they have twice as many columns', 16, 2048)
     coverage_cell: float = setting(0.25, 'edge of a cell of the coverage grid, metres', 0.02, 5.0)
-
-    @property
-    def settings(self) -> Settings:
-        """Return the shadow map settings for the kernels."""
-        return PRESETS[self.preset]._replace(rows=self.rows)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What a camera sees of a scene, by presets.
+
+``fine``: surfels on a map of 192 x 384 cells, for scores and live planning. ``fast``: surfels on
+64 x 128, for training. ``paper``: points as cubes and a constant compensation, as arXiv 2110.11106
+describes it.
+"""
+
+import numpy as np
+
+from ocp_ros.geometry.cameras import Lens
+from ocp_ros.geometry.shadow_maps import (
+    CubeSettings,
+    Pose,
+    project,
+    Projection,
+    splat,
+    visible,
+)
+from ocp_ros.geometry.surfels import (
+    distances,
+    project_surfels,
+    splat_surfels,
+    Surfels,
+    SurfelSettings,
+    SurfelView,
+    visible_surfels,
+)
+
+FINE = SurfelSettings(rows=192, base=0.02, share=0.35, single=0.7, quad=1.5)
+FAST = SurfelSettings(rows=64, base=0.02, share=0.25, single=1.0, quad=2.0)
+#: The paper's cube of twice the spacing and a constant, for which it gives no figure.
+PAPER = CubeSettings(rows=128, cube_scale=1.0, compensation=0.2)
+PRESETS = {'fine': FINE, 'fast': FAST, 'paper': PAPER}
+#: Radius of a surfel in multiples of the pitch: discs of 0.71 would just cover a square grid.
+DISC_SCALE = 0.95
+
+
+class SurfelVisibility:
+    """
+    Visibility of points as surfels, and of places in the air.
+
+    :param points: (N, 3) float32, metres, map frame.
+    :param normals: (N, 3) float32 unit vectors.
+    :param pitch: (N,) float32, metres: edge of the square that each point stands for.
+    :param places: (M, 3) float32, metres: places in the air, such as cells of a coverage grid.
+    :param lens: the camera model.
+    :param settings: rules.
+    """
+
+    def __init__(self, points: np.ndarray, normals: np.ndarray, pitch: np.ndarray,
+                 places: np.ndarray, lens: Lens, settings: SurfelSettings) -> None:
+        self.lens, self.settings = lens, settings
+        self._surfels = Surfels.of(points, normals, DISC_SCALE * pitch)
+        # Without a normal a place has the same distance in every direction.
+        self._places = Surfels.of(places, np.zeros_like(places), np.zeros(len(places)))
+        self._view = SurfelView.empty(len(points))
+        self._place_view = SurfelView.empty(len(places))
+        self._map = np.empty((settings.rows + 2) * (2 * settings.rows + 2), dtype=np.float32)
+
+    def look(self, pose: Pose, seen: np.ndarray) -> None:
+        """
+        Add the points that a camera sees to those that others see.
+
+        :param pose: the camera's pose.
+        :param seen: (N,) bool, in and out.
+        """
+        project_surfels(self._surfels, pose, self.lens, self.settings.rows, self._view)
+        splat_surfels(self._view, self._surfels.radius, self.lens.max_range, self.settings,
+                      self._map)
+        visible_surfels(self._view, self._surfels.radius, self.settings, self._map, seen)
+
+    def cover(self, pose: Pose, covered: np.ndarray) -> None:
+        """
+        Add the places that the camera of the last look sees to those that others see.
+
+        :param pose: the same pose.
+        :param covered: (M,) bool, in and out.
+        """
+        project_surfels(self._places, pose, self.lens, self.settings.rows, self._place_view)
+        visible_surfels(self._place_view, self._places.radius, self.settings, self._map, covered)
+
+    def shadow_map(self) -> np.ndarray:
+        """Return the map of the last look: (H, W) float32 distances, metres."""
+        return distances(self._map, self.settings.rows)
+
+
+class CubeVisibility:
+    """
+    Visibility of points as cubes, and of places in the air: the paper's rules.
+
+    :param points: (N, 3) float32, metres, map frame.
+    :param spacing: (N,) float32, metres: distance to the nearest neighbour.
+    :param places: (M, 3) float32, metres.
+    :param lens: the camera model.
+    :param settings: rules.
+    """
+
+    def __init__(self, points: np.ndarray, spacing: np.ndarray, places: np.ndarray, lens: Lens,
+                 settings: CubeSettings) -> None:
+        self.lens, self.settings = lens, settings
+        self._points, self._spacing, self._places = points, spacing, places
+        self._view, self._place_view = Projection.empty(len(points)), Projection.empty(len(places))
+        self._map = np.empty((settings.rows, 2 * settings.rows), dtype=np.float32)
+
+    def look(self, pose: Pose, seen: np.ndarray) -> None:
+        """Add the points that a camera sees; see :meth:`SurfelVisibility.look`."""
+        project(self._points, pose, self.lens, self._view)
+        splat(self._view, self._spacing, self.settings.cube_scale, self.lens.max_range, self._map)
+        visible(self._view, self.settings.compensation, self._map, seen)
+
+    def cover(self, pose: Pose, covered: np.ndarray) -> None:
+        """Add the places that a camera sees; see :meth:`SurfelVisibility.cover`."""
+        project(self._places, pose, self.lens, self._place_view)
+        visible(self._place_view, self.settings.compensation, self._map, covered)
+
+    def shadow_map(self) -> np.ndarray:
+        """Return the map of the last look: (H, W) float32 distances, metres."""
+        return self._map
