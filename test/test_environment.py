@@ -154,6 +154,27 @@ def test_one_camera_more_never_sees_less(simulator, seed):
     assert more.depth_error <= fewer.depth_error
 
 
+@given(seed=seeds)
+@budget(max_examples=10, deadline=None)
+def test_one_moved_camera_costs_one_view_and_gives_the_same_judgement(simulator, seed):
+    positions = np.random.default_rng(seed).uniform(*simulator.scene.bounds, (4, 3))
+    views = [simulator.look(position) for position in positions[:3]]
+    judged, whole = simulator.judge(views), simulator.evaluate(positions[:3])
+    assert np.array_equal(judged.visible, whole.visible) and judged[1:] == whole[1:]
+    views[1] = simulator.look(positions[3])
+    moved = simulator.judge(views)
+    assert moved[1:] == simulator.evaluate(positions[[0, 3, 2]])[1:]
+
+
+@pytest.mark.parametrize('preset', ['fine', 'fast', 'paper'])
+def test_threads_change_nothing(room, preset):
+    simulator = Simulator(room, SimulationConfig(
+        engine=EngineConfig(preset=preset, error_rows=32, coverage_cell=0.5)))
+    placements = np.random.default_rng(0).uniform(*room.bounds, (40, 3, 3))
+    alone = np.array([simulator.evaluate(p)[1:] for p in placements])
+    np.testing.assert_array_equal(simulator.evaluate_many(placements, threads=4), alone)
+
+
 def test_the_potential_reward_telescopes(simulator):
     rng = np.random.default_rng(4)
     episode = Episode(simulator, rng)

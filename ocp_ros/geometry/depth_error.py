@@ -58,26 +58,40 @@ def _list_candidates(projection, order, half_sides, rows, columns, ends, indices
 
 
 @njit(cache=True, nogil=True)
-def _error(starts, indices, distance, full, far, visible):
-    """Sum |partial depth - full depth| over the pixels of one viewpoint."""
+def _error(first, starts, indices, depths, full, far, visible):
+    """Sum |partial depth - full depth| over the covered pixels of one viewpoint."""
     total = 0.0
-    for cell in range(full.shape[0]):
+    for pixel in range(first.shape[0]):
+        # Most often the nearest point is seen, and nothing is missing.
+        if visible[first[pixel]]:
+            continue
         depth = far
-        for k in range(starts[cell], starts[cell + 1]):
+        for k in range(starts[pixel] + 1, starts[pixel + 1]):
             if visible[indices[k]]:
-                depth = distance[indices[k]]
+                depth = depths[k]
                 break
-        total += depth - full[cell]
+        total += depth - full[pixel]
     return total
 
 
 @dataclass(frozen=True)
 class _View:
-    """One viewpoint: candidate lists per pixel, the points' distances and the full depth map."""
+    """
+    One viewpoint: the points that cover each covered pixel, nearest first.
 
+    :ivar pixels: (C,) the covered pixels; in the others there is nothing to miss.
+    :ivar first: (C,) int32, the nearest point of each.
+    :ivar starts: (C + 1,) int32, where each pixel's list begins.
+    :ivar indices: (L,) int32, points.
+    :ivar depths: (L,) float32, their distances, metres.
+    :ivar full: (C,) float32, distance of the nearest, metres.
+    """
+
+    pixels: np.ndarray
+    first: np.ndarray
     starts: np.ndarray
     indices: np.ndarray
-    distance: np.ndarray
+    depths: np.ndarray
     full: np.ndarray
 
 
@@ -113,13 +127,13 @@ class DepthError:
         order = order[np.isfinite(projection.distance[order])]
         counts = np.zeros(rows * columns, dtype=np.int64)
         _count_candidates(projection, order, half_sides, rows, columns, counts)
-        starts = np.concatenate([[0], np.cumsum(counts)])
-        indices = np.empty(starts[-1], dtype=np.int32)
-        _list_candidates(projection, order, half_sides, rows, columns, starts[:-1].copy(), indices)
-        full = np.full(rows * columns, self.far, dtype=np.float32)
-        covered = counts > 0
-        full[covered] = projection.distance[indices[starts[:-1][covered]]]
-        return _View(starts, indices, projection.distance, full)
+        ends = np.concatenate([[0], np.cumsum(counts)])
+        indices = np.empty(ends[-1], dtype=np.int32)
+        _list_candidates(projection, order, half_sides, rows, columns, ends[:-1].copy(), indices)
+        pixels = np.flatnonzero(counts)
+        starts = np.append(ends[pixels], ends[-1]).astype(np.int32)
+        depths = projection.distance[indices]
+        return _View(pixels, indices[starts[:-1]], starts, indices, depths, depths[starts[:-1]])
 
     def depth_map(self, viewpoint: int) -> np.ndarray:
         """
@@ -128,7 +142,10 @@ class DepthError:
         :param viewpoint: 0 to 4.
         :returns: (H, W) float32, metres; an empty pixel reads the bounding box's diagonal.
         """
-        return self._views[viewpoint].full.reshape(self.shape)
+        view = self._views[viewpoint]
+        depth = np.full(self.shape[0] * self.shape[1], self.far, dtype=np.float32)
+        depth[view.pixels] = view.full
+        return depth.reshape(self.shape)
 
     def __call__(self, visible: np.ndarray) -> float:
         """
@@ -137,6 +154,6 @@ class DepthError:
         :param visible: (N,) bool.
         :returns: metres: the sum over the viewpoints of the mean over the pixels.
         """
-        total = sum(_error(view.starts, view.indices, view.distance, view.full,
+        total = sum(_error(view.first, view.starts, view.indices, view.depths, view.full,
                            np.float32(self.far), visible) for view in self._views)
         return float(total / (self.shape[0] * self.shape[1]))

@@ -7,6 +7,8 @@ What a camera sees of a scene, by presets.
 describes it.
 """
 
+from copy import copy
+
 import numpy as np
 
 from ocp_ros.geometry.cameras import Lens
@@ -55,9 +57,20 @@ class SurfelVisibility:
         self._surfels = Surfels.of(points, normals, DISC_SCALE * pitch)
         # Without a normal a place has the same distance in every direction.
         self._places = Surfels.of(places, np.zeros_like(places), np.zeros(len(places)))
-        self._view = SurfelView.empty(len(points))
-        self._place_view = SurfelView.empty(len(places))
-        self._map = np.empty((settings.rows + 2) * (2 * settings.rows + 2), dtype=np.float32)
+        self._make_room()
+
+    def _make_room(self) -> None:
+        """Allocate the arrays that every look works in."""
+        rows = self.settings.rows
+        self._view = SurfelView.empty(len(self._surfels.x))
+        self._place_view = SurfelView.empty(len(self._places.x))
+        self._map = np.empty((rows + 2) * (2 * rows + 2), dtype=np.float32)
+
+    def for_another_thread(self) -> 'SurfelVisibility':
+        """Return one that shares the points but works in arrays of its own."""
+        other = copy(self)
+        other._make_room()
+        return other
 
     def look(self, pose: Pose, seen: np.ndarray) -> None:
         """
@@ -101,8 +114,20 @@ class CubeVisibility:
                  settings: CubeSettings) -> None:
         self.lens, self.settings = lens, settings
         self._points, self._spacing, self._places = points, spacing, places
-        self._view, self._place_view = Projection.empty(len(points)), Projection.empty(len(places))
-        self._map = np.empty((settings.rows, 2 * settings.rows), dtype=np.float32)
+        self._make_room()
+
+    def _make_room(self) -> None:
+        """Allocate the arrays that every look works in."""
+        rows = self.settings.rows
+        self._view = Projection.empty(len(self._points))
+        self._place_view = Projection.empty(len(self._places))
+        self._map = np.empty((rows, 2 * rows), dtype=np.float32)
+
+    def for_another_thread(self) -> 'CubeVisibility':
+        """Return one that shares the points but works in arrays of its own."""
+        other = copy(self)
+        other._make_room()
+        return other
 
     def look(self, pose: Pose, seen: np.ndarray) -> None:
         """Add the points that a camera sees; see :meth:`SurfelVisibility.look`."""

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The engine for one scene: what a placement sees, covers and misses."""
 
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+import threading
 from typing import NamedTuple
 
 import numpy as np
@@ -30,9 +33,21 @@ class Evaluation(NamedTuple):
     depth_error: float
 
 
+class View(NamedTuple):
+    """
+    What one camera sees.
+
+    :ivar visible: (N,) bool, points.
+    :ivar covered: (M,) bool, cells of the coverage grid.
+    """
+
+    visible: np.ndarray
+    covered: np.ndarray
+
+
 class Simulator:
     """
-    Judge placements in one scene.
+    Judge placements in one scene; threads may share it, and the kernels run without the GIL.
 
     :param scene: the room.
     :param config: the rig and the engine's settings.
@@ -47,12 +62,13 @@ class Simulator:
                 f'{scene.name}: found a room {scene.size[2]:.2f} m high; expected more than the '
                 f"cameras' height of {config.rig.height:.2f} m; lower rig.height")
         self.grid, self.cell_volume = coverage_grid(scene.bounds, config.engine.coverage_cell)
-        self.visibility = self._visibility()
+        self._visibility = self._make_visibility()
+        self._own = threading.local()
         cube = PAPER.cube_scale if config.engine.preset == 'paper' else ERROR_CUBE
         self.depth_error = DepthError(scene.points, scene.spacing, scene.bounds,
                                       config.engine.error_rows, cube)
 
-    def _visibility(self) -> SurfelVisibility | CubeVisibility:
+    def _make_visibility(self) -> SurfelVisibility | CubeVisibility:
         """Build what the preset asks for."""
         scene, lens = self.scene, self.config.rig.model.lens
         settings = PRESETS[self.config.engine.preset]
@@ -66,16 +82,54 @@ class Simulator:
         """Return the volume of the bounding box in cubic metres."""
         return float(self.scene.size.prod())
 
+    @property
+    def visibility(self) -> SurfelVisibility | CubeVisibility:
+        """Return the visibility that belongs to the calling thread: it has arrays to work in."""
+        if not hasattr(self._own, 'visibility'):
+            self._own.visibility = self._visibility.for_another_thread()
+        return self._own.visibility
+
+    def look(self, position: np.ndarray) -> View:
+        """
+        Compute what one camera sees.
+
+        :param position: (3,) metres, map frame.
+        """
+        view = View(np.zeros(len(self.scene), dtype=bool), np.zeros(len(self.grid), dtype=bool))
+        pose, visibility = Pose(np.asarray(position, dtype=np.float64), np.eye(3)), self.visibility
+        visibility.look(pose, view.visible)
+        visibility.cover(pose, view.covered)
+        return view
+
+    def judge(self, views: Sequence[View]) -> Evaluation:
+        """
+        Judge cameras by what they see: where one of them moved, only its view is new.
+
+        :param views: from :meth:`look`, one per camera.
+        """
+        seen = np.logical_or.reduce([view.visible for view in views])
+        covered = np.logical_or.reduce([view.covered for view in views])
+        return Evaluation(seen, space_coverage(covered, self.cell_volume), self.depth_error(seen))
+
     def evaluate(self, positions: np.ndarray) -> Evaluation:
         """
         Judge a placement.
 
-        :param positions: (K, 3) float64, metres, map frame.
+        :param positions: (K, 3), metres, map frame, K >= 1.
         """
-        seen = np.zeros(len(self.scene), dtype=bool)
-        covered = np.zeros(len(self.grid), dtype=bool)
-        for position in np.asarray(positions, dtype=np.float64):
-            pose = Pose(position, np.eye(3))
-            self.visibility.look(pose, seen)
-            self.visibility.cover(pose, covered)
-        return Evaluation(seen, space_coverage(covered, self.cell_volume), self.depth_error(seen))
+        return self.judge([self.look(position) for position in positions])
+
+    def evaluate_many(self, placements: np.ndarray, threads: int = 1) -> np.ndarray:
+        """
+        Judge many placements.
+
+        :param placements: (M, K, 3), metres, map frame.
+        :param threads: how many to use.
+        :returns: (M, 2) float64: space coverage in cubic metres and depth error in metres.
+        """
+        def scores(positions: np.ndarray) -> tuple[float, float]:
+            result = self.evaluate(positions)
+            return result.space_coverage, result.depth_error
+
+        with ThreadPoolExecutor(threads) as pool:
+            return np.array(list(pool.map(scores, placements))).reshape(-1, 2)

@@ -137,7 +137,9 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
 def report(config: TrainingConfig, folder: Path, command: str) -> Checkpoint:
     """Play the test rooms with the best weights and at random; write the figures into the card."""
     best = Checkpoint.load(folder / 'best.safetensors')
-    engines = simulators(make_rooms(config, 'test'), config.simulation)
+    # Whatever it learned on, the figures are those of the engine at its best.
+    fine = replace(config.simulation, engine=replace(config.simulation.engine, preset='fine'))
+    engines = simulators(make_rooms(config, 'test'), fine)
     records = _records(folder)
     on_gpu = config.sac.device != 'cpu' and torch.cuda.is_available()
     threads = f'CPU, {torch.get_num_threads()} threads'
