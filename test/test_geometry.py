@@ -9,7 +9,7 @@ import pytest
 import twins
 
 from ocp_ros.benchmark.engine import free_places
-from ocp_ros.benchmark.truth import ray_cast
+from ocp_ros.benchmark.truth import RayCaster
 from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
 from ocp_ros.geometry.clouds import fixed_size
 from ocp_ros.geometry.coverage import coverage_grid, space_coverage
@@ -27,6 +27,8 @@ from ocp_ros.geometry.surfels import (
 from ocp_ros.geometry.visibility import CubeVisibility, PRESETS, SurfelVisibility
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import Scene
+from ocp_ros.simulation.config import SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
 
 MODELS = {
     'omnidirectional': CameraModel(0.0, 4.0),
@@ -296,7 +298,7 @@ def test_visibility_agrees_with_ray_casting(preset, least):
     for seed in range(3):
         scene = generate_room(seed, 15000)
         for position in free_places(scene, 1.9, 2, np.random.default_rng(seed)):
-            truth = ray_cast(scene.mesh, scene.points, position, 6.0)
+            truth = RayCaster(scene.mesh).visible(scene.points, position, 6.0)
             seen = look_at_scene(scene, Pose(position, np.eye(3)), CameraModel(0.0, 6.0), preset)
             right += (seen & truth).sum()
             wrong += (seen & ~truth).sum()
@@ -315,7 +317,7 @@ def test_a_place_in_the_air_is_covered_unless_something_is_in_front(preset):
     covered = np.zeros(len(places), dtype=bool)
     engine.look(Pose(camera, np.eye(3)), np.zeros(len(scene), dtype=bool))
     engine.cover(Pose(camera, np.eye(3)), covered)
-    truth = ray_cast(scene.mesh, places, camera, 6.0)
+    truth = RayCaster(scene.mesh).visible(places, camera, 6.0)
     assert (covered == truth).mean() > 0.95
 
 
@@ -360,6 +362,18 @@ def test_depth_error_falls_or_stays_when_more_is_seen(small, seed, share):
     some = rng.random(len(scene)) < share
     more = some | (rng.random(len(scene)) < 0.2)
     assert 0.0 <= error(more) <= error(some) <= error.worst
+
+
+def test_depth_maps_agree_with_ray_casting():
+    scene = generate_room(0, 15000)
+    engine = Simulator(scene, SimulationConfig()).depth_error
+    caster = RayCaster(scene.mesh)
+    rays = twins.directions(engine.shape[0]).reshape(-1, 3)
+    off = [np.abs(engine.depth_map(k).ravel() - caster.distance(engine.viewpoints[k], rays)).mean()
+           for k in range(5)]
+    # Cubes reach a little beyond what they stand for; holes would cost metres.
+    assert sum(off) < 0.6
+    assert (engine.depth_map(0) == np.float32(engine.far)).mean() < 0.001
 
 
 def test_depth_error_is_zero_when_all_is_seen(small):

@@ -283,9 +283,13 @@ def test_a_run_reports_on_rooms_it_never_saw_and_goes_on_when_it_is_started_agai
     assert {'policy', 'random_moves'} <= first.provenance['test'].keys()
     lines = [json.loads(line) for line in (tmp_path / 'progress.jsonl').read_text().splitlines()]
     assert [line['interactions'] for line in lines] == [24, 48]
-    longer = train(from_nested(TrainingConfig, {**TINY, 'interactions': 72}), tmp_path)
+    longer = train(from_nested(TrainingConfig, {**TINY, 'interactions': 80}), tmp_path)
     assert longer.run == first.run
-    assert longer.provenance['curve'][-1]['interactions'] == 72
+    curve = longer.provenance['curve']
+    assert [line['interactions'] for line in curve] == [24, 48, 72, 80]
+    assert np.all(np.diff([line['seconds'] for line in curve]) >= 0.0)
+    # After going on, the replay is filled anew before anything is learned from it.
+    assert curve[-1]['updates'] == curve[1]['updates'] + (80 - 48 - 12)
 
 
 def test_ocp_train_writes_a_model_that_runs(tmp_path, capsys, room):

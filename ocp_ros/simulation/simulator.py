@@ -11,12 +11,13 @@ import numpy as np
 from ocp_ros.geometry.coverage import coverage_grid, space_coverage
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.shadow_maps import Pose
-from ocp_ros.geometry.visibility import CubeVisibility, PAPER, PRESETS, SurfelVisibility
+from ocp_ros.geometry.visibility import CubeVisibility, PRESETS, SurfelVisibility
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.config import SimulationConfig
 
-#: Half the side of a point's cube in the depth maps of the error, in multiples of its spacing.
-ERROR_CUBE = 0.75
+#: Half the side of a point's cube in the depth maps of the error, in multiples of its spacing:
+#: the paper's. With less, the maps of a whole room have holes.
+ERROR_CUBE = 1.0
 
 
 class Evaluation(NamedTuple):
@@ -64,9 +65,8 @@ class Simulator:
         self.grid, self.cell_volume = coverage_grid(scene.bounds, config.engine.coverage_cell)
         self._visibility = self._make_visibility()
         self._own = threading.local()
-        cube = PAPER.cube_scale if config.engine.preset == 'paper' else ERROR_CUBE
         self.depth_error = DepthError(scene.points, scene.spacing, scene.bounds,
-                                      config.engine.error_rows, cube)
+                                      config.engine.error_rows, ERROR_CUBE)
 
     def _make_visibility(self) -> SurfelVisibility | CubeVisibility:
         """Build what the preset asks for."""

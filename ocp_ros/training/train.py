@@ -55,12 +55,14 @@ class Watch(BaseCallback):
         self.config, self.folder, self.run, self.progress = config, folder, run, progress
         self.engines = simulators(make_rooms(config, 'validation'), config.simulation)
         self.began, self.best = time.monotonic(), np.inf
-        self.due = 0
+        self.due = self.evaluated = 0
 
     def _on_training_start(self) -> None:
         """Show the bar; when resuming, the best so far stays the best."""
         for record in _records(self.folder):
             self.best = min(self.best, record['ratio'])
+            self.began = time.monotonic() - record['seconds']
+        self.evaluated = self.num_timesteps
         self.due = self.num_timesteps + self.config.evaluate_every
         self.task = self.progress.add_task(
             'training', total=self.config.interactions, completed=self.num_timesteps, error='')
@@ -72,6 +74,11 @@ class Watch(BaseCallback):
             self.due += self.config.evaluate_every
             self._evaluate()
         return True
+
+    def _on_training_end(self) -> None:
+        """Keep what was learned since the last evaluation."""
+        if self.num_timesteps > self.evaluated:
+            self._evaluate()
 
     def _evaluate(self) -> None:
         """Play the validation rooms; write the line, the state and, if best, the weights."""
@@ -89,6 +96,7 @@ class Watch(BaseCallback):
             self.best = result['ratio']
             checkpoint.save(self.folder / 'best.safetensors')
         save_state(self.model, self.folder / 'state.safetensors', self.run)
+        self.evaluated = self.num_timesteps
         self.progress.update(self.task, error=f'validation {result["ratio"]:.3f}')
 
 
@@ -125,6 +133,8 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
                      str(folder / 'tensorboard'), train_freq=1, gradient_steps=steps)
     state = folder / 'state.safetensors'
     run = load_state(model, state) if state.exists() else new_run()
+    # The replay buffer starts empty, also when the run goes on: fill it before learning from it.
+    model.learning_starts += model.num_timesteps
     columns = (TextColumn('{task.description}'), MofNCompleteColumn(), TimeRemainingColumn(),
                TextColumn('{task.fields[error]}'))
     with Progress(*columns) as progress:
