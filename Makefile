@@ -13,8 +13,8 @@ help:  ## list the targets
 $(READY): tools/setup setup.py $(wildcard requirements/*.txt)
 	tools/setup $(VENV)
 
-demo: $(READY)  ## place cameras over real ROS: make demo [ROOM=scan.ply] [CAMERAS=4] [HEIGHT=1.9] [MODEL=default]
-	$(RUN) -m ocp_ros.nodes.demo --out $(OUT) $(if $(ROOM),--room "$(ROOM)") $(if $(CAMERAS),--cameras $(CAMERAS)) $(if $(HEIGHT),--height $(HEIGHT)) $(if $(MODEL),--model $(MODEL))
+demo: $(READY)  ## place cameras over real ROS: make demo [ROOM=scan.ply] [CAMERAS=4] [HEIGHT=1.9] [SCALE=1.0] [UP=z] [MODEL=default]
+	$(RUN) -m ocp_ros.nodes.demo --out $(OUT) $(if $(ROOM),--room "$(ROOM)") $(if $(CAMERAS),--cameras $(CAMERAS)) $(if $(HEIGHT),--height $(HEIGHT)) $(if $(SCALE),--scale $(SCALE)) $(if $(UP),--up $(UP)) $(if $(MODEL),--model $(MODEL))
 
 train-demo: $(READY)  ## the same with trainer_node in the loop: weights arrive in policy_node
 	$(RUN) -m ocp_ros.nodes.train_demo --out $(OUT)

@@ -36,7 +36,7 @@ setup(
         'setuptools', 'numpy>=1.26', 'numba', 'scipy', 'torch', 'safetensors', 'gymnasium',
         'stable-baselines3', 'tensorboard', 'open3d', 'plyfile', 'laspy[lazrs]', 'matplotlib',
         'rich', 'pyyaml'],
-    extras_require={'test': ['pytest', 'hypothesis']},
+    extras_require={'test': ['pytest', 'pytest-timeout', 'hypothesis']},
     entry_points={
         'console_scripts': [
             'sim_node = ocp_ros.nodes.sim_node:main',

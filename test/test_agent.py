@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The agent: sampling, observation cache, networks, checkpoints, policy."""
 
+import json
+
 from conftest import assert_same, random_checkpoint
 from hypothesis import given
 from hypothesis import settings as budget
@@ -103,6 +105,13 @@ def test_the_order_of_the_cameras_does_not_matter(small_agent, seed):
     torch.testing.assert_close(actor(batch(turned))[0][0], actor(batch(encoded))[0][0, order])
 
 
+def test_where_the_other_cameras_are_matters(small_agent):
+    torch.manual_seed(0)
+    actor, encoded = Actor(small_agent), observation(small_agent, 3)
+    moved = {**encoded, 'cameras': encoded['cameras'] + np.float32([[0], [0.1], [0.2]])}
+    assert not torch.allclose(actor(batch(moved))[0][0, 0], actor(batch(encoded))[0][0, 0])
+
+
 def test_where_the_room_lies_in_the_map_does_not_matter(checkpoint, room):
     policy = Policy(checkpoint)
     positions = room.bounds.mean(axis=0) + [[0, 0, 0.4], [1, 0, 0.4]]
@@ -148,6 +157,28 @@ def test_a_damaged_blob_is_refused_and_nothing_else_happens(small_agent, data):
     else:
         # A digit of the provenance, of the count or of a radius may have changed unnoticed.
         assert all(torch.isfinite(value).all() for value in found.weights.values())
+
+
+@pytest.mark.parametrize(('name', 'value'), [
+    ('updates', 'Infinity'), ('updates', 'NaN'), ('updates', '"many"'), ('updates', '[1]'),
+    ('run', 'null'), ('provenance', '7'), ('config', '[]'), ('format', 'null'),
+    ('config', '{"points": 1e999}'), ('provenance', '[' * 5000 + ']' * 5000)])
+def test_a_card_with_odd_values_is_refused_and_nothing_else_happens(small_agent, name, value):
+    blob = random_checkpoint(small_agent).to_bytes()
+    header = json.loads(blob[8:8 + int.from_bytes(blob[:8], 'little')])
+    card = json.loads(header['__metadata__'][KEY])
+    parts = [f'"{key}": {value if key == name else json.dumps(item)}'
+             for key, item in card.items()]
+    header['__metadata__'][KEY] = '{' + ', '.join(parts) + '}'
+    text = json.dumps(header).encode()
+    body = blob[8 + int.from_bytes(blob[:8], 'little'):]
+    crafted = len(text).to_bytes(8, 'little') + text + body
+    try:
+        found = Checkpoint.from_bytes(crafted)
+    except CheckpointError as error:
+        assert 'found' in str(error) and 'expected' in str(error)
+    else:
+        assert (name, found.run) == ('run', 'None')
 
 
 def test_weights_of_another_network_are_refused(small_agent):

@@ -30,6 +30,7 @@ def test_nested_form_comes_back(cls):
     ({'rig.cameras': '4'}, "rig.cameras: found '4' \\(str\\); expected int"),
     ({'rig.cameras': True}, 'rig.cameras: found True'),
     ({'rig.height': float('nan')}, 'rig.height: found nan; expected 0'),
+    ({'rig.min_range': 5.0}, 'rig.min_range: found 5.0 m with rig.max_range 4.0 m'),
     ({'reward.kind': 'papr'}, "reward.kind: found 'papr'; expected one of"),
 ])
 def test_a_bad_setting_is_named_with_what_was_expected(values, words):
@@ -45,6 +46,13 @@ def test_something_else_than_a_mapping_is_refused(tmp_path):
     (tmp_path / 'c.yaml').write_text('- 1\n- 2\n')
     with pytest.raises(ConfigurationError, match='c.yaml: found list; expected a mapping'):
         read_config(tmp_path / 'c.yaml')
+
+
+def test_yaml_that_is_none_is_refused_in_one_line(tmp_path):
+    (tmp_path / 'c.yaml').write_text('a: [1, 2\nb: }')
+    with pytest.raises(ConfigurationError, match='c.yaml: found no valid YAML') as caught:
+        read_config(tmp_path / 'c.yaml')
+    assert '\n' not in str(caught.value)
 
 
 def test_every_setting_has_a_default_in_its_own_range():

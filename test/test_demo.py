@@ -50,6 +50,59 @@ def test_the_demo_takes_a_scan_and_any_number_of_cameras(tmp_path):
     assert check(tmp_path, 30, 2)['room'] == 'washitsu.ply'
 
 
+def test_a_scan_in_millimetres_in_an_awkward_path_is_scaled(tmp_path):
+    path = tmp_path / 'my room #1: final.npy'
+    np.save(path, 1000.0 * generate_room(1, 3000).points)
+    arguments = ['--out', str(tmp_path), '--room', str(path), '--turns', '2']
+    assert demo.main(arguments) == 2
+    assert demo.main([*arguments, '--scale', '0.001']) == 0
+    result = check(tmp_path, 2, 4)
+    assert result['room'] == path.name
+    assert result['config']['sim_node']['scene']['scale'] == 0.001
+    assert result['config']['policy_node']['turns'] == 2
+
+
+@pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_an_interrupted_demo_leaves_no_node_behind(tmp_path, how):
+    command = [sys.executable, '-m', 'ocp_ros.nodes.demo', '--out', str(tmp_path)]
+    running = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    log = tmp_path / 'logs' / 'policy_node.log'
+    while not (log.exists() and 'updates' in log.read_text()):
+        assert running.poll() is None, running.stderr.read()
+        try:
+            running.wait(timeout=0.05)
+        except subprocess.TimeoutExpired:
+            continue
+    children = subprocess.run(['ps', '-o', 'pid=', '--ppid', str(running.pid)], check=True,
+                              capture_output=True, text=True).stdout.split()
+    assert len(children) == 2
+    running.send_signal(how)
+    # Once more, as an impatient user would, while the nodes are being stopped.
+    running.send_signal(how)
+    _, error = running.communicate(timeout=60)
+    assert running.returncode == 130 and 'Traceback' not in error, error
+    left = subprocess.run(['ps', '-o', 'pid=', '-p', ','.join(children)], check=False,
+                          capture_output=True, text=True).stdout.split()
+    assert not left
+
+
+def test_an_impatient_interrupt_loses_nothing_that_was_learned(domain, tmp_path):
+    node = NodeProcess('trainer_node', domain, tmp_path / 'log', {'folder': tmp_path / 'run'})
+    while READY['trainer_node'] not in node.log.read_text():
+        node.check()
+        try:
+            node.process.wait(timeout=0.1)
+        except subprocess.TimeoutExpired:
+            continue
+    for _ in range(3):
+        node.interrupt()
+        try:
+            node.process.wait(timeout=0.02)
+        except subprocess.TimeoutExpired:
+            continue
+    assert node.wait() == 0, node.log.read_text()
+
+
 @pytest.mark.parametrize(('arguments', 'words'), [
     (['--room', 'nowhere.ply'], 'nowhere.ply: found no such file'),
     (['--cameras', '0'], 'rig.cameras'),
@@ -84,7 +137,8 @@ def test_a_node_ends_with_0_when_it_is_told_to(domain, tmp_path, name, how):
         node.process.send_signal(how)
         assert node.process.wait(timeout=30.0) == 0, node.log.read_text()
     finally:
-        node.stop()
+        node.interrupt()
+        node.wait()
     assert 'Traceback' not in node.log.read_text()
 
 

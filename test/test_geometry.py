@@ -330,6 +330,8 @@ def test_the_coverage_grid_fills_the_box():
     assert space_coverage(np.ones(len(centres), bool), volume) == pytest.approx(3.3 * 1.1 * 2.0)
     with pytest.raises(ValueError, match='coverage cell'):
         coverage_grid(bounds, 0.0)
+    with pytest.raises(ValueError, match='use larger cells'):
+        coverage_grid(1000.0 * bounds, 0.25)
 
 
 def test_viewpoints_are_where_the_paper_puts_them():

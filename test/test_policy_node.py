@@ -73,6 +73,12 @@ def robot(graph, probe, model, room):
     return probe
 
 
+def reward(stamp, episode=1, step=1, truncated=False):
+    """Return the reward message of a turn."""
+    return fields_to_msg({'stamp_sec': 0, 'stamp_nanosec': stamp, 'episode': episode,
+                          'step': step, 'truncated': truncated})
+
+
 def test_a_command_answers_the_turn_it_belongs_to(robot, checkpoint, room):
     robot.start()
     robot.send(5)
@@ -215,10 +221,53 @@ def test_a_new_episode_starts_the_turns_anew(robot):
         robot.command(stamp)
     assert policy._settled
     rewards = robot.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
-    rewards.publish(fields_to_msg({'episode': 2, 'step': 0}))
+    rewards.publish(reward(3, episode=2, step=0))
     robot.graph.until(lambda: not policy._settled)
     robot.send(3)
     assert not np.allclose(msg_to_positions(robot.command(3)), POSITIONS)
+
+
+def test_a_restarted_simulation_is_a_new_episode_whatever_its_number(robot):
+    policy = robot.start(turns=1)
+    for stamp in (1, 2):
+        robot.send(stamp)
+        robot.command(stamp)
+    assert policy._settled
+    rewards = robot.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
+    rewards.publish(reward(3, episode=policy._episode, step=0))
+    robot.graph.until(lambda: not policy._settled)
+
+
+@pytest.mark.parametrize('late', [False, True])
+def test_the_placement_is_final_when_the_simulation_says_that_it_was_the_last_turn(robot, late):
+    policy = robot.start(turns=30, convergence_distance=0.0)
+    rewards = robot.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
+    if not late:
+        rewards.publish(reward(1, step=5, truncated=True))
+        robot.graph.until(lambda: policy._over)
+    robot.send(1)
+    robot.command(1)
+    if late:
+        rewards.publish(reward(1, step=5, truncated=True))
+    assert stamp_to_ns(robot.last(topics.PLACEMENT).header.stamp) == 1
+
+
+def test_a_settled_policy_commands_nothing_outside_either(robot, room):
+    robot.start(turns=1)
+    outside = POSITIONS + [50.0, 0.0, 0.0]
+    for stamp in (1, 2, 3):
+        robot.send(stamp, positions=outside)
+        found = msg_to_positions(robot.command(stamp))
+        assert (found[:, 0] <= room.bounds[1, 0]).all()
+
+
+def test_a_cloud_in_another_frame_than_the_poses_is_refused(robot, room):
+    policy = robot.start()
+    stamp = ns_to_stamp(1)
+    robot.poses.publish(positions_to_msg(POSITIONS, Header(stamp=stamp, frame_id='map')))
+    robot.clouds.publish(cloud_to_msg(room.points, Header(stamp=stamp, frame_id='camera_0')))
+    robot.graph.until(lambda: policy._counts['refused_messages'] >= 1)
+    assert not robot.received[topics.CAMERA_COMMANDS]
 
 
 def test_weights_are_swapped_in_whole(robot, small_agent, room):

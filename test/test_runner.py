@@ -9,7 +9,7 @@ import rclpy
 from rclpy.node import Node
 from std_msgs.msg import Float64
 
-from ocp_ros.nodes.runner import run
+from ocp_ros.nodes.runner import run, undisturbed
 from ocp_ros.scenes.scene import SceneError
 
 
@@ -17,6 +17,9 @@ from ocp_ros.scenes.scene import SceneError
 def in_domain(domain, monkeypatch):
     """Use the test's own domain: ``run`` initialises the default context."""
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+    # ``run`` ends deaf to signals, as the process is to end with it; this one is not.
+    with undisturbed():
+        yield
 
 
 def test_a_signal_while_a_node_publishes_ends_it_with_0():

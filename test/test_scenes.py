@@ -614,3 +614,13 @@ def test_generated_points_are_evenly_spread():
     spacing = generate_room(1, 8000).spacing
     assert np.percentile(spacing, 99) < 3.0 * np.median(spacing)
     assert np.percentile(spacing, 1) > 0.2 * np.median(spacing)
+
+
+def test_centimetres_are_noticed():
+    with pytest.raises(SceneError, match='look like centimetres; load with scale=0.01'):
+        Scene(100.0 * ROOM)
+
+
+def test_a_stray_point_is_not_taken_for_millimetres():
+    with pytest.raises(SceneError, match='remove the stray points'):
+        Scene(np.concatenate([ROOM, [[9000.0, 0.0, 0.0]]]))

@@ -84,7 +84,7 @@ def test_a_transition_is_assembled_by_stamp(topics_of_a_loop):
 
 def test_a_turn_without_its_command_is_no_transition(topics_of_a_loop):
     loop, trainer = topics_of_a_loop, topics_of_a_loop.trainer
-    trainer.assembler.capacity = 2
+    trainer.assembler.patience = 2
     for stamp in range(1, 6):
         loop.cloud(stamp)
         loop.pose(stamp)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Training: replay, augmentation, SAC, transitions, learner, evaluation and whole runs."""
 
+from dataclasses import replace
 import json
 import time
 
@@ -35,7 +36,7 @@ from ocp_ros.training.sac import (
     make_sac,
 )
 from ocp_ros.training.state import load_state, save_state
-from ocp_ros.training.train import train
+from ocp_ros.training.train import act_of, make_rooms, train
 from ocp_ros.training.transitions import Assembler, Reward, Transition
 
 SIMULATION = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=16, coverage_cell=1.0),
@@ -88,20 +89,30 @@ def test_symmetries_are_eight_and_keep_lengths():
     torch.testing.assert_close(turn(vectors, SYMMETRIES).norm(dim=-1), vectors.norm(dim=-1))
 
 
+def turned(encoded, matrix):
+    """Apply a symmetry to one observation."""
+    batch = {name: torch.from_numpy(value)[None] for name, value in encoded.items()}
+    return turn_observation(batch, matrix[None])
+
+
 def test_the_replay_gives_back_what_was_stored_but_for_a_symmetry(env, small_agent):
     model = make_sac(SAC, small_agent, 4, env)
     before, _ = env.reset(seed=0)
-    action = np.full((4, 2), 0.25, np.float32)
+    action = np.linspace(-0.9, 0.8, 8, dtype=np.float32).reshape(4, 2)
     after, reward, _, _, info = env.step(action)
     model.replay_buffer.add(*({n: v[None] for n, v in o.items()} for o in (before, after)),
                             action[None], np.array([reward]), np.array([False]), [info])
     batch = model.replay_buffer.sample(16)
     assert (batch.rewards == np.float32(reward)).all()
     for index in range(16):
-        options = [turn_observation({n: torch.from_numpy(v)[None] for n, v in before.items()},
-                                    matrix[None])['points'][0] for matrix in SYMMETRIES]
-        assert any(torch.equal(batch.observations['points'][index], o) for o in options)
-    assert (batch.actions.abs() == 0.25).all()
+        # One and the same symmetry turns the observation, the action and what followed.
+        assert any(
+            torch.equal(batch.observations['points'][index], turned(before, matrix)['points'][0])
+            and torch.equal(batch.next_observations['cameras'][index],
+                            turned(after, matrix)['cameras'][0])
+            and torch.allclose(batch.actions[index].view(4, 2),
+                               torch.from_numpy(action) @ matrix.T)
+            for matrix in SYMMETRIES)
 
 
 def test_the_policy_gives_sacs_own_actions(env, small_agent, room):
@@ -112,6 +123,10 @@ def test_the_policy_gives_sacs_own_actions(env, small_agent, room):
     episode = env.unwrapped.episode
     found = policy.act(episode.observed_cloud, episode.turn.positions)
     np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_the_target_entropy_is_per_component_of_the_action(small_agent):
+    assert make_sac(SAC, small_agent, 3).target_entropy == SAC.target_entropy * 6
 
 
 def test_weights_go_into_sac_and_come_out(small_agent):
@@ -145,10 +160,13 @@ def test_training_resumes_where_it_stopped(env, small_agent, tmp_path):
     assert (other._n_updates, other.num_timesteps) == (model._n_updates, 30)
     before, after = model.policy.state_dict(), other.policy.state_dict()
     assert all(torch.equal(after[name], value) for name, value in before.items())
-    before, after = (m.critic.optimizer.state_dict()['state'] for m in (model, other))
-    assert before.keys() == after.keys()
-    assert all(torch.equal(after[index][slot], value)
-               for index, slots in before.items() for slot, value in slots.items())
+    assert torch.equal(model.log_ent_coef, other.log_ent_coef)
+    for get in (lambda m: m.critic.optimizer, lambda m: m.actor.optimizer,
+                lambda m: m.ent_coef_optimizer):
+        before, after = (get(m).state_dict()['state'] for m in (model, other))
+        assert before.keys() == after.keys()
+        assert all(torch.equal(after[index][slot], value)
+                   for index, slots in before.items() for slot, value in slots.items())
     other.learn(5, reset_num_timesteps=False)
     with pytest.raises(CheckpointError, match='no training state for this network'):
         load_state(make_sac(SAC, type(small_agent)(), 4), tmp_path / 's.safetensors')
@@ -206,6 +224,8 @@ def test_a_learner_trains_from_transitions_and_leaves_whole_checkpoints(small_ag
     for seed in range(40):
         learner.add(transition(small_agent, seed))
     until(lambda: learner.updates >= 28, learner)
+    replay = learner.model.replay_buffer
+    assert (replay.rewards[:40] == 1.0).all() and not replay.dones[:40].any()
     weights = learner.take_weights()
     assert weights.run == learner.run and 0 < weights.updates <= 28
     assert learner.take_weights() is None
@@ -243,10 +263,19 @@ def test_transitions_are_assembled_in_any_order_of_their_parts(small_agent):
 
 
 def test_incomplete_transitions_are_dropped_and_counted():
-    assembler = Assembler(max_step=0.5, capacity=3)
-    for stamp in range(2, 8):
-        assembler.add_reward(Reward(stamp - 1, stamp, 0.0, False))
-    assert assembler.incomplete == 3 and assembler.assembled == 0
+    assembler = Assembler(max_step=0.5, patience=8)
+    positions = np.zeros((2, 3))
+    for stamp in range(1, 101):
+        assembler.add_turn(stamp, {}, positions)
+        if stamp % 5:
+            assembler.add_command(stamp, positions)
+        if stamp > 1:
+            assembler.add_reward(Reward(stamp - 1, stamp, 0.0, False))
+    # Every fifth command was lost; the last of those may still come.
+    assert assembler.assembled == 80
+    assert assembler.incomplete == 18
+    assembler.clear()
+    assert assembler.incomplete == 19
 
 
 def test_a_turn_that_another_command_made_is_no_transition():
@@ -280,7 +309,12 @@ def test_a_run_reports_on_rooms_it_never_saw_and_goes_on_when_it_is_started_agai
     config = from_nested(TrainingConfig, TINY)
     first = train(config, tmp_path)
     assert first.provenance['test']['rooms'] == 1
-    assert {'policy', 'random_moves'} <= first.provenance['test'].keys()
+    config_of_test = replace(config.simulation, engine=replace(
+        config.simulation.engine, preset='fine'))
+    engines = simulators(make_rooms(config, 'test'), config_of_test)
+    figures = first.provenance['test']
+    assert figures['policy'] == evaluate(act_of(Policy(first)), engines)
+    assert figures['random_moves'] == evaluate(random_moves, engines)
     lines = [json.loads(line) for line in (tmp_path / 'progress.jsonl').read_text().splitlines()]
     assert [line['interactions'] for line in lines] == [24, 48]
     longer = train(from_nested(TrainingConfig, {**TINY, 'interactions': 80}), tmp_path)

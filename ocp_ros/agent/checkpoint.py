@@ -109,7 +109,8 @@ class Checkpoint:
             known = {'updates': int(card['updates']), 'run': str(card['run']),
                      'provenance': dict(card['provenance'])}
             weights = safetensors.torch.load(bytes(blob))
-        except (SafetensorError, KeyError, TypeError, ValueError, AttributeError) as error:
+        except (SafetensorError, KeyError, TypeError, ValueError, AttributeError, ArithmeticError,
+                RecursionError) as error:
             raise CheckpointError(
                 f'{what}: found no readable checkpoint ({type(error).__name__}: {error}); '
                 'expected a whole safetensors file written by this package') from error

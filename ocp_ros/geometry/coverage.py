@@ -3,6 +3,8 @@
 
 import numpy as np
 
+MOST_CELLS = 20_000_000
+
 
 def coverage_grid(bounds: np.ndarray, cell: float) -> tuple[np.ndarray, float]:
     """
@@ -11,12 +13,15 @@ def coverage_grid(bounds: np.ndarray, cell: float) -> tuple[np.ndarray, float]:
     :param bounds: (2, 3), lowest and highest corner, metres.
     :param cell: wanted edge of a cell, metres; each axis takes the nearest edge that divides it.
     :returns: centres (M, 3) float32, metres, and the volume of one cell, cubic metres.
-    :raises ValueError: if the cell is not positive.
+    :raises ValueError: if the cell is not positive, or so small that there are too many.
     """
     if not cell > 0.0:
         raise ValueError(f'coverage cell: found {cell}; expected metres above 0')
     size = bounds[1] - bounds[0]
     counts = np.maximum(np.round(size / cell).astype(int), 1)
+    if counts.prod(dtype=np.float64) > MOST_CELLS:
+        raise ValueError(f'coverage cell: found {cell} m, which makes {counts.prod():,} cells; '
+                         f'expected at most {MOST_CELLS:,}; use larger cells')
     axes = [bounds[0][k] + (np.arange(counts[k]) + 0.5) * size[k] / counts[k] for k in range(3)]
     centres = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 3)
     return centres.astype(np.float32), float(size.prod() / counts.prod())

@@ -27,6 +27,11 @@ def ns_to_stamp(nanoseconds: int) -> Time:
     return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
 
 
+def ns_of(fields: Mapping[str, float], name: str) -> int:
+    """Return the stamp that two fields ``<name>_sec`` and ``<name>_nanosec`` make, nanoseconds."""
+    return int(fields[f'{name}_sec']) * 1_000_000_000 + int(fields[f'{name}_nanosec'])
+
+
 def cloud_to_msg(points: np.ndarray, header: Header) -> PointCloud2:
     """
     Pack a cloud as x, y, z of float32.

@@ -10,7 +10,6 @@ from datetime import datetime, timezone
 import json
 import os
 from pathlib import Path
-import signal
 import sys
 from typing import Any
 
@@ -19,8 +18,15 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
-from ocp_ros.configuration import to_nested
-from ocp_ros.nodes.processes import free_domain, LOCALHOST, NodeProcess
+from ocp_ros.configuration import from_flat, to_nested
+from ocp_ros.nodes.policy_node import PolicyNodeConfig
+from ocp_ros.nodes.processes import (
+    end_on_signals,
+    free_domain,
+    LOCALHOST,
+    NodeProcess,
+    stopped_at_the_end,
+)
 from ocp_ros.nodes.sim_node import SimNodeConfig
 from ocp_ros.nodes.watcher import Watch, Watcher
 from ocp_ros.report.picture import draw_placement
@@ -41,44 +47,51 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument('--turns', type=int, default=defaults.episode.turns)
     top.add_argument('--height', type=float, default=defaults.rig.height, help='metres')
     top.add_argument('--seed', type=int, default=defaults.scene.seed, help='of the generated room')
+    top.add_argument('--scale', type=float, default=defaults.scene.scale,
+                     help='metres per unit of the scan, 0.001 for millimetres')
+    top.add_argument('--up', choices=('x', 'y', 'z'), default=defaults.scene.up,
+                     help='axis of the scan that points up')
     top.add_argument('--model', default='default', help='weights: path or name')
     top.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
     return top
 
 
-def start_sim(options: argparse.Namespace, domain: int) -> NodeProcess:
-    """Start ``sim_node`` in the chosen room."""
-    parameters = {'rig.cameras': options.cameras, 'episode.turns': options.turns,
-                  'rig.height': options.height, 'scene.seed': options.seed}
-    if options.room:
-        parameters['scene.file'] = options.room.resolve()
-    return NodeProcess('sim_node', domain, options.out / 'logs' / 'sim_node.log', parameters)
+def sim_parameters(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the parameters of ``sim_node`` that the options set."""
+    room = {'scene.file': str(options.room.resolve())} if options.room else {}
+    return {**room, 'rig.cameras': options.cameras, 'episode.turns': options.turns,
+            'rig.height': options.height, 'scene.seed': options.seed,
+            'scene.scale': options.scale, 'scene.up': options.up}
+
+
+def policy_parameters(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the parameters of ``policy_node`` that the options set."""
+    return {'model': options.model, 'turns': options.turns}
 
 
 def run_episode(options: argparse.Namespace, domain: int, watch: Watch) -> None:
     """Start both nodes and watch them until the placement is final."""
-    node, processes = watch.node, [start_sim(options, domain)]
+    node, logs, processes = watch.node, options.out / 'logs', []
     columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
                TextColumn('{task.fields[error]}'))
-    try:
-        with Progress(*columns, console=Console(stderr=True)) as progress:
-            task = progress.add_task('starting nodes', total=options.turns, error='')
-            watch.until(lambda: node.scene is not None and bool(node.turns()),
-                        START_TIMEOUT, 'first turn of sim_node', processes)
-            processes.append(NodeProcess(
-                'policy_node', domain, options.out / 'logs' / 'policy_node.log',
-                {'model': options.model, 'turns': options.turns}))
-            seen = 1
-            while node.final_turn() is None:
-                watch.until(lambda: len(node.turns()) > seen or node.final_turn() is not None,
-                            START_TIMEOUT if seen == 1 else TURN_TIMEOUT, 'next turn', processes)
-                seen = len(node.turns())
-                progress.update(task, description='placing cameras', completed=seen - 1,
-                                error=f'depth error {node.turns()[-1][1]["depth_error"]:.2f} m')
-    finally:
-        codes = {process.name: process.stop() for process in reversed(processes)}
-    if any(codes.values()):
-        raise RuntimeError(f'found exit codes {codes}; expected 0 from every node')
+    with stopped_at_the_end(processes), \
+            Progress(*columns, console=Console(stderr=True)) as progress:
+        task = progress.add_task('starting nodes', total=options.turns, error='')
+        processes.append(
+            NodeProcess('sim_node', domain, logs / 'sim_node.log', sim_parameters(options)))
+        watch.until(lambda: node.scene is not None and bool(node.turns()),
+                    START_TIMEOUT, 'first turn of sim_node', processes)
+        for warning in processes[0].warnings():
+            progress.console.print(warning, markup=False)
+        processes.append(NodeProcess(
+            'policy_node', domain, logs / 'policy_node.log', policy_parameters(options)))
+        seen = 1
+        while node.final_turn() is None:
+            watch.until(lambda: len(node.turns()) > seen or node.final_turn() is not None,
+                        START_TIMEOUT if seen == 1 else TURN_TIMEOUT, 'next turn', processes)
+            seen = len(node.turns())
+            progress.update(task, description='placing cameras', completed=seen - 1,
+                            error=f'depth error {node.turns()[-1][1]["depth_error"]:.2f} m')
 
 
 def result_of(options: argparse.Namespace, node: Watcher) -> dict[str, Any]:
@@ -132,7 +145,7 @@ def table(result: dict[str, Any]) -> Table:
 def main(args: list[str] | None = None) -> int:
     """Run the demo; bad input gets one sentence and exit code 2."""
     options = parser().parse_args(args)
-    signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGINT))
+    end_on_signals()
     os.environ.update(LOCALHOST)
     domain, holder = free_domain()
     try:
@@ -143,8 +156,11 @@ def main(args: list[str] | None = None) -> int:
     except RuntimeError as error:
         print(f'demo: {error}', file=sys.stderr)
         return 2
-    result['config'] = {'sim_node': to_nested(SimNodeConfig()), 'changed': {
-        'cameras': options.cameras, 'turns': options.turns, 'height': options.height}}
+    except KeyboardInterrupt:
+        return 130
+    result['config'] = {
+        'sim_node': to_nested(from_flat(SimNodeConfig, sim_parameters(options))),
+        'policy_node': to_nested(from_flat(PolicyNodeConfig, policy_parameters(options)))}
     (options.out / 'demo.json').write_text(json.dumps(result, indent=2) + '\n')
     Console().print(table(result))
     print(f'wrote {options.out / "demo.json"} and {options.out / "demo.png"}')

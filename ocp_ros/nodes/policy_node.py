@@ -26,6 +26,8 @@ from ocp_ros.nodes.conversions import (
     msg_to_cloud,
     msg_to_fields,
     msg_to_positions,
+    ns_of,
+    ns_to_stamp,
     positions_to_msg,
 )
 from ocp_ros.nodes.parameters import declare
@@ -81,18 +83,24 @@ class PolicyNode(Node):
 
     def _start_episode(self, episode: int) -> None:
         """Forget the turns of the last episode."""
-        self._episode, self._step, self._still, self._settled = episode, 0, 0, False
+        self._episode, self._step, self._still = episode, 0, 0
+        self._over = self._settled = False
 
     def _on_reward(self, message: Float64MultiArray) -> None:
         """Learn from a simulation which turn it is; real cameras have no such topic."""
         try:
-            fields = msg_to_fields(message, ('episode', 'step'))
+            fields = msg_to_fields(
+                message, ('stamp_sec', 'stamp_nanosec', 'episode', 'step', 'truncated'))
         except MessageError as error:
             self._refuse(error)
             return
-        if int(fields['episode']) != self._episode:
+        # Step 0 is a new episode in any case: a restarted simulation counts from 1 again.
+        if int(fields['episode']) != self._episode or int(fields['step']) == 0:
             self._start_episode(int(fields['episode']))
-        self._step = int(fields['step'])
+        self._step, self._over = int(fields['step']), bool(fields['truncated'])
+        stamp = ns_to_stamp(ns_of(fields, 'stamp'))
+        if self._over and self._answer is not None and self._answer.header.stamp == stamp:
+            self._settle(self._poses)
 
     def _on_cloud(self, message: PointCloud2) -> None:
         """Keep the observation; act when its poses are here."""
@@ -111,6 +119,9 @@ class PolicyNode(Node):
             return
         if self._answer is None or self._answer.header.stamp != poses.header.stamp:
             try:
+                if cloud.header.frame_id != poses.header.frame_id:
+                    raise MessageError(f'cloud: found the frame {cloud.header.frame_id!r}; '
+                                       f'expected that of the poses, {poses.header.frame_id!r}')
                 self._answer = self._decide(msg_to_cloud(cloud), msg_to_positions(poses), poses)
             except MessageError as error:
                 self._refuse(error)
@@ -123,24 +134,28 @@ class PolicyNode(Node):
         """Choose where the cameras go, and say so once it is where they stay."""
         if len(cloud) == 0:
             raise MessageError('cloud: found no finite point; expected what the cameras see')
-        if not self._settled and not self.config.explore and (
+        if self._over or not self.config.explore and (
                 self._step >= self.config.turns or self._still >= self.config.convergence_turns):
-            self._settled = True
-            self._placement.publish(poses)
-            self.get_logger().info(f'placement is final after {self._step} turns')
-        if self._settled:
-            return positions_to_msg(positions, poses.header)
+            self._settle(poses)
         target = positions.copy()
-        actions = self.policy.act(cloud, positions, self._rng)
-        target[:, :2] += bounded_moves(actions, self.config.max_step)
-        bounds = np.stack([cloud.min(axis=0), cloud.max(axis=0)]).astype(np.float64)
-        target, _ = kept_inside(target, bounds, self.config.wall_margin)
+        if not self._settled:
+            actions = self.policy.act(cloud, positions, self._rng)
+            target[:, :2] += bounded_moves(actions, self.config.max_step)
         if not np.isfinite(target).all():
             self.get_logger().error('the policy gave NaN or inf; cameras stay where they are')
             target = positions
+        bounds = np.stack([cloud.min(axis=0), cloud.max(axis=0)]).astype(np.float64)
+        target, _ = kept_inside(target, bounds, self.config.wall_margin)
         moved = np.linalg.norm(target - positions, axis=1).max()
         self._still = self._still + 1 if moved < self.config.convergence_distance else 0
         return positions_to_msg(target, poses.header)
+
+    def _settle(self, poses: PoseArray) -> None:
+        """Publish the placement, once per episode."""
+        if not self._settled:
+            self._settled = True
+            self._placement.publish(poses)
+            self.get_logger().info(f'placement is final after {self._step} turns')
 
     def _on_weights(self, message: UInt8MultiArray) -> None:
         """Check new weights and swap them in whole, or keep those that run."""

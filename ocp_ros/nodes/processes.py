@@ -1,12 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Node processes for the demos: real nodes, each in a process of its own, over DDS."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+import json
 import os
 from pathlib import Path
 import signal
 import socket
 import subprocess
 import sys
+
+from ocp_ros.nodes.runner import undisturbed
 
 LOCALHOST = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
 
@@ -42,8 +47,9 @@ class NodeProcess:
         self.name, self.log = name, log
         arguments = [sys.executable, '-m', f'ocp_ros.nodes.{name}', '--ros-args']
         for key, value in parameters.items():
-            text = str(value).lower() if isinstance(value, bool) else str(value)
-            arguments += ['-p', f'{key}:={text}']
+            # The value is read as YAML, which JSON is: a path may hold anything.
+            plain = str(value) if isinstance(value, Path) else value
+            arguments += ['-p', f'{key}:={json.dumps(plain)}']
         log.parent.mkdir(parents=True, exist_ok=True)
         with open(log, 'wb') as file:
             self.process = subprocess.Popen(
@@ -66,12 +72,45 @@ class NodeProcess:
         lines = self.log.read_text(errors='replace').strip().splitlines()
         return lines[-1] if lines else 'no output'
 
-    def stop(self) -> int:
-        """Ask the node to end, insist after 15 s, and return its exit code."""
+    def warnings(self) -> list[str]:
+        """Return the node's warnings so far."""
+        lines = self.log.read_text(errors='replace').splitlines()
+        return [line for line in lines if line.startswith('[WARN')]
+
+    def interrupt(self) -> None:
+        """Ask the node to end."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
+
+    def wait(self) -> int:
+        """Return the node's exit code; insist after 15 s."""
         try:
             return self.process.wait(timeout=15.0)
         except subprocess.TimeoutExpired:
             self.process.kill()
             return self.process.wait()
+
+
+@contextmanager
+def stopped_at_the_end(processes: list[NodeProcess]) -> Iterator[None]:
+    """
+    Stop node processes when a block ends, however it ends.
+
+    :param processes: the block adds those that it starts.
+    :raises RuntimeError: if the block ended well and a node did not.
+    """
+    try:
+        yield
+    finally:
+        with undisturbed():
+            for process in processes:
+                process.interrupt()
+            codes = {process.name: process.wait() for process in processes}
+    if any(codes.values()):
+        raise RuntimeError(f'found the exit codes {codes}; expected 0 from every node')
+
+
+def end_on_signals() -> None:
+    """Let SIGTERM and a closed terminal end a demo as Ctrl-C does."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.default_int_handler)

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every node's ``main`` does: start, spin, and end with code 0 on SIGINT and SIGTERM."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 import logging
+import signal
 import sys
 
 import rclpy
@@ -15,9 +17,29 @@ from ocp_ros.agent.checkpoint import CheckpointError
 from ocp_ros.configuration import ConfigurationError
 from ocp_ros.scenes.scene import SceneError
 
+#: Ctrl-C, a polite kill, and a terminal that is closed.
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 #: What a user can put right: told in one sentence, exit code 2.
 USER_ERRORS = (CheckpointError, ConfigurationError, SceneError, FileNotFoundError,
                InvalidParameterTypeException, InvalidParameterValueException)
+
+
+def ignore_signals() -> None:
+    """Let nothing interrupt this process any more."""
+    for number in ENDING:
+        signal.signal(number, signal.SIG_IGN)
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """Let nothing interrupt a block."""
+    before = {number: signal.getsignal(number) for number in ENDING}
+    ignore_signals()
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
@@ -31,6 +53,7 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     # What the engine has to say, such as how a large scan was thinned.
     logging.basicConfig(format='[%(levelname)s] [%(name)s]: %(message)s')
     logging.getLogger('ocp_ros').setLevel(logging.INFO)
+    logging.captureWarnings(True)
     rclpy.init(args=args)
     node, executor = None, SingleThreadedExecutor()
     try:
@@ -47,8 +70,12 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         print(f'{make_node.__name__}: {error}', file=sys.stderr)
         return 2
     finally:
+        # The process ends here: a second Ctrl-C must not lose what was learned.
+        ignore_signals()
         executor.shutdown()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
+        # rclpy has put back the handlers that it had found.
+        ignore_signals()
     return 0

@@ -105,6 +105,7 @@ class SimNode(Node):
         self._previous = self._stamp
         # Strictly later than the one before, whatever the clock does.
         self._stamp = max(self.get_clock().now().nanoseconds, self._stamp + 1)
+        self._answered = False
         header, turn = self._header(), self.episode.turn
         self._turn_messages = (
             (self._reward, fields_to_msg(self._reward_fields())),
@@ -113,9 +114,8 @@ class SimNode(Node):
         self._send_turn()
         self._coverage.publish(Float64(data=turn.space_coverage))
         self._error.publish(Float64(data=turn.depth_error))
-        if self._markers.get_subscription_count():
-            self._markers.publish(
-                rig_markers(np.array(self._way), self.config.rig.max_range, header))
+        self._markers.publish(
+            rig_markers(np.array(self._way), self.config.rig.max_range, header))
 
     def _reward_fields(self) -> dict[str, float]:
         """Return the fields of the reward topic in their order."""
@@ -133,20 +133,27 @@ class SimNode(Node):
 
     def _on_silence(self) -> None:
         """Send the turn again: its messages or the answer may have been lost."""
-        if not self.episode.turn.truncated:
+        # The last turn leads nowhere, but whoever commands has to know that it is the last.
+        if not (self._answered and self.episode.turn.truncated):
             self._counts['resent_turns'] += 1
             self._send_turn()
 
     def _on_command(self, message: PoseArray) -> None:
         """Move the cameras if the command answers the latest turn."""
-        if stamp_to_ns(message.header.stamp) != self._stamp or self.episode.turn.truncated:
+        if stamp_to_ns(message.header.stamp) != self._stamp:
             self._counts['stale_commands'] += 1
             return
         try:
             target = msg_to_positions(message, self.config.rig.cameras)
+            if message.header.frame_id != self.config.frame_id:
+                raise MessageError(f'command: found the frame {message.header.frame_id!r}; '
+                                   f'expected {self.config.frame_id!r}')
         except MessageError as error:
             self._counts['refused_commands'] += 1
             self.get_logger().warning(f'command refused: {error}', throttle_duration_sec=1.0)
+            return
+        self._answered = True
+        if self.episode.turn.truncated:
             return
         self.episode.move((target - self.episode.turn.positions)[:, :2])
         self._way.append(self.episode.turn.positions)

@@ -9,7 +9,6 @@ import argparse
 import json
 import os
 from pathlib import Path
-import signal
 import sys
 import time
 from typing import Any
@@ -19,7 +18,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
 from ocp_ros.nodes.demo import START_TIMEOUT
-from ocp_ros.nodes.processes import free_domain, LOCALHOST, NodeProcess
+from ocp_ros.nodes.processes import (
+    end_on_signals,
+    free_domain,
+    LOCALHOST,
+    NodeProcess,
+    stopped_at_the_end,
+)
 from ocp_ros.nodes.watcher import Watch
 
 
@@ -33,46 +38,41 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
-def start_nodes(options: argparse.Namespace, domain: int) -> list[NodeProcess]:
-    """Start the three nodes; the trainer first, so that it hears every turn."""
-    logs = options.out / 'logs'
-    return [
-        NodeProcess('trainer_node', domain, logs / 'trainer_node.log', {
-            'model': options.model, 'folder': options.out / 'trainer', 'publish_every': 20,
-            'sac.learning_starts': 100, 'updates_per_turn': 0.5}),
-        NodeProcess('policy_node', domain, logs / 'policy_node.log',
-                    {'model': options.model, 'explore': True}),
-        NodeProcess('sim_node', domain, logs / 'sim_node.log',
-                    {'scene.seed': options.seed, 'auto_reset': True})]
+def nodes(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """Return the nodes and their parameters; the trainer first, so that it hears every turn."""
+    return {
+        'trainer_node': {'model': options.model, 'folder': str(options.out / 'trainer'),
+                         'publish_every': 20, 'sac.learning_starts': 100,
+                         'updates_per_turn': 0.5},
+        'policy_node': {'model': options.model, 'explore': True},
+        'sim_node': {'scene.seed': options.seed, 'auto_reset': True}}
 
 
 def play(options: argparse.Namespace, domain: int, watch: Watch) -> float:
     """Run the loop for the turns asked for, and until new weights have arrived; seconds taken."""
-    node = watch.node
-    processes = start_nodes(options, domain)
+    node, processes = watch.node, []
     columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
                TextColumn('{task.fields[state]}'))
-    try:
-        with Progress(*columns, console=Console(stderr=True)) as progress:
-            task = progress.add_task('starting nodes', total=options.turns, state='')
+    with stopped_at_the_end(processes), \
+            Progress(*columns, console=Console(stderr=True)) as progress:
+        task = progress.add_task('starting nodes', total=options.turns, state='')
+        for name, parameters in nodes(options).items():
+            log = options.out / 'logs' / f'{name}.log'
+            processes.append(NodeProcess(name, domain, log, parameters))
 
-            def done() -> bool:
-                played = len(node.rewards)
-                swapped = int(node.health.get('policy_node', {}).get('weights_swapped', 0))
-                progress.update(task, completed=min(played, options.turns), state=(
-                    f'{node.health.get("trainer_node", {}).get("updates", 0)} updates, '
-                    f'{swapped} sets of weights arrived'))
-                return played >= options.turns and swapped > 0
+        def done() -> bool:
+            played = len(node.rewards)
+            swapped = int(node.health.get('policy_node', {}).get('weights_swapped', 0))
+            progress.update(task, completed=min(played, options.turns), state=(
+                f'{node.health.get("trainer_node", {}).get("updates", 0)} updates, '
+                f'{swapped} sets of weights arrived'))
+            return played >= options.turns and swapped > 0
 
-            watch.until(lambda: len(node.rewards) > 1, START_TIMEOUT, 'first turns', processes)
-            progress.update(task, description='training')
-            began = time.monotonic()
-            watch.until(done, 2.0 * START_TIMEOUT, 'new weights in policy_node', processes)
-            return time.monotonic() - began
-    finally:
-        codes = {process.name: process.stop() for process in reversed(processes)}
-        if any(codes.values()):
-            print(f'train_demo: found exit codes {codes}; expected 0', file=sys.stderr)
+        watch.until(lambda: len(node.rewards) > 1, START_TIMEOUT, 'first turns', processes)
+        progress.update(task, description='training')
+        began = time.monotonic()
+        watch.until(done, 2.0 * START_TIMEOUT, 'new weights in policy_node', processes)
+        return time.monotonic() - began
 
 
 def result_of(watch: Watch, seconds: float) -> dict[str, Any]:
@@ -89,7 +89,7 @@ def result_of(watch: Watch, seconds: float) -> dict[str, Any]:
 def main(args: list[str] | None = None) -> int:
     """Run the demo."""
     options = parser().parse_args(args)
-    signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGINT))
+    end_on_signals()
     os.environ.update(LOCALHOST)
     domain, holder = free_domain()
     try:
@@ -98,6 +98,8 @@ def main(args: list[str] | None = None) -> int:
     except RuntimeError as error:
         print(f'train_demo: {error}', file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        return 130
     (options.out / 'train_demo.json').write_text(json.dumps(result, indent=2) + '\n')
     table = Table('what', 'count', title='Training over ROS')
     for name, value in result.items():

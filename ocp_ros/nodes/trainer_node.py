@@ -17,11 +17,12 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 import torch
+import yaml
 
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.config import AgentConfig
 from ocp_ros.agent.observation import encode
-from ocp_ros.configuration import group, setting
+from ocp_ros.configuration import group, setting, to_nested
 from ocp_ros.nodes import health, topics
 from ocp_ros.nodes.conversions import (
     bytes_to_msg,
@@ -29,6 +30,7 @@ from ocp_ros.nodes.conversions import (
     msg_to_cloud,
     msg_to_fields,
     msg_to_positions,
+    ns_of,
     stamp_to_ns,
 )
 from ocp_ros.nodes.parameters import declare
@@ -61,9 +63,12 @@ class TrainerNode(Node):
         torch.set_num_threads(self.config.threads)
         start = Checkpoint.load(find_model(self.config.model)) if self.config.model else None
         self.learner = Learner(self.config, self.config.agent, self.config.sac, start)
+        (self.learner.folder / 'config.yaml').write_text(
+            yaml.safe_dump(to_nested(self.config), sort_keys=False))
         self.assembler = Assembler(self.config.max_step)
         self._waiting: Bounded = Bounded(16)
-        self._refused = self._published = 0
+        self._refused = self._published = self._newest = 0
+        self._told = False
         self._weights = self.create_publisher(UInt8MultiArray, topics.POLICY_WEIGHTS, LATCHED)
         for kind, name, callback in (
                 (Float64MultiArray, topics.REWARD, self._on_reward),
@@ -118,9 +123,11 @@ class TrainerNode(Node):
     def _on_reward(self, message: Float64MultiArray) -> None:
         """Take the reward of a turn; the first turn of an episode has none."""
         fields = msg_to_fields(message, REWARD_FIELDS)
-        stamp, previous = (
-            int(fields[f'{name}_sec']) * 1_000_000_000 + int(fields[f'{name}_nanosec'])
-            for name in ('stamp', 'previous'))
+        stamp, previous = ns_of(fields, 'stamp'), ns_of(fields, 'previous')
+        if stamp < self._newest:
+            # A restarted simulation on a clock that began anew: its stamps are other turns.
+            self.assembler.clear()
+        self._newest = stamp
         if fields['step'] > 0:
             self._learn(self.assembler.add_reward(
                 Reward(previous, stamp, fields['reward'], bool(fields['terminated']))))
@@ -131,7 +138,10 @@ class TrainerNode(Node):
             self.learner.add(transition)
 
     def _publish_weights(self) -> None:
-        """Publish what the learner has made since the last look."""
+        """Publish what the learner has made since the last look, or say why nothing comes."""
+        if self.learner.failure is not None and not self._told:
+            self._told = True
+            self.get_logger().error(f'training stopped: {self.learner.failure!r}')
         checkpoint = self.learner.take_weights()
         if checkpoint is not None:
             self._published += 1

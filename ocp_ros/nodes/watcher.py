@@ -14,7 +14,13 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64MultiArray
 
 from ocp_ros.nodes import topics
-from ocp_ros.nodes.conversions import msg_to_cloud, msg_to_fields, msg_to_positions, stamp_to_ns
+from ocp_ros.nodes.conversions import (
+    msg_to_cloud,
+    msg_to_fields,
+    msg_to_positions,
+    ns_of,
+    stamp_to_ns,
+)
 from ocp_ros.nodes.processes import NodeProcess
 from ocp_ros.nodes.qos import LATCHED, RECORDER
 
@@ -26,6 +32,7 @@ class Watcher(Node):
         super().__init__('watcher', **kwargs)
         self.scene: np.ndarray | None = None
         self.placement: np.ndarray | None = None
+        self.placement_stamp = 0
         #: Stamp in nanoseconds to positions (K, 3), and to the fields of the reward topic.
         self.positions: dict[int, np.ndarray] = {}
         self.rewards: dict[int, dict[str, float]] = {}
@@ -44,6 +51,7 @@ class Watcher(Node):
     def _on_placement(self, message: PoseArray) -> None:
         """Keep the final answer."""
         self.placement = msg_to_positions(message)
+        self.placement_stamp = stamp_to_ns(message.header.stamp)
 
     def _on_poses(self, message: PoseArray) -> None:
         """Keep where the cameras are."""
@@ -52,7 +60,7 @@ class Watcher(Node):
     def _on_reward(self, message: Float64MultiArray) -> None:
         """Keep what the turn is worth."""
         fields = msg_to_fields(message, topics.REWARD_FIELDS)
-        stamp = int(fields['stamp_sec']) * 1_000_000_000 + int(fields['stamp_nanosec'])
+        stamp = ns_of(fields, 'stamp')
         # A turn that is sent again is still the same turn.
         self.rewards.setdefault(stamp, {**fields, 'received': time.monotonic()})
 
@@ -67,11 +75,9 @@ class Watcher(Node):
                 for stamp in sorted(self.rewards) if stamp in self.positions]
 
     def final_turn(self) -> int | None:
-        """Return the index of the turn that the placement is, None before both are here."""
-        if self.placement is None:
-            return None
-        return next((index for index, (positions, _) in enumerate(self.turns())
-                     if np.array_equal(positions, self.placement)), None)
+        """Return the index of the turn that the placement is of; None before both are here."""
+        stamps = [stamp for stamp in sorted(self.rewards) if stamp in self.positions]
+        return stamps.index(self.placement_stamp) if self.placement_stamp in stamps else None
 
 
 class Watch:

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 MIN_POINTS = 100
 #: Nearest points that a point's plane is fitted to, itself included.
 NEIGHBOURS = 14
-#: Metres: smallest edge of a voxel, and largest extent of a scene.
-MIN_VOXEL, LARGEST = 0.001, 500.0
+#: Metres: smallest edge of a voxel, largest extent of a scene, and largest of its least extent.
+MIN_VOXEL, LARGEST, HIGHEST = 0.001, 500.0, 40.0
 
 
 class SceneError(ValueError):
@@ -162,6 +162,9 @@ def _check_size(points: np.ndarray, name: str) -> None:
                              'expected one room; remove the stray points')
         raise SceneError(f'{found}; expected metres, and no room is that large: these look like '
                          'millimetres; load with scale=0.001')
+    if size.min() > HIGHEST:
+        raise SceneError(f'{found}; expected metres, and no room is that high: these look like '
+                         'centimetres; load with scale=0.01')
     if size.max() < 0.5:
         raise SceneError(f'{found}; expected a room of at least 0.5 m: the unit may not be the '
                          'metre; load with scale=1000 for kilometres, or check the export')

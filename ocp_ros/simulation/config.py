@@ -3,7 +3,7 @@
 
 from dataclasses import dataclass
 
-from ocp_ros.configuration import group, setting
+from ocp_ros.configuration import ConfigurationError, group, setting
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.visibility import PRESETS
 
@@ -16,6 +16,13 @@ class RigConfig:
     min_range: float = setting(0.0, 'nearest distance a camera measures, metres', 0.0, 10.0)
     max_range: float = setting(4.0, 'effective range of a camera, metres', 0.1, 100.0)
     height: float = setting(1.9, 'height of the cameras above the floor, metres', 0.0, 20.0)
+
+    def __post_init__(self) -> None:
+        """Refuse ranges that exclude each other."""
+        if self.min_range >= self.max_range:
+            raise ConfigurationError(
+                f'rig.min_range: found {self.min_range} m with rig.max_range {self.max_range} m; '
+                'expected less than it')
 
     @property
     def model(self) -> CameraModel:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learner that is fed with transitions and trains beside whatever feeds it."""
 
+from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 import queue
@@ -62,7 +63,7 @@ class Learner:
         self.transitions = 0
         self.failure: BaseException | None = None
         self._first_update = self.updates
-        self._fresh: Checkpoint | None = None
+        self._fresh: deque[Checkpoint] = deque(maxlen=1)
         # The thread alone touches the model; everybody else leaves notes.
         self._inbox: queue.SimpleQueue[Transition | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._work, name='learner', daemon=True)
@@ -74,13 +75,16 @@ class Learner:
         return int(self.model._n_updates)
 
     def add(self, transition: Transition) -> None:
-        """Hand over a transition; returns at once."""
-        self._inbox.put(transition)
+        """Hand over a transition; returns at once. After a failure nobody would take it."""
+        if self.failure is None:
+            self._inbox.put(transition)
 
     def take_weights(self) -> Checkpoint | None:
         """Return the weights made since the last call, or None."""
-        fresh, self._fresh = self._fresh, None
-        return fresh
+        try:
+            return self._fresh.pop()
+        except IndexError:
+            return None
 
     def close(self) -> None:
         """Stop training and save what was learned."""
@@ -123,7 +127,7 @@ class Learner:
     def _after(self, updates: int) -> None:
         """Log, publish and save when it is time."""
         if updates % self.config.publish_every < BURST:
-            self._fresh = self.checkpoint()
+            self._fresh.append(self.checkpoint())
             self.model.logger.record('train/transitions', self.transitions)
             self.model.logger.dump(self.model.num_timesteps)
         if updates % self.config.save_every < BURST:

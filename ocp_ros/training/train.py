@@ -23,7 +23,7 @@ import yaml
 
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.policy import Policy
-from ocp_ros.configuration import from_nested, to_nested
+from ocp_ros.configuration import ConfigurationError, from_nested, to_nested
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.simulation.env import CameraPlacementEnv
 from ocp_ros.training.config import TrainingConfig
@@ -38,7 +38,13 @@ def read_config(path: Path) -> TrainingConfig:
 
     :raises ConfigurationError: for an unknown name or a bad value.
     """
-    return from_nested(TrainingConfig, yaml.safe_load(Path(path).read_text()) or {}, str(path))
+    try:
+        content = yaml.safe_load(Path(path).read_text())
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        reason = ' '.join(str(error).split())
+        raise ConfigurationError(f'{path}: found no valid YAML ({reason}); expected settings, '
+                                 'one "name: value" per line') from error
+    return from_nested(TrainingConfig, content or {}, str(path))
 
 
 def make_rooms(config: TrainingConfig, part: str) -> list:

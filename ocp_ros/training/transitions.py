@@ -56,18 +56,25 @@ class Assembler:
     Put transitions together by stamp.
 
     :param max_step: longest step in metres, to turn commanded moves into actions.
-    :param capacity: turns to wait for missing parts.
+    :param patience: turns after which what is still incomplete is dropped and counted.
     """
 
-    def __init__(self, max_step: float, capacity: int = 64) -> None:
-        self.max_step = max_step
+    def __init__(self, max_step: float, patience: int = 32) -> None:
+        self.max_step, self.patience = max_step, patience
+        self.assembled = self.incomplete = self.inconsistent = 0
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget every turn, as when the stamps begin anew; what was incomplete is dropped."""
+        self.incomplete += len(getattr(self, '_rewards', ()))
+        capacity = 2 * self.patience
         self._observations: Bounded = Bounded(capacity)
         self._positions: Bounded = Bounded(capacity)
         self._commands: Bounded = Bounded(capacity)
-        self._rewards: OrderedDict[int, Reward] = OrderedDict()
-        self._rewarded: Bounded = Bounded(4 * capacity)
-        self.capacity = capacity
-        self.assembled = self.incomplete = self.inconsistent = 0
+        self._rewarded: Bounded = Bounded(2 * capacity)
+        #: Rewards that wait, and the number each came as.
+        self._rewards: dict[int, tuple[int, Reward]] = {}
+        self._count = 0
 
     def knows(self, stamp: int) -> bool:
         """Tell whether a turn's observation is here already, as when it was sent again."""
@@ -96,16 +103,18 @@ class Assembler:
         if reward.stamp in self._rewarded:
             return []
         self._rewarded[reward.stamp] = True
-        self._rewards[reward.stamp] = reward
-        while len(self._rewards) > self.capacity:
-            self._rewards.popitem(last=False)
-            self.incomplete += 1
+        self._count += 1
+        self._rewards[reward.stamp] = (self._count, reward)
+        for stamp, (number, _) in list(self._rewards.items()):
+            if number <= self._count - self.patience:
+                del self._rewards[stamp]
+                self.incomplete += 1
         return self._complete()
 
     def _complete(self) -> list[Transition]:
         """Take out what is complete."""
         found = []
-        for stamp, reward in list(self._rewards.items()):
+        for stamp, (_, reward) in list(self._rewards.items()):
             ends = (reward.previous, stamp)
             if reward.previous in self._commands and all(e in self._observations for e in ends):
                 del self._rewards[stamp]
