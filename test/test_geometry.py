@@ -16,8 +16,12 @@ from ocp_ros.geometry.coverage import coverage_grid, space_coverage
 from ocp_ros.geometry.depth_error import DepthError, viewpoints
 from ocp_ros.geometry.shadow_maps import Pose, project, Projection, splat, visible
 from ocp_ros.geometry.surfels import (
+    BLOCK,
+    block_bounds,
+    blocks_in_range,
     distances,
     project_surfels,
+    spatial_order,
     splat_surfels,
     Surfels,
     SurfelSettings,
@@ -37,6 +41,8 @@ MODELS = {
 }
 HERE = Pose(np.zeros(3), np.eye(3))
 NOWHERE = np.empty((0, 3), np.float32)
+#: The tests' clouds fit in one block.
+ALL = np.array([0])
 seeds = st.integers(0, 2 ** 32 - 1)
 
 
@@ -79,7 +85,7 @@ def test_both_projections_agree_with_their_twin(model, seed):
     pose = Pose(rng.uniform(-1, 1, 3), rotation_matrix(*rng.uniform(-3, 3, 3)))
     where, view = Projection.empty(len(points)), SurfelView.empty(len(points))
     project(points, pose, model.lens, where)
-    project_surfels(Surfels.of(points, normals, sizes), pose, model.lens, 64, view)
+    project_surfels(Surfels.of(points, normals, sizes), ALL, pose, model.lens, 64, view)
     distance, elevation, azimuth = twins.project(points, *pose, model)
     measured = np.isfinite(distance)
     assert np.array_equal(np.isfinite(where.distance), measured)
@@ -125,10 +131,10 @@ def test_a_surfel_is_a_disc_on_its_plane(seed):
     if abs(point @ normal) < 0.35 * np.linalg.norm(point):
         normal = point / np.linalg.norm(point)
     radius, view = np.array([rng.uniform(0.05, 0.2)], np.float32), SurfelView.empty(1)
-    project_surfels(Surfels.of(point[None], normal[None], radius), HERE,
+    project_surfels(Surfels.of(point[None], normal[None], radius), ALL, HERE,
                     MODELS['omnidirectional'].lens, settings.rows, view)
     inverse = np.empty(130 * 258, np.float32)
-    splat_surfels(view, radius, 4.0, settings, inverse)
+    splat_surfels(view, radius, ALL, 4.0, settings, inverse)
     found = distances(inverse, settings.rows)
     plane, offset = twins.disc(point, normal, np.zeros(3), settings.rows)
     covered = found < 3.99
@@ -150,14 +156,26 @@ def test_the_visibility_of_surfels_agrees_with_its_twin(seed):
     normals = points / np.linalg.norm(points, axis=1, keepdims=True)
     settings, view = PRESETS['fine'], SurfelView.empty(len(points))
     surfels = Surfels.of(points, normals, sizes)
-    project_surfels(surfels, HERE, MODELS['omnidirectional'].lens, settings.rows, view)
+    project_surfels(surfels, ALL, HERE, MODELS['omnidirectional'].lens, settings.rows, view)
     inverse = np.empty((settings.rows + 2) * (2 * settings.rows + 2), np.float32)
-    splat_surfels(view, surfels.radius, 4.0, settings, inverse)
+    splat_surfels(view, surfels.radius, ALL, 4.0, settings, inverse)
     seen = np.zeros(len(points), dtype=bool)
-    visible_surfels(view, surfels.radius, settings, inverse, seen)
+    visible_surfels(view, surfels.radius, ALL, np.arange(len(points)), settings, inverse, seen)
     expected = twins.visible_surfels(points, normals, sizes, np.zeros(3), settings,
                                      distances(inverse, settings.rows))
     assert (seen != expected).mean() <= 0.02
+
+
+@given(seed=seeds, count=st.integers(1, 2000), reach=st.floats(0.1, 5.0))
+@budget(max_examples=30, deadline=None)
+def test_no_block_with_a_point_in_range_is_passed_over(seed, count, reach):
+    points = cloud(seed, count)[0]
+    order = spatial_order(points)
+    assert np.array_equal(np.sort(order), np.arange(count))
+    position = np.random.default_rng(seed).uniform(-4, 4, 3).astype(np.float32)
+    found = blocks_in_range(block_bounds(points[order]), position, np.float32(reach))
+    near = np.flatnonzero(np.linalg.norm(points[order] - position, axis=1) < reach - 1e-4)
+    assert set(near // BLOCK) <= set(found)
 
 
 def test_small_discs_fill_up_to_four_cells():
@@ -168,10 +186,10 @@ def test_small_discs_fill_up_to_four_cells():
         # Where four cells meet: each of the four has its centre half a cell away either way.
         point = 2.0 * np.array([[np.cos(1e-4), 0.0, np.sin(1e-4)]])
         radius, view = np.array([size * cell * 2.0], np.float32), SurfelView.empty(1)
-        project_surfels(Surfels.of(point, point / 2.0, radius), HERE,
+        project_surfels(Surfels.of(point, point / 2.0, radius), ALL, HERE,
                         MODELS['omnidirectional'].lens, 64, view)
         inverse = np.empty(66 * 130, np.float32)
-        splat_surfels(view, radius, 4.0, settings, inverse)
+        splat_surfels(view, radius, ALL, 4.0, settings, inverse)
         counts.append(int((distances(inverse, 64) < 3.0).sum()))
     assert counts == [1, 4, 4]
 
@@ -258,8 +276,9 @@ def test_turning_the_room_by_whole_cells_changes_next_to_nothing(preset, seed, t
     other = look(np.ascontiguousarray(points @ rotation.T), sizes,
                  np.ascontiguousarray(normals @ rotation.T), HERE, MODELS['omnidirectional'],
                  preset)
-    # Rounding moves a few points and edges of footprints to the neighbouring cell.
-    assert (one != other).mean() <= 0.02
+    # Rounding moves a few points and edges of footprints to the neighbouring cell; and where the
+    # angle is no whole number of cells, each footprint falls on others.
+    assert (one != other).mean() <= 0.04
 
 
 @pytest.mark.parametrize('preset', PRESETS)

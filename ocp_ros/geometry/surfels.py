@@ -24,6 +24,10 @@ FAST = {'nsz', 'arcp', 'contract', 'afn', 'reassoc'}
 PI, HALF_PI, HALF, ONE = f32(np.pi), f32(np.pi / 2), f32(0.5), f32(1.0)
 #: On grazing surfaces, the least cosine and the farthest from its point that a disc may reach.
 LEAST_COSINE, LOWEST, HIGHEST = f32(0.12), f32(0.7), f32(1.4)
+#: Points that are looked at or passed over together.
+BLOCK = 256
+#: Unsigned, since an index that might be negative keeps a loop from being vectorised.
+STEP = u64(BLOCK)
 
 
 class Surfels(NamedTuple):
@@ -52,6 +56,62 @@ class Surfels(NamedTuple):
         """Build surfels from points (N, 3), normals (N, 3) and radii (N,)."""
         columns = [*np.asarray(points).T, *np.asarray(normals).T, radius]
         return cls(*(np.ascontiguousarray(column, dtype=np.float32) for column in columns))
+
+
+def spatial_order(points: np.ndarray) -> np.ndarray:
+    """
+    Sort points along a Morton curve, so that neighbours in the order are neighbours in space.
+
+    :param points: (N, 3), metres.
+    :returns: (N,) int64 indices.
+    """
+    if len(points) == 0:
+        return np.empty(0, dtype=np.int64)
+    low = points.min(axis=0)
+    extent = max(float(np.ptp(points, axis=0).max()), 1e-9)
+    cells = ((points - low) / extent * 1023).astype(np.int64)
+    code = np.zeros(len(points), dtype=np.int64)
+    for bit in range(10):
+        for axis in range(3):
+            code |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return np.argsort(code, kind='stable')
+
+
+def block_bounds(points: np.ndarray) -> np.ndarray:
+    """
+    Bound each block of ``BLOCK`` points in a row.
+
+    :param points: (N, 3), metres, in spatial order.
+    :returns: (B, 2, 3) float32: lowest and highest corners, metres.
+    """
+    starts = np.arange(0, len(points), BLOCK)
+    if len(starts) == 0:
+        return np.empty((0, 2, 3), dtype=np.float32)
+    return np.stack([np.minimum.reduceat(points, starts), np.maximum.reduceat(points, starts)],
+                    axis=1).astype(np.float32)
+
+
+@njit(cache=True, nogil=True)
+def blocks_in_range(bounds, position, farthest):
+    """
+    Find the blocks that a camera may measure some point of.
+
+    :param bounds: (B, 2, 3) float32, metres.
+    :param position: (3,) float32, metres.
+    :param farthest: range of the camera, metres.
+    :returns: int64 indices of blocks.
+    """
+    found = np.empty(bounds.shape[0], dtype=np.int64)
+    count = 0
+    for b in range(bounds.shape[0]):
+        total = f32(0.0)
+        for axis in range(3):
+            short = max(bounds[b, 0, axis] - position[axis], position[axis] - bounds[b, 1, axis])
+            total += max(short, f32(0.0)) ** 2
+        if total <= farthest * farthest:
+            found[count] = b
+            count += 1
+    return found[:count]
 
 
 class SurfelView(NamedTuple):
@@ -117,62 +177,68 @@ def _arctan2(y, x):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model='numpy')
-def _project(surfels, position, nearest, farthest, rows, view):
-    """Project without regard to the field of view; one loop without branches."""
+def _project(surfels, blocks, position, nearest, farthest, rows, view):
+    """Project without regard to the field of view; per block one loop without branches."""
     x0, y0, z0 = position[0], position[1], position[2]
     per_radian = f32(rows) / PI
-    for i in range(surfels.x.shape[0]):
-        dx, dy, dz = surfels.x[i] - x0, surfels.y[i] - y0, surfels.z[i] - z0
-        flat = math.sqrt(dx * dx + dy * dy)
-        distance = math.sqrt(dx * dx + dy * dy + dz * dz)
-        inverse = ONE / max(distance, f32(1e-6))
-        across = ONE / max(flat, f32(1e-6))
-        cos_a, sin_a = dx * across, dy * across
-        cos_e, sin_e = flat * inverse, dz * inverse
-        outward = surfels.nx[i] * cos_a + surfels.ny[i] * sin_a
-        facing = outward * cos_e + surfels.nz[i] * sin_e
-        cosine = max(abs(facing), LEAST_COSINE)
-        steep = (ONE if facing >= f32(0.0) else -ONE) / cosine
-        view.cosine[i] = cosine
-        view.slope_row[i] = (surfels.nz[i] * cos_e - outward * sin_e) * steep
-        view.slope_column[i] = (surfels.ny[i] * cos_a - surfels.nx[i] * sin_a) * steep
-        view.row[i] = min((_arctan2(dz, flat) + HALF_PI) * per_radian, f32(rows) - f32(1e-3))
-        view.column[i] = min((_arctan2(dy, dx) + PI) * per_radian, f32(2 * rows) - f32(2e-3))
-        view.flat[i] = max(cos_e, f32(1e-4))
-        measured = (distance >= nearest) & (distance <= farthest)
-        view.inverse[i] = inverse if measured else f32(0.0)
+    for block in blocks:
+        for i in range(u64(block) * STEP, min(u64(block + 1) * STEP, u64(surfels.x.shape[0]))):
+            dx, dy, dz = surfels.x[i] - x0, surfels.y[i] - y0, surfels.z[i] - z0
+            flat = math.sqrt(dx * dx + dy * dy)
+            distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+            inverse = ONE / max(distance, f32(1e-6))
+            across = ONE / max(flat, f32(1e-6))
+            cos_a, sin_a = dx * across, dy * across
+            cos_e, sin_e = flat * inverse, dz * inverse
+            outward = surfels.nx[i] * cos_a + surfels.ny[i] * sin_a
+            facing = outward * cos_e + surfels.nz[i] * sin_e
+            cosine = max(abs(facing), LEAST_COSINE)
+            steep = (ONE if facing >= f32(0.0) else -ONE) / cosine
+            view.cosine[i] = cosine
+            view.slope_row[i] = (surfels.nz[i] * cos_e - outward * sin_e) * steep
+            view.slope_column[i] = (surfels.ny[i] * cos_a - surfels.nx[i] * sin_a) * steep
+            view.row[i] = min((_arctan2(dz, flat) + HALF_PI) * per_radian, f32(rows) - f32(1e-3))
+            view.column[i] = min((_arctan2(dy, dx) + PI) * per_radian, f32(2 * rows) - f32(2e-3))
+            view.flat[i] = max(cos_e, f32(1e-4))
+            measured = (distance >= nearest) & (distance <= farthest)
+            view.inverse[i] = inverse if measured else f32(0.0)
 
 
 @njit(cache=True, nogil=True)
-def _keep_in_view(surfels, pose, lens, view):
+def _keep_in_view(surfels, blocks, pose, lens, view):
     """Drop what lies outside the viewing cone."""
+    for block in blocks:
+        for i in range(u64(block) * STEP, min(u64(block + 1) * STEP, u64(surfels.x.shape[0]))):
+            if not _in_cone(surfels.x[i], surfels.y[i], surfels.z[i], pose, lens):
+                view.inverse[i] = f32(0.0)
+
+
+@njit(cache=True, nogil=True, inline='always')
+def _in_cone(x, y, z, pose, lens):
+    """Tell whether a point lies in a camera's viewing cone."""
     position, rotation = pose.position, pose.rotation
-    for i in range(surfels.x.shape[0]):
-        dx = surfels.x[i] - position[0]
-        dy = surfels.y[i] - position[1]
-        dz = surfels.z[i] - position[2]
-        x = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
-        y = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
-        z = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
-        if not in_view(x, y, z, lens):
-            view.inverse[i] = f32(0.0)
+    dx, dy, dz = x - position[0], y - position[1], z - position[2]
+    return in_view(rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz,
+                   rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz,
+                   rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz, lens)
 
 
-def project_surfels(surfels: Surfels, pose: Pose, lens: Lens, rows: int,
+def project_surfels(surfels: Surfels, blocks: np.ndarray, pose: Pose, lens: Lens, rows: int,
                     view: SurfelView) -> None:
     """
     Write where surfels appear from a camera.
 
     :param surfels: N surfels.
+    :param blocks: the blocks of surfels to look at.
     :param pose: the camera's pose.
     :param lens: the camera model.
     :param rows: rows of the map.
-    :param view: N entries, out.
+    :param view: N entries, out; those of other blocks stay as they are.
     """
-    _project(surfels, np.asarray(pose.position, dtype=np.float32),
+    _project(surfels, blocks, np.asarray(pose.position, dtype=np.float32),
              f32(max(lens.min_range, 1e-3)), f32(lens.max_range), rows, view)
     if lens.kind != OMNIDIRECTIONAL:
-        _keep_in_view(surfels, pose, lens, view)
+        _keep_in_view(surfels, blocks, pose, lens, view)
 
 
 @njit(nogil=True, inline='always', fastmath=FAST)
@@ -239,12 +305,13 @@ def _splat_ellipse(inverse, row, column, flat, slope_row, slope_column, cosine, 
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model='numpy')
-def splat_surfels(view, radius, farthest, settings, inverse_map):
+def splat_surfels(view, radius, blocks, farthest, settings, inverse_map):
     """
     Fill a map with the nearest of the discs that cover each cell's centre.
 
     :param view: :class:`SurfelView` of N surfels.
     :param radius: (N,) float32, metres.
+    :param blocks: the blocks of surfels that were projected.
     :param farthest: what an empty cell reads, metres.
     :param settings: :class:`SurfelSettings`.
     :param inverse_map: ((H + 2) (W + 2),) float32, out: inverse distances, 1/m, with a border of
@@ -254,28 +321,29 @@ def splat_surfels(view, radius, farthest, settings, inverse_map):
     per_cell, cells = PI / f32(rows), f32(rows) / PI
     single, quad = f32(settings.single), f32(settings.quad)
     inverse_map[:] = ONE / f32(farthest)
-    for i in range(radius.shape[0]):
-        inverse = view.inverse[i]
-        if inverse == f32(0.0):
-            continue
-        # Local copies: the compiler cannot know that the map is not one of these arrays.
-        row, column, flat = view.row[i], view.column[i], view.flat[i]
-        slope_row, slope_column = view.slope_row[i], view.slope_column[i]
-        size = radius[i] * inverse * cells
-        step_row = inverse * per_cell * slope_row
-        step_column = inverse * per_cell * slope_column * flat
-        if size < flat * single:
-            own_row, own_column = i32(row), i32(column)
-            value = (inverse + step_row * (f32(own_row) + HALF - row)
-                     + step_column * (f32(own_column) + HALF - column))
-            cell = u64(u32(own_row + 1) * u32(stride) + u32(own_column + 1))
-            inverse_map[cell] = max(inverse_map[cell], _clamped(value, inverse))
-        elif size < flat * quad:
-            _splat_quad(inverse, row, column, max(size, HALF), max(size / flat, HALF),
-                        step_row, step_column, stride, inverse_map)
-        else:
-            _splat_ellipse(inverse, row, column, flat, slope_row, slope_column, view.cosine[i],
-                           size, step_row, step_column, rows, inverse_map)
+    for block in blocks:
+        for i in range(u64(block) * STEP, min(u64(block + 1) * STEP, u64(radius.shape[0]))):
+            inverse = view.inverse[i]
+            if inverse == f32(0.0):
+                continue
+            # Local copies: the compiler cannot know that the map is not one of these arrays.
+            row, column, flat = view.row[i], view.column[i], view.flat[i]
+            slope_row, slope_column = view.slope_row[i], view.slope_column[i]
+            size = radius[i] * inverse * cells
+            step_row = inverse * per_cell * slope_row
+            step_column = inverse * per_cell * slope_column * flat
+            if size < flat * single:
+                own_row, own_column = i32(row), i32(column)
+                value = (inverse + step_row * (f32(own_row) + HALF - row)
+                         + step_column * (f32(own_column) + HALF - column))
+                cell = u64(u32(own_row + 1) * u32(stride) + u32(own_column + 1))
+                inverse_map[cell] = max(inverse_map[cell], _clamped(value, inverse))
+            elif size < flat * quad:
+                _splat_quad(inverse, row, column, max(size, HALF), max(size / flat, HALF),
+                            step_row, step_column, stride, inverse_map)
+            else:
+                _splat_ellipse(inverse, row, column, flat, slope_row, slope_column, view.cosine[i],
+                               size, step_row, step_column, rows, inverse_map)
     _join_seam(rows, columns, stride, inverse_map)
 
 
@@ -290,7 +358,7 @@ def _join_seam(rows, columns, stride, inverse_map):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model='numpy')
-def visible_surfels(view, radius, settings, inverse_map, out):
+def visible_surfels(view, radius, blocks, order, settings, inverse_map, out):
     """
     Add the surfels that a camera sees to those that others see.
 
@@ -299,6 +367,8 @@ def visible_surfels(view, radius, settings, inverse_map, out):
 
     :param view: :class:`SurfelView` of N surfels.
     :param radius: (N,) float32, metres.
+    :param blocks: the blocks of surfels that were projected.
+    :param order: (N,) int64, each surfel's index in ``out``.
     :param settings: :class:`SurfelSettings`.
     :param inverse_map: from :func:`splat_surfels`.
     :param out: (N,) bool, in and out: set where the surfel is visible, else left alone.
@@ -306,24 +376,25 @@ def visible_surfels(view, radius, settings, inverse_map, out):
     stride = u32(2 * settings.rows + 2)
     per_cell = PI / f32(settings.rows)
     base, share = f32(settings.base), f32(settings.share)
-    for i in range(radius.shape[0]):
-        inverse = view.inverse[i]
-        step_row = inverse * per_cell * view.slope_row[i]
-        step_column = inverse * per_cell * view.slope_column[i] * view.flat[i]
-        down, left = view.row[i] + HALF, view.column[i] + HALF
-        row, column = i32(down), i32(left)
-        value = inverse - step_row * (down - f32(row)) - step_column * (left - f32(column))
-        behind = base + share * radius[i]
-        cell = u32(row) * stride + u32(column)
-        a, b = inverse_map[cell], inverse_map[cell + u32(1)]
-        c, d = inverse_map[cell + stride], inverse_map[cell + stride + u32(1)]
-        # t <= SM + behind, with t = 1 / value and SM = 1 / a, without the divisions.
-        seen = (_clamped(value, inverse) * (ONE + behind * a) >= a)
-        seen |= (_clamped(value + step_column, inverse) * (ONE + behind * b) >= b)
-        seen |= (_clamped(value + step_row, inverse) * (ONE + behind * c) >= c)
-        value += step_row + step_column
-        seen |= (_clamped(value, inverse) * (ONE + behind * d) >= d)
-        out[i] |= seen & (inverse > f32(0.0))
+    for block in blocks:
+        for i in range(u64(block) * STEP, min(u64(block + 1) * STEP, u64(radius.shape[0]))):
+            inverse = view.inverse[i]
+            step_row = inverse * per_cell * view.slope_row[i]
+            step_column = inverse * per_cell * view.slope_column[i] * view.flat[i]
+            down, left = view.row[i] + HALF, view.column[i] + HALF
+            row, column = i32(down), i32(left)
+            value = inverse - step_row * (down - f32(row)) - step_column * (left - f32(column))
+            behind = base + share * radius[i]
+            cell = u32(row) * stride + u32(column)
+            a, b = inverse_map[cell], inverse_map[cell + u32(1)]
+            c, d = inverse_map[cell + stride], inverse_map[cell + stride + u32(1)]
+            # t <= SM + behind, with t = 1 / value and SM = 1 / a, without the divisions.
+            seen = (_clamped(value, inverse) * (ONE + behind * a) >= a)
+            seen |= (_clamped(value + step_column, inverse) * (ONE + behind * b) >= b)
+            seen |= (_clamped(value + step_row, inverse) * (ONE + behind * c) >= c)
+            value += step_row + step_column
+            seen |= (_clamped(value, inverse) * (ONE + behind * d) >= d)
+            out[order[i]] |= seen & (inverse > f32(0.0))
 
 
 def distances(inverse_map: np.ndarray, rows: int) -> np.ndarray:

@@ -2,7 +2,7 @@
 """
 What a camera sees of a scene, by presets.
 
-``fine``: surfels on a map of 192 x 384 cells, for scores and live planning. ``fast``: surfels on
+``fine``: surfels on a map of 144 x 288 cells, for scores and live planning. ``fast``: surfels on
 64 x 128, for training. ``paper``: points as cubes and a constant compensation, as arXiv 2110.11106
 describes it.
 """
@@ -21,8 +21,11 @@ from ocp_ros.geometry.shadow_maps import (
     visible,
 )
 from ocp_ros.geometry.surfels import (
+    block_bounds,
+    blocks_in_range,
     distances,
     project_surfels,
+    spatial_order,
     splat_surfels,
     Surfels,
     SurfelSettings,
@@ -30,13 +33,27 @@ from ocp_ros.geometry.surfels import (
     visible_surfels,
 )
 
-FINE = SurfelSettings(rows=192, base=0.02, share=0.35, single=0.7, quad=1.5)
+FINE = SurfelSettings(rows=144, base=0.02, share=0.35, single=0.7, quad=1.5)
 FAST = SurfelSettings(rows=64, base=0.02, share=0.25, single=1.0, quad=2.0)
 #: The paper's cube of twice the spacing and a constant, for which it gives no figure.
 PAPER = CubeSettings(rows=128, cube_scale=1.0, compensation=0.2)
 PRESETS = {'fine': FINE, 'fast': FAST, 'paper': PAPER}
 #: Radius of a surfel in multiples of the pitch: discs of 0.71 would just cover a square grid.
 DISC_SCALE = 0.95
+
+
+class _Sorted:
+    """Surfels in spatial order, in blocks that can be passed over when they are out of range."""
+
+    def __init__(self, points: np.ndarray, normals: np.ndarray, radius: np.ndarray) -> None:
+        self.order = spatial_order(points)
+        self.surfels = Surfels.of(points[self.order], normals[self.order], radius[self.order])
+        self.bounds = block_bounds(points[self.order])
+
+    def blocks_in_range(self, pose: Pose, lens: Lens) -> np.ndarray:
+        """Return the blocks that a camera may measure some point of."""
+        position = np.asarray(pose.position, dtype=np.float32)
+        return blocks_in_range(self.bounds, position, np.float32(lens.max_range))
 
 
 class SurfelVisibility:
@@ -54,16 +71,16 @@ class SurfelVisibility:
     def __init__(self, points: np.ndarray, normals: np.ndarray, pitch: np.ndarray,
                  places: np.ndarray, lens: Lens, settings: SurfelSettings) -> None:
         self.lens, self.settings = lens, settings
-        self._surfels = Surfels.of(points, normals, DISC_SCALE * pitch)
         # Without a normal a place has the same distance in every direction.
-        self._places = Surfels.of(places, np.zeros_like(places), np.zeros(len(places)))
+        self._points = _Sorted(points, normals, DISC_SCALE * pitch)
+        self._places = _Sorted(places, np.zeros_like(places), np.zeros(len(places), np.float32))
         self._make_room()
 
     def _make_room(self) -> None:
         """Allocate the arrays that every look works in."""
         rows = self.settings.rows
-        self._view = SurfelView.empty(len(self._surfels.x))
-        self._place_view = SurfelView.empty(len(self._places.x))
+        self._view = SurfelView.empty(len(self._points.order))
+        self._place_view = SurfelView.empty(len(self._places.order))
         self._map = np.empty((rows + 2) * (2 * rows + 2), dtype=np.float32)
 
     def for_another_thread(self) -> 'SurfelVisibility':
@@ -79,10 +96,13 @@ class SurfelVisibility:
         :param pose: the camera's pose.
         :param seen: (N,) bool, in and out.
         """
-        project_surfels(self._surfels, pose, self.lens, self.settings.rows, self._view)
-        splat_surfels(self._view, self._surfels.radius, self.lens.max_range, self.settings,
+        points, view, settings = self._points, self._view, self.settings
+        blocks = points.blocks_in_range(pose, self.lens)
+        project_surfels(points.surfels, blocks, pose, self.lens, settings.rows, view)
+        splat_surfels(view, points.surfels.radius, blocks, self.lens.max_range, settings,
                       self._map)
-        visible_surfels(self._view, self._surfels.radius, self.settings, self._map, seen)
+        visible_surfels(view, points.surfels.radius, blocks, points.order, settings, self._map,
+                        seen)
 
     def cover(self, pose: Pose, covered: np.ndarray) -> None:
         """
@@ -91,8 +111,11 @@ class SurfelVisibility:
         :param pose: the same pose.
         :param covered: (M,) bool, in and out.
         """
-        project_surfels(self._places, pose, self.lens, self.settings.rows, self._place_view)
-        visible_surfels(self._place_view, self._places.radius, self.settings, self._map, covered)
+        places, view = self._places, self._place_view
+        blocks = places.blocks_in_range(pose, self.lens)
+        project_surfels(places.surfels, blocks, pose, self.lens, self.settings.rows, view)
+        visible_surfels(view, places.surfels.radius, blocks, places.order, self.settings,
+                        self._map, covered)
 
     def shadow_map(self) -> np.ndarray:
         """Return the map of the last look: (H, W) float32 distances, metres."""
