@@ -428,6 +428,27 @@ def test_normals_are_sharp_at_edges():
     assert (normals[1500:, 0] > 0.98).mean() > 0.97
 
 
+def test_an_isolated_point_hides_no_wall():
+    room = generate_room(5, 8000)
+    stray = room.bounds.mean(axis=0)[None].astype(np.float32)
+    scene = Scene(np.concatenate([room.points, stray]))
+    assert scene.pitch[-1] <= 4.0 * np.median(scene.pitch) < 1.0
+
+
+@pytest.mark.parametrize(('preset', 'leak'), [('fine', 0.02), ('fast', 0.05)])
+def test_a_camera_inside_a_pillar_sees_its_inside_alone(preset, leak):
+    u, v = (axis.ravel() for axis in np.meshgrid(np.arange(-0.3, 0.3, 0.02),
+                                                 np.arange(0.0, 3.0, 0.02)))
+    faces = [np.stack([np.full_like(u, s), u, v], 1) for s in (-0.3, 0.3)]
+    faces += [np.stack([u, np.full_like(u, s), v], 1) for s in (-0.3, 0.3)]
+    far = np.random.default_rng(0).uniform([2, -3, 0.2], [3, 3, 2.8], (500, 3))
+    scene = Scene(np.concatenate([*faces, far]).astype(np.float32))
+    seen = look_at_scene(scene, Pose(np.array([0.0, 0.0, 1.5]), np.eye(3)),
+                         CameraModel(0.0, 4.0), preset)
+    assert seen[:len(seen) - 500].mean() > 0.9
+    assert seen[-500:].mean() < leak
+
+
 def test_the_pitch_is_that_of_a_grid():
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 4, 0.1), np.arange(0, 4, 0.1)))
     scene = Scene(np.stack([x, y, 0.05 * np.sin(x)], axis=1))

@@ -10,6 +10,7 @@ import argparse
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime, timezone
+from functools import partial
 import json
 import os
 from pathlib import Path
@@ -48,11 +49,10 @@ CLEARANCE = 0.35
 Method = Callable[['Case'], np.ndarray]
 
 
-def median_seconds(call: Callable[[], Any], repeats: int) -> float:
-    """Return the median time of a call that has been warmed up."""
-    call()
-    times = []
-    for _ in range(repeats):
+def median_seconds(call: Callable[[], Any], enough: float = np.inf) -> float:
+    """Return the median time of five calls, fewer once they took ``enough`` seconds together."""
+    times: list[float] = []
+    while len(times) < 5 and sum(times) < enough:
         began = time.perf_counter()
         call()
         times.append(time.perf_counter() - began)
@@ -152,11 +152,8 @@ def measure(density: int, rooms: int, positions: int) -> list[dict[str, Any]]:
     for case in cases(density, rooms, positions):
         size.append(len(case.scene))
         for name, method in METHODS.items():
-            if not times[name]:
-                method(case)
-            began = time.perf_counter()
             seen = method(case)
-            times[name].append(time.perf_counter() - began)
+            times[name].append(median_seconds(partial(method, case), 0.02))
             counts[name] += [(seen & case.truth).sum(), (seen & ~case.truth).sum(),
                              (~seen & case.truth).sum()]
     rows = []
@@ -196,10 +193,10 @@ def speed(points: int = 25000) -> dict[str, float]:
         return simulator.judge(moved).depth_error
 
     with ThreadPoolExecutor(2) as pool:
-        both = median_seconds(lambda: list(pool.map(steps, range(2))), 3)
-        moved = median_seconds(lambda: list(pool.map(one_moved, range(600))), 3)
-    alone = median_seconds(lambda: simulator.evaluate_many(placements), 3)
-    together = median_seconds(lambda: simulator.evaluate_many(placements, threads=2), 3)
+        both = median_seconds(lambda: list(pool.map(steps, range(2))))
+        moved = median_seconds(lambda: list(pool.map(one_moved, range(600))))
+    alone = median_seconds(lambda: simulator.evaluate_many(placements))
+    together = median_seconds(lambda: simulator.evaluate_many(placements, threads=2))
     return {'points': len(scene), 'env_steps_per_s': 600 / both,
             'evaluations_per_s': 300 / together, 'evaluations_per_s_one_moved': 600 / moved,
             'scaling_2_threads': alone / together}

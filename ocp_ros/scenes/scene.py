@@ -92,9 +92,14 @@ class Scene:
 
     @cached_property
     def pitch(self) -> np.ndarray:
-        """Return the edge of the square that each point stands for: (N,) float32, metres."""
+        """
+        Return the edge of the square that each point stands for: (N,) float32, metres.
+
+        An isolated point stands for no more than four times the usual: it is a speck, not a wall.
+        """
         # A disc through the eighth neighbour holds eight points' squares.
-        return (self._neighbours[0][:, 8] * np.sqrt(np.pi / 8.0)).astype(np.float32)
+        pitch = self._neighbours[0][:, 8] * np.sqrt(np.pi / 8.0)
+        return np.minimum(pitch, 4.0 * np.median(pitch)).astype(np.float32)
 
 
 def edge_aware_normals(points: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
