@@ -12,7 +12,7 @@ import pytest
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 from ocp_ros.scenes.rooms import generate_room
-from ocp_ros.scenes.scene import SceneError
+from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.config import (
     EngineConfig,
     EpisodeConfig,
@@ -134,6 +134,16 @@ def test_cameras_never_move_too_far_nor_leave_the_room(simulator, seed, scale):
         assert (turn.positions >= low + [0.1, 0.1, 0.0] - 1e-9).all()
         assert (turn.positions <= high - [0.1, 0.1, 0.0] + 1e-9).all()
         assert (turn.positions[:, 2] == simulator.height).all()
+
+
+def test_cameras_start_near_the_centre_at_their_height_above_the_floor(room):
+    sunken = Scene(room.points - np.float32([0.0, 0.0, 1.5]), name='sunken')
+    simulator = Simulator(sunken, SMALL)
+    starts = np.concatenate([Episode(simulator, np.random.default_rng(seed)).turn.positions
+                             for seed in range(20)])
+    offsets = np.linalg.norm((starts - sunken.bounds.mean(axis=0))[:, :2], axis=1)
+    assert 0.3 < offsets.max() <= 0.5
+    np.testing.assert_allclose(starts[:, 2], sunken.bounds[0, 2] + 1.9)
 
 
 def test_leaving_the_bounding_box_is_penalised_and_prevented(simulator):

@@ -163,7 +163,7 @@ def _without_points(cloud):
 @pytest.mark.parametrize('spoil', [
     _without_x, _short, _of_integers, _beyond_the_point, _overflowing, _wrong_row_step,
     _without_points])
-def test_a_malformed_cloud_is_refused_and_the_node_lives(robot, room, spoil):
+def test_a_malformed_cloud_is_refused_and_the_node_lives(robot, room, spoil, capfd):
     policy = robot.start()
     header = Header(stamp=ns_to_stamp(1), frame_id='map')
     cloud = cloud_to_msg(room.points, header)
@@ -171,6 +171,7 @@ def test_a_malformed_cloud_is_refused_and_the_node_lives(robot, room, spoil):
     robot.poses.publish(positions_to_msg(POSITIONS, header))
     robot.clouds.publish(cloud)
     robot.graph.until(lambda: policy._counts['refused_messages'] >= 1)
+    assert 'message refused: cloud: found' in capfd.readouterr().err
     assert not robot.received[topics.CAMERA_COMMANDS]
     robot.send(2)
     robot.command(2)

@@ -123,7 +123,7 @@ def test_a_stale_command_is_ignored(loop):
 
 
 @pytest.mark.parametrize('spoil', ['too few', 'NaN', 'inf', 'another frame'])
-def test_a_malformed_command_is_refused_and_the_node_lives(loop, spoil):
+def test_a_malformed_command_is_refused_and_the_node_lives(loop, spoil, capfd):
     sim = loop.start()
     message = deepcopy(loop.last(topics.CAMERA_POSES))
     if spoil == 'too few':
@@ -134,6 +134,7 @@ def test_a_malformed_command_is_refused_and_the_node_lives(loop, spoil):
         message.poses[1].position.x = float(spoil)
     loop.commands.publish(message)
     loop.graph.until(lambda: sim._counts['refused_commands'] == 1)
+    assert 'command refused: ' in capfd.readouterr().err
     answer(loop, sim)
     assert sim.episode.turn.step == 1
     assert np.isfinite(sim.episode.turn.positions).all()

@@ -10,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from stable_baselines3.common.buffers import DictReplayBuffer
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 import torch
 
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
@@ -232,7 +233,10 @@ def test_a_learner_trains_from_transitions_and_leaves_whole_checkpoints(small_ag
     learner.close()
     assert learner.failure is None and learner.updates == 28
     assert Checkpoint.load(tmp_path / 'actor.safetensors').updates == 28
-    assert list((tmp_path / 'tensorboard').glob('events*'))
+    events = EventAccumulator(str(tmp_path / 'tensorboard')).Reload()
+    assert {'train/critic_loss', 'train/actor_loss', 'train/transitions'} <= set(
+        events.Tags()['scalars'])
+    assert events.Scalars('train/transitions')[-1].value == 40
     again = Learner(config, small_agent, SAC)
     assert (again.run, again.updates) == (learner.run, 28)
     again.close()
@@ -312,6 +316,9 @@ def test_a_run_reports_on_rooms_it_never_saw_and_goes_on_when_it_is_started_agai
     config_of_test = replace(config.simulation, engine=replace(
         config.simulation.engine, preset='fine'))
     engines = simulators(make_rooms(config, 'test'), config_of_test)
+    lines = first.provenance['curve']
+    best = min(lines, key=lambda line: line['ratio'])
+    assert first.provenance['interactions'] == best['interactions']
     figures = first.provenance['test']
     assert figures['policy'] == evaluate(act_of(Policy(first)), engines)
     assert figures['random_moves'] == evaluate(random_moves, engines)
