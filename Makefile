@@ -13,14 +13,14 @@ help:  ## list the targets
 $(READY): tools/setup setup.py $(wildcard requirements/*.txt)
 	tools/setup $(VENV)
 
-demo: $(READY)  ## place cameras over real ROS: make demo [ROOM=scan.ply] [CAMERAS=4] [HEIGHT=1.9] [SCALE=1.0] [UP=z] [MODEL=default]
-	$(RUN) -m ocp_ros.nodes.demo --out $(OUT) $(if $(ROOM),--room "$(ROOM)") $(if $(CAMERAS),--cameras $(CAMERAS)) $(if $(HEIGHT),--height $(HEIGHT)) $(if $(SCALE),--scale $(SCALE)) $(if $(UP),--up $(UP)) $(if $(MODEL),--model $(MODEL))
+demo: $(READY)  ## place cameras over real ROS: make demo [ROOM=scan.ply] [CAMERAS=4] [HEIGHT=1.9] [SCALE=1.0] [UP=z] [DROP_NONFINITE=1] [MODEL=default]
+	$(RUN) -m ocp_ros.nodes.demo --out "$(OUT)" $(if $(ROOM),--room "$(ROOM)") $(if $(CAMERAS),--cameras $(CAMERAS)) $(if $(HEIGHT),--height $(HEIGHT)) $(if $(SCALE),--scale $(SCALE)) $(if $(UP),--up $(UP)) $(if $(DROP_NONFINITE),--drop-nonfinite) $(if $(MODEL),--model $(MODEL))
 
 train-demo: $(READY)  ## the same with trainer_node in the loop: weights arrive in policy_node
-	$(RUN) -m ocp_ros.nodes.train_demo --out $(OUT)
+	$(RUN) -m ocp_ros.nodes.train_demo --out "$(OUT)"
 
 train: $(READY)  ## train the shipped model again
-	$(RUN) -m ocp_ros.cli train --config config/train/default.yaml --out $(OUT)/train --model models/default.safetensors
+	$(RUN) -m ocp_ros.cli train --config config/train/default.yaml --out "$(OUT)/train" --model models/default.safetensors
 
 test: $(READY)  ## run all tests
 	$(RUN) -m pytest
@@ -33,7 +33,7 @@ format: $(READY)  ## mend what ruff can mend
 	$(VENV)/bin/ruff check --fix .
 
 bench: $(READY)  ## measure fidelity and speed of the engine
-	$(RUN) -m ocp_ros.benchmark.engine --out $(OUT)/bench.json
+	$(RUN) -m ocp_ros.benchmark.engine --out "$(OUT)/bench.json" --page docs/bench.md
 
 colcon: $(READY)  ## build with colcon and start the installed nodes once
 	tools/check_install $(VENV)

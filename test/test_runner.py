@@ -43,6 +43,15 @@ def test_any_other_error_of_the_middleware_is_not_hidden():
     assert not rclpy.ok()
 
 
+@pytest.mark.parametrize(('arguments', 'words'), [
+    (['-p', 'a:=3'], 'expected parameters after --ros-args'),
+    (['--ros-args', '-p', 'a=3'], 'found ROS arguments that cannot be read'),
+    (['--ros-args', '--params-file', 'nowhere.yaml'], 'found ROS arguments that cannot be read')])
+def test_arguments_that_ros_would_ignore_or_choke_on_are_refused(capsys, arguments, words):
+    assert run(Node, arguments) == 2
+    assert words in capsys.readouterr().err
+
+
 def test_what_a_user_can_put_right_is_told_in_one_sentence(capsys):
     def make_node():
         raise SceneError('room.ply: found nothing; expected points')

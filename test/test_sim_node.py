@@ -234,6 +234,11 @@ def test_cameras_above_the_ceiling_are_refused(graph):
         graph.add(SimNode, rig__height=5.0, **SMALL)
 
 
+def test_cameras_that_see_nothing_at_all_are_refused(graph):
+    with pytest.raises(SceneError, match='found no point within 0.2 m .*check scene.up'):
+        graph.add(SimNode, rig__max_range=0.2, **SMALL)
+
+
 def test_both_ends_of_every_profile_fit():
     for profile in (qos.LOOP, qos.LATCHED):
         assert qos_check_compatible(profile, profile)[0] == QoSCompatibility.OK

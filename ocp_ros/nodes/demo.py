@@ -51,6 +51,8 @@ def parser() -> argparse.ArgumentParser:
                      help='metres per unit of the scan, 0.001 for millimetres')
     top.add_argument('--up', choices=('x', 'y', 'z'), default=defaults.scene.up,
                      help='axis of the scan that points up')
+    top.add_argument('--drop-nonfinite', action='store_true',
+                     help='leave out points with NaN or inf')
     top.add_argument('--model', default='default', help='weights: path or name')
     top.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
     return top
@@ -61,7 +63,8 @@ def sim_parameters(options: argparse.Namespace) -> dict[str, Any]:
     room = {'scene.file': str(options.room.resolve())} if options.room else {}
     return {**room, 'rig.cameras': options.cameras, 'episode.turns': options.turns,
             'rig.height': options.height, 'scene.seed': options.seed,
-            'scene.scale': options.scale, 'scene.up': options.up}
+            'scene.scale': options.scale, 'scene.up': options.up,
+            'scene.drop_nonfinite': options.drop_nonfinite}
 
 
 def policy_parameters(options: argparse.Namespace) -> dict[str, Any]:
@@ -153,7 +156,7 @@ def main(args: list[str] | None = None) -> int:
             run_episode(options, domain, watch)
             result = result_of(options, watch.node)
             picture(options, watch.node, result, options.out / 'demo.png')
-    except RuntimeError as error:
+    except (RuntimeError, OSError) as error:
         print(f'demo: {error}', file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -163,6 +166,9 @@ def main(args: list[str] | None = None) -> int:
         'policy_node': to_nested(from_flat(PolicyNodeConfig, policy_parameters(options)))}
     (options.out / 'demo.json').write_text(json.dumps(result, indent=2) + '\n')
     Console().print(table(result))
+    if result['depth_error_end'] > result['depth_error_start']:
+        print('The policy left the cameras worse than it found them: this room or number of '
+              'cameras is unlike those it was trained with (four cameras in closed rooms).')
     print(f'wrote {options.out / "demo.json"} and {options.out / "demo.png"}')
     return 0
 

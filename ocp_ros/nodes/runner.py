@@ -12,6 +12,7 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.utilities import remove_ros_args
 
 from ocp_ros.agent.checkpoint import CheckpointError
 from ocp_ros.configuration import ConfigurationError
@@ -54,7 +55,20 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     logging.basicConfig(format='[%(levelname)s] [%(name)s]: %(message)s')
     logging.getLogger('ocp_ros').setLevel(logging.INFO)
     logging.captureWarnings(True)
-    rclpy.init(args=args)
+    try:
+        left = remove_ros_args(sys.argv if args is None else ['', *args])[1:]
+        rclpy.init(args=args)
+    except (rclpy_implementation.RCLError,
+            rclpy_implementation.RCLInvalidROSArgsError) as error:
+        print(f'{make_node.__name__}: found ROS arguments that cannot be read '
+              f'({" ".join(str(error).split())}); expected -p name:=value or --params-file FILE',
+              file=sys.stderr)
+        return 2
+    if left:
+        print(f'{make_node.__name__}: found the arguments {" ".join(left)}; expected parameters '
+              'after --ros-args, such as --ros-args -p name:=value', file=sys.stderr)
+        rclpy.try_shutdown()
+        return 2
     node, executor = None, SingleThreadedExecutor()
     try:
         node = make_node()

@@ -35,6 +35,7 @@ from ocp_ros.nodes.markers import rig_markers
 from ocp_ros.nodes.parameters import declare
 from ocp_ros.nodes.qos import LATCHED, LOOP
 from ocp_ros.nodes.runner import run
+from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.source import make_scene, SceneConfig
 from ocp_ros.simulation.config import SimulationConfig
 from ocp_ros.simulation.episode import Episode
@@ -75,6 +76,11 @@ class SimNode(Node):
             f'{scene.name}: {len(scene)} points, ' + ' x '.join(f'{s:.1f}' for s in scene.size)
             + f' m, {self.config.rig.cameras} cameras')
         self._begin()
+        if not self.episode.observed.any():
+            raise SceneError(
+                f'{scene.name}: found no point within {self.config.rig.max_range} m of the '
+                f'cameras at the centre, {self.config.rig.height} m above the lowest point; '
+                'expected them inside the room; check scene.up, scene.scale and rig.height')
 
     def _make_publishers(self) -> None:
         """Create every publisher."""

@@ -40,6 +40,9 @@ def read_config(path: Path) -> TrainingConfig:
     """
     try:
         content = yaml.safe_load(Path(path).read_text())
+    except OSError as error:
+        raise ConfigurationError(f'{path}: found no file that can be read ({error.strerror}); '
+                                 'expected YAML such as config/train/default.yaml') from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         reason = ' '.join(str(error).split())
         raise ConfigurationError(f'{path}: found no valid YAML ({reason}); expected settings, '
