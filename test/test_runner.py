@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every node's ``main`` does when its end comes at an awkward moment."""
 
+import signal
+
 import pytest
 
 pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
@@ -30,6 +32,16 @@ def test_a_signal_while_a_node_publishes_ends_it_with_0():
 
     assert run(make_node, []) == 0
     assert not rclpy.ok()
+
+
+def test_an_interrupt_that_a_library_turns_into_another_error_ends_it_with_0():
+    def make_node():
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise RuntimeError('unable to convert') from None
+
+    assert run(make_node, []) == 0
 
 
 def test_any_other_error_of_the_middleware_is_not_hidden():

@@ -55,6 +55,14 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     logging.basicConfig(format='[%(levelname)s] [%(name)s]: %(message)s')
     logging.getLogger('ocp_ros').setLevel(logging.INFO)
     logging.captureWarnings(True)
+    node, interrupts = None, []
+
+    def interrupt(number, frame):
+        interrupts.append(number)
+        raise KeyboardInterrupt
+
+    # Before rclpy sets its own handler, which calls this one.
+    signal.signal(signal.SIGINT, interrupt)
     try:
         left = remove_ros_args(sys.argv if args is None else ['', *args])[1:]
         rclpy.init(args=args)
@@ -69,20 +77,21 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
               'after --ros-args, such as --ros-args -p name:=value', file=sys.stderr)
         rclpy.try_shutdown()
         return 2
-    node, executor = None, SingleThreadedExecutor()
+    executor = SingleThreadedExecutor()
     try:
         node = make_node()
         executor.add_node(node)
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    except rclpy_implementation.RCLError:
-        # A signal ends the context at any moment, in the middle of a callback too.
-        if rclpy.ok():
-            raise
     except USER_ERRORS as error:
         print(f'{make_node.__name__}: {error}', file=sys.stderr)
         return 2
+    except Exception:
+        # A signal comes at any moment: in the middle of a callback, where the context is gone from
+        # one line to the next, or of a conversion, which turns the interrupt into another error.
+        if rclpy.ok() and not interrupts:
+            raise
     finally:
         # The process ends here: a second Ctrl-C must not lose what was learned.
         ignore_signals()
