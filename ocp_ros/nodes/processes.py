@@ -11,7 +11,7 @@ import socket
 import subprocess
 import sys
 
-from ocp_ros.nodes.runner import undisturbed
+from ocp_ros.nodes.runner import ENDING, undisturbed
 
 LOCALHOST = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
 
@@ -111,6 +111,6 @@ def stopped_at_the_end(processes: list[NodeProcess]) -> Iterator[None]:
 
 
 def end_on_signals() -> None:
-    """Let SIGTERM and a closed terminal end a demo as Ctrl-C does."""
-    for number in (signal.SIGTERM, signal.SIGHUP):
+    """Let SIGTERM and a closed terminal end a demo as Ctrl-C does, in the background too."""
+    for number in ENDING:
         signal.signal(number, signal.default_int_handler)
