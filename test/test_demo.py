@@ -119,7 +119,8 @@ def test_trained_weights_arrive_in_the_policy(tmp_path):
     saved = Checkpoint.load(tmp_path / 'trainer' / 'actor.safetensors')
     assert saved.run == result['run'] and 0 < result['policy_updates'] <= saved.updates
     # How many transitions a busy trainer misses depends on the machine; it never makes one up.
-    assert result['inconsistent'] == 0 and 0 < result['transitions'] < result['turns']
+    # And the turns are counted by another node, which starts to listen later.
+    assert result['inconsistent'] == 0 and result['transitions'] > 0
 
 
 @pytest.mark.parametrize('name', READY)
