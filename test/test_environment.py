@@ -115,10 +115,10 @@ def test_what_was_observed_stays_observed(simulator, seed):
     rng = np.random.default_rng(seed)
     episode = Episode(simulator, rng)
     for _ in range(4):
-        before = episode.observed.copy()
+        before = episode.observed
         episode.move(rng.uniform(-1, 1, (4, 2)))
-        assert (episode.observed >= before).all()
-        assert len(episode.observed_cloud) == episode.observed.sum()
+        assert episode.observed >= before
+        assert len(episode.observed_cloud) == len(episode.observed)
 
 
 @given(seed=seeds, scale=st.floats(0.0, 100.0))
@@ -159,9 +159,9 @@ def test_one_camera_more_never_sees_less(simulator, seed):
     low, high = simulator.scene.bounds
     positions = np.random.default_rng(seed).uniform(low, high, (3, 3))
     fewer, more = simulator.evaluate(positions[:2]), simulator.evaluate(positions)
-    assert (more.visible >= fewer.visible).all()
+    assert more.seen >= fewer.seen
     assert more.space_coverage >= fewer.space_coverage
-    assert more.depth_error <= fewer.depth_error
+    assert more.depth_error <= fewer.depth_error + 1e-5
 
 
 @given(seed=seeds)
@@ -170,7 +170,7 @@ def test_one_moved_camera_costs_one_view_and_gives_the_same_judgement(simulator,
     positions = np.random.default_rng(seed).uniform(*simulator.scene.bounds, (4, 3))
     views = [simulator.look(position) for position in positions[:3]]
     judged, whole = simulator.judge(views), simulator.evaluate(positions[:3])
-    assert np.array_equal(judged.visible, whole.visible) and judged[1:] == whole[1:]
+    assert np.array_equal(judged.seen.bits, whole.seen.bits) and judged[1:] == whole[1:]
     views[1] = simulator.look(positions[3])
     moved = simulator.judge(views)
     assert moved[1:] == simulator.evaluate(positions[[0, 3, 2]])[1:]

@@ -43,25 +43,6 @@ def disc(point, normal, position, rows):
     return distance, np.where(distance > 0, offset, np.inf)
 
 
-def visible_surfels(points, normals, radius, position, settings, shadow):
-    """Return (N,) bool: plane at most base + share * radius behind one of the 4 nearest cells."""
-    rows = settings.rows
-    d = points.astype(np.float64) - position
-    row = (np.arctan2(d[:, 2], np.hypot(d[:, 0], d[:, 1])) + np.pi / 2) * rows / np.pi
-    column = (np.arctan2(d[:, 1], d[:, 0]) + np.pi) * rows / np.pi
-    rays, seen = directions(rows), np.zeros(len(points), dtype=bool)
-    for i in range(len(points)):
-        r = np.linalg.norm(d[i])
-        for k in (int(np.floor(row[i] - 0.5)), int(np.floor(row[i] + 0.5))):
-            for m in (int(np.floor(column[i] - 0.5)), int(np.floor(column[i] + 0.5))):
-                if 0 <= k < rows:
-                    ray = rays[k, m % (2 * rows)]
-                    plane = np.clip((ray @ normals[i]) / (d[i] @ normals[i]), 0.7 / r, 1.4 / r)
-                    behind = settings.base + settings.share * radius[i]
-                    seen[i] |= 1.0 / plane <= shadow[k, m % (2 * rows)] + behind
-    return seen
-
-
 def covered(distance, elevation, azimuth, half_side, rows):
     """Return the (H, W) mask of the cells that one point covers."""
     columns = 2 * rows

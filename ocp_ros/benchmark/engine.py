@@ -25,8 +25,10 @@ from rich.progress import track
 from rich.table import Table
 
 from ocp_ros.benchmark.truth import RayCaster
-from ocp_ros.geometry.shadow_maps import Pose
-from ocp_ros.geometry.visibility import PRESETS
+from ocp_ros.benchmark.twin import Twin
+from ocp_ros.geometry.blocks import Subset
+from ocp_ros.geometry.cameras import CameraModel, Pose
+from ocp_ros.geometry.visibility import DISC_SCALE, PRESETS
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.config import EngineConfig, RigConfig, SimulationConfig
@@ -36,17 +38,22 @@ from ocp_ros.simulation.simulator import Simulator
 DENSITIES = (15000, 40000, 100000)
 #: Radii of hidden point removal, metres; the best one counts.
 RADII = (200, 300, 500, 1000, 2000)
+SCALES = (40_000, 400_000, 5_000_000)
+SPEEDUPS = ('speedup_vs_hpr', 'speedup_vs_hpr_fine', 'speedup_vs_embree_fine',
+            'numpy_twin_speedup')
 SPEEDS = ('env_steps_per_s', 'evaluations_per_s', 'evaluations_per_s_one_moved',
           'scaling_2_threads')
+FIGURES = (*SPEEDUPS, *SPEEDS)
 RANGE = 6.0
+LENS = CameraModel(max_range=RANGE).lens
 #: Rooms for the figures; none of them is a training room.
 FIRST_ROOM = 200
 #: Metres from a camera to the nearest surface.
 CLEARANCE = 0.35
 
 
-#: (case) -> (N,) bool, the points that are visible.
-Method = Callable[['Case'], np.ndarray]
+#: (case) -> the points that are visible, (N,) bool or a subset.
+Method = Callable[['Case'], np.ndarray | Subset]
 
 
 def median_seconds(call: Callable[[], Any], enough: float = np.inf) -> float:
@@ -108,11 +115,18 @@ def cases(density: int, rooms: int, positions: int) -> Iterator[Case]:
 
 def preset_of(name: str) -> Method:
     """Return one of the engine's presets as a method to measure."""
-    def look(case: Case) -> np.ndarray:
-        seen = np.zeros(len(case.scene), dtype=bool)
-        case.simulators[name].visibility.look(Pose(case.position, np.eye(3)), seen)
+    def look(case: Case) -> Subset:
+        seen = case.simulators[name].nothing()
+        case.simulators[name].visibility.look(Pose.of(case.position), LENS, seen.bits)
         return seen
     return look
+
+
+def numpy_twin(case: Case) -> np.ndarray:
+    """Look as the ``fast`` preset does, in plain NumPy."""
+    scene = case.scene
+    return Twin(scene.points, scene.normals_or_estimate, DISC_SCALE * scene.pitch, case.position,
+                RANGE, PRESETS['fast']).visible()
 
 
 def hidden_point_removal(radius: float) -> Method:
@@ -137,7 +151,7 @@ def embree(case: Case) -> np.ndarray:
 METHODS: dict[str, Method] = {
     **{name: preset_of(name) for name in PRESETS},
     **{f'hidden_point_removal {radius}': hidden_point_removal(radius) for radius in RADII},
-    'embree': embree}
+    'embree': embree, 'numpy twin of fast': numpy_twin}
 
 
 def measure(density: int, rooms: int, positions: int) -> list[dict[str, Any]]:
@@ -153,6 +167,7 @@ def measure(density: int, rooms: int, positions: int) -> list[dict[str, Any]]:
         size.append(len(case.scene))
         for name, method in METHODS.items():
             seen = method(case)
+            seen = seen.mask if isinstance(seen, Subset) else seen
             times[name].append(median_seconds(partial(method, case), 0.02))
             counts[name] += [(seen & case.truth).sum(), (seen & ~case.truth).sum(),
                              (~seen & case.truth).sum()]
@@ -202,13 +217,32 @@ def speed(points: int = 25000) -> dict[str, float]:
             'scaling_2_threads': alone / together}
 
 
+def scale(points: int) -> dict[str, float]:
+    """
+    Measure time and memory of one scene of many points with the ``fast`` preset.
+
+    :param points: points of the room.
+    :returns: nanoseconds per point and camera, bytes per point held for the scene, and seconds
+        from points to a simulator.
+    """
+    scene = generate_room(FIRST_ROOM, points)
+    began = time.perf_counter()
+    simulator = Simulator(scene, SimulationConfig(
+        rig=RigConfig(max_range=RANGE), engine=EngineConfig(preset='fast')))
+    ready = time.perf_counter() - began
+    places = free_places(scene, simulator.height, 4, np.random.default_rng(0))
+    seconds = np.mean([median_seconds(partial(simulator.look, place)) for place in places])
+    return {'points': len(scene), 'ns_per_point_camera': 1e9 * float(seconds) / len(scene),
+            'bytes_per_point': simulator.nbytes / len(scene), 'seconds_to_build': ready}
+
+
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Name the figures that the documentation quotes; densities are keys, as text."""
     def of(method: str, figure: str) -> dict[str, float]:
         return {str(row['density']): row[figure] for row in rows
                 if row['method'].startswith(method)}
 
-    times = {name: of(name, 'ms') for name in ('fine', 'fast', 'hidden', 'embree')}
+    times = {name: of(name, 'ms') for name in ('fine', 'fast', 'hidden', 'embree', 'numpy')}
     middle = str(DENSITIES[1])
     return {
         'visibility_f1': of('fine', 'f1'), 'visibility_f1_fast': of('fast', 'f1'),
@@ -216,6 +250,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         'speedup_vs_hpr': times['hidden'][middle] / times['fast'][middle],
         'speedup_vs_hpr_fine': times['hidden'][middle] / times['fine'][middle],
         'speedup_vs_embree_fine': times['embree'][middle] / times['fine'][middle],
+        'numpy_twin_speedup': times['numpy'][middle] / times['fast'][middle],
         'ns_per_point_camera': of('fast', 'ns_per_point_camera')[middle],
         'ns_per_point_camera_fine': of('fine', 'ns_per_point_camera')[middle]}
 
@@ -230,7 +265,7 @@ def show(result: dict[str, Any]) -> None:
                       f'{row["ns_per_point_camera"]:.1f}')
     console = Console(width=110)
     console.print(table)
-    for name in ('speedup_vs_hpr', 'speedup_vs_hpr_fine', 'speedup_vs_embree_fine', *SPEEDS):
+    for name in FIGURES:
         console.print(f'{name}: {result[name]:.1f}')
 
 
@@ -240,8 +275,10 @@ def page(result: dict[str, Any]) -> str:
         f'| {row["density"]:,} | {row["method"].replace("_", " ")} | {row["precision"]:.3f} | '
         f'{row["recall"]:.3f} | {row["f1"]:.3f} | {row["ms"]:.2f} | '
         f'{row["ns_per_point_camera"]:.1f} |' for row in result['visibility'])
-    figures = '\n'.join(f'| `{name}` | {result[name]:.1f} |' for name in (
-        'speedup_vs_hpr', 'speedup_vs_hpr_fine', 'speedup_vs_embree_fine', *SPEEDS))
+    figures = '\n'.join(f'| `{name}` | {result[name]:,.1f} |' for name in FIGURES)
+    scales = '\n'.join(
+        f'| {row["points"]:,} | {row["ns_per_point_camera"]:.1f} | {row["bytes_per_point"]:.0f} | '
+        f'{row["seconds_to_build"]:.1f} |' for row in result['scale'])
     return f"""# The engine, measured
 
 Made by `make bench` on {result["date"]}. {result["rooms"]} generated rooms, {result["positions"]}
@@ -256,11 +293,19 @@ Embree casts one ray per point at the mesh, which the user of a point cloud does
 
 Speedups are at {DENSITIES[1]:,} points. The rest is for the `fast` preset, 4 cameras and a room of
 {result["points"]:,} points, in two threads on two cores: environment steps, placements judged, and
-placements judged of which one camera had moved.
+placements judged of which one camera had moved. The twin is the same rules in plain NumPy.
 
 | figure | value |
 |---|---|
 {figures}
+
+What a camera's look costs and what is held per scene as rooms grow (`fast`, everything included:
+points, normals, coverage grid, lists of the depth error; built on one core). A camera's workspace
+takes 8 bytes per point more for each thread that looks at the same time.
+
+| points | ns per point and camera | bytes per point | seconds to build |
+|---|---|---|---|
+{scales}
 """
 
 
@@ -270,15 +315,20 @@ def main(args: list[str] | None = None) -> int:
     parser.add_argument('--out', type=Path, default=Path('out/bench.json'))
     parser.add_argument('--rooms', type=int, default=20, help='rooms per density')
     parser.add_argument('--positions', type=int, default=6, help='camera positions per room')
+    parser.add_argument('--largest', type=int, default=SCALES[-1],
+                        help='points of the largest room for time and memory')
     parser.add_argument('--page', type=Path, help='write a page of documentation here as well')
     options = parser.parse_args(args)
     # One thread for everybody: Embree and hidden point removal would take them all.
-    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})
     rows = []
     for density in track(DENSITIES, 'ray casting', console=Console(stderr=True)):
         rows += measure(density, options.rooms, options.positions)
-    os.sched_setaffinity(0, range(os.cpu_count()))
-    result = {**summary(rows), **speed(), 'visibility': rows, 'rooms': options.rooms,
+    scales = [scale(points) for points in SCALES if points <= options.largest]
+    os.sched_setaffinity(0, cores)
+    result = {**summary(rows), **speed(), 'visibility': rows, 'scale': scales,
+              'rooms': options.rooms,
               'positions': options.positions, 'range': RANGE,
               'date': datetime.now(timezone.utc).isoformat(timespec='seconds')}
     options.out.parent.mkdir(parents=True, exist_ok=True)

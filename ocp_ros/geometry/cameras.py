@@ -2,8 +2,10 @@
 """Camera models and poses: what a depth camera could see if nothing stood in its way."""
 
 from dataclasses import dataclass
+import math
 from typing import NamedTuple
 
+from numba import njit
 import numpy as np
 
 OMNIDIRECTIONAL, PINHOLE, SPHERICAL = 0, 1, 2
@@ -25,6 +27,33 @@ class Lens(NamedTuple):
     half_vertical: float
 
 
+class Pose(NamedTuple):
+    """
+    Where a camera is and how it is turned.
+
+    :ivar position: (3,) float64, metres, map frame.
+    :ivar rotation: (3, 3) float64, body frame (x forward, y left, z up) to map frame.
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+
+    @classmethod
+    def of(cls, camera: np.ndarray) -> 'Pose':
+        """
+        Build a pose from one row of a placement.
+
+        :param camera: (3,) x, y, z in metres, or (6,) with yaw, pitch and roll in radians after
+            them; see :func:`rotation_matrix`.
+        :raises ValueError: for another shape or a number that is not finite.
+        """
+        camera = np.asarray(camera, dtype=np.float64)
+        if camera.shape not in ((3,), (6,)) or not np.isfinite(camera).all():
+            raise ValueError(f'camera pose: found {camera.tolist()}; expected x, y, z in metres, '
+                             'or x, y, z, yaw, pitch, roll with angles in radians, all finite')
+        return cls(camera[:3], rotation_matrix(*camera[3:]) if len(camera) == 6 else LEVEL)
+
+
 @dataclass(frozen=True)
 class CameraModel:
     """
@@ -37,16 +66,18 @@ class CameraModel:
     :param max_range: metres; the effective range.
     :param horizontal_fov: radians, in (0, 2 pi].
     :param vertical_fov: radians, in (0, pi].
-    :raises ValueError: if a range or an angle makes no sense.
+    :param resolution: pixels across and down, or None where it is not known.
+    :raises ValueError: if a range, an angle or the resolution makes no sense.
     """
 
     min_range: float = 0.0
     max_range: float = 4.0
     horizontal_fov: float = 2.0 * np.pi
     vertical_fov: float = np.pi
+    resolution: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
-        """Check the ranges and the angles."""
+        """Check the ranges, the angles and the resolution."""
         if not 0.0 <= self.min_range < self.max_range < np.inf:
             raise ValueError(
                 f'camera ranges: found min_range {self.min_range} m and max_range '
@@ -56,6 +87,9 @@ class CameraModel:
             raise ValueError(
                 f'camera field of view: found {self.horizontal_fov} x {self.vertical_fov} rad; '
                 'expected at most 2 pi x pi, both above 0')
+        if self.resolution is not None and not min(self.resolution) > 0:
+            raise ValueError(f'camera resolution: found {self.resolution}; expected pixels across '
+                             'and down, both above 0')
 
     @property
     def omnidirectional(self) -> bool:
@@ -76,6 +110,20 @@ class CameraModel:
         return Lens(kind, float(self.min_range), float(self.max_range),
                     float(half_horizontal), float(half_vertical))
 
+    def pixel_size(self, distance: float) -> tuple[float, float] | None:
+        """
+        Return how wide and how high one pixel is on a wall that faces the camera.
+
+        :param distance: metres.
+        :returns: metres, straight ahead; None without a resolution.
+        """
+        if self.resolution is None:
+            return None
+        lens = self.lens
+        # A pinhole's half angles are tangents: what half the image spans at one metre.
+        return (2.0 * distance * lens.half_horizontal / self.resolution[0],
+                2.0 * distance * lens.half_vertical / self.resolution[1])
+
 
 def rotation_matrix(yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:
     """
@@ -92,3 +140,18 @@ def rotation_matrix(yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> 
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
         [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
         [-sp, cp * sr, cp * cr]])
+
+
+#: A camera that looks along x, level.
+LEVEL = np.eye(3)
+
+
+@njit(cache=True, nogil=True, inline='always')
+def in_view(x: float, y: float, z: float, lens: Lens) -> bool:
+    """Tell whether a direction in the camera's body frame lies in the viewing cone."""
+    if lens.kind == OMNIDIRECTIONAL:
+        return True
+    if lens.kind == PINHOLE:
+        return x > 0.0 and abs(y) <= x * lens.half_horizontal and abs(z) <= x * lens.half_vertical
+    return (abs(math.atan2(y, x)) <= lens.half_horizontal
+            and abs(math.atan2(z, math.hypot(x, y))) <= lens.half_vertical)

@@ -3,6 +3,8 @@
 
 import numpy as np
 
+from ocp_ros.geometry.blocks import count_bits
+
 MOST_CELLS = 20_000_000
 
 
@@ -27,12 +29,12 @@ def coverage_grid(bounds: np.ndarray, cell: float) -> tuple[np.ndarray, float]:
     return centres.astype(np.float32), float(size.prod() / counts.prod())
 
 
-def space_coverage(visible_cells: np.ndarray, cell_volume: float) -> float:
+def space_coverage(covered: np.ndarray, cell_volume: float) -> float:
     """
     Sum the volume of the visible cells.
 
-    :param visible_cells: (M,) bool, whether some camera sees each cell's centre.
+    :param covered: (W,) uint64, packed bits: whether some camera sees each cell's centre.
     :param cell_volume: cubic metres.
     :returns: cubic metres.
     """
-    return float(np.count_nonzero(visible_cells) * cell_volume)
+    return int(count_bits(covered)) * cell_volume

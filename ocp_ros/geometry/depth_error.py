@@ -5,15 +5,22 @@ Depth observation error: what the depth maps of a room lose if only some points 
 Equations 2 and 3 of arXiv 2110.11106, with the mean over a map's pixels instead of their sum. The
 viewpoints never move, so the points that cover each pixel are listed once, nearest first; the
 depth of a partial cloud is then the first visible entry of each list.
+
+Neighbouring pixels begin with the same points, so the lists are kept as trees: where a point is
+visible, all pixels below it are settled at once.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from numba import njit
 import numpy as np
 
-from ocp_ros.geometry.cameras import CameraModel
-from ocp_ros.geometry.shadow_maps import footprint, Pose, project, Projection
+from ocp_ros.geometry.blocks import no_bits
+from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose
+from ocp_ros.geometry.shadow_maps import footprint, project, Projection
+
+#: Pixels are sorted by this many of their nearest points, so that those with the same meet.
+SORTED_BY = 6
 
 
 def viewpoints(bounds: np.ndarray) -> np.ndarray:
@@ -57,42 +64,74 @@ def _list_candidates(projection, order, half_sides, rows, columns, ends, indices
                 ends[cell] += 1
 
 
+class _Trees(NamedTuple):
+    """
+    The lists of all pixels as trees, parents before children, each (T,).
+
+    :ivar point: uint32, the point of a node: next in the lists of all pixels below.
+    :ivar end: uint32, the first node after those below this one.
+    :ivar gap: float32, metres, what its pixels lose together if the point is the first visible.
+    :ivar rest: float32, metres, what pixels lose whose list ends here, if none is visible.
+    """
+
+    point: np.ndarray
+    end: np.ndarray
+    gap: np.ndarray
+    rest: np.ndarray
+
+
 @njit(cache=True, nogil=True)
-def _error(first, starts, indices, depths, full, far, visible):
-    """Sum |partial depth - full depth| over the covered pixels of one viewpoint."""
-    total = 0.0
-    for pixel in range(first.shape[0]):
-        # Most often the nearest point is seen, and nothing is missing.
-        if visible[first[pixel]]:
-            continue
-        depth = far
-        for k in range(starts[pixel] + 1, starts[pixel + 1]):
-            if visible[indices[k]]:
-                depth = depths[k]
-                break
-        total += depth - full[pixel]
+def _grow(pixels, starts, indices, depths, far):
+    """
+    Build the tree of the lists of pixels.
+
+    :param pixels: pixels that have a list, those with a common beginning next to each other.
+    :param starts: (H * W + 1,) int64, where each pixel's list begins.
+    :param indices: (L,) int32, points.
+    :param depths: (L,) float32, their distances, metres.
+    :param far: metres.
+    :returns: the fields of :class:`_Trees`.
+    """
+    most = indices.shape[0]
+    point, end = np.empty(most, dtype=np.uint32), np.empty(most, dtype=np.uint32)
+    gap, rest = np.zeros(most), np.zeros(most)
+    path = np.empty(np.diff(starts).max() + 1, dtype=np.int64)
+    nodes = depth = last = 0
+    for pixel in pixels:
+        first, length = starts[pixel], starts[pixel + 1] - starts[pixel]
+        shared = 0
+        while (shared < min(length, depth)
+               and indices[first + shared] == indices[last + shared]):
+            shared += 1
+        for k in range(shared, depth):
+            end[path[k]] = nodes
+        for k in range(shared, length):
+            point[nodes] = indices[first + k]
+            path[k] = nodes
+            nodes += 1
+        depth, last = length, first
+        for k in range(length):
+            gap[path[k]] += depths[first + k] - depths[first]
+        rest[path[length - 1]] += far - depths[first]
+    for k in range(depth):
+        end[path[k]] = nodes
+    return (point[:nodes].copy(), end[:nodes].copy(), gap[:nodes].astype(np.float32),
+            rest[:nodes].astype(np.float32))
+
+
+@njit(cache=True, nogil=True)
+def _error(trees, seen):
+    """Sum the depth that the pixels of all viewpoints lose; seen: packed bits."""
+    total, node = 0.0, np.uint32(0)
+    while node < trees.point.shape[0]:
+        point = trees.point[node]
+        if (seen[point >> np.uint32(6)] >> np.uint64(point & np.uint32(63))) & np.uint64(1):
+            total += trees.gap[node]
+            node = trees.end[node]
+        else:
+            total += trees.rest[node]
+            node += np.uint32(1)
     return total
-
-
-@dataclass(frozen=True)
-class _View:
-    """
-    One viewpoint: the points that cover each covered pixel, nearest first.
-
-    :ivar pixels: (C,) the covered pixels; in the others there is nothing to miss.
-    :ivar first: (C,) int32, the nearest point of each.
-    :ivar starts: (C + 1,) int32, where each pixel's list begins.
-    :ivar indices: (L,) int32, points.
-    :ivar depths: (L,) float32, their distances, metres.
-    :ivar full: (C,) float32, distance of the nearest, metres.
-    """
-
-    pixels: np.ndarray
-    first: np.ndarray
-    starts: np.ndarray
-    indices: np.ndarray
-    depths: np.ndarray
-    full: np.ndarray
 
 
 class DepthError:
@@ -112,28 +151,41 @@ class DepthError:
         self.shape = (rows, 2 * rows)
         self.viewpoints = viewpoints(bounds)
         half_sides = (cube_scale * spacing).astype(np.float32)
-        self._views = [self._view(points, half_sides, position) for position in self.viewpoints]
+        self._maps, grown = [], []
+        for position in self.viewpoints:
+            trees, depth_map = self._viewpoint(points, half_sides, position)
+            end = trees.end + np.uint32(sum(len(before.end) for before in grown))
+            grown.append(trees._replace(end=end))
+            self._maps.append(depth_map)
+        self._trees = _Trees(*(np.concatenate(field) for field in zip(*grown)))
         #: The error of seeing nothing, metres.
-        self.worst = self(np.zeros(len(points), dtype=bool))
+        self.worst = self(no_bits(len(points)))
 
-    def _view(self, points: np.ndarray, half_sides: np.ndarray, position: np.ndarray) -> _View:
-        """List the candidates of every pixel of one viewpoint, nearest first."""
+    def _viewpoint(self, points: np.ndarray, half_sides: np.ndarray,
+                   position: np.ndarray) -> tuple[_Trees, np.ndarray]:
+        """List the candidates of every pixel of one viewpoint, and draw its depth map."""
         rows, columns = self.shape
         projection = Projection.empty(len(points))
         # Far enough that a room's own far corner is never cut off by rounding.
         lens = CameraModel(max_range=2.0 * self.far).lens
-        project(points, Pose(position, np.eye(3)), lens, projection)
+        project(points, Pose(position, LEVEL), lens, projection)
         order = np.argsort(projection.distance, kind='stable')
         order = order[np.isfinite(projection.distance[order])]
         counts = np.zeros(rows * columns, dtype=np.int64)
         _count_candidates(projection, order, half_sides, rows, columns, counts)
-        ends = np.concatenate([[0], np.cumsum(counts)])
-        indices = np.empty(ends[-1], dtype=np.int32)
-        _list_candidates(projection, order, half_sides, rows, columns, ends[:-1].copy(), indices)
-        pixels = np.flatnonzero(counts)
-        starts = np.append(ends[pixels], ends[-1]).astype(np.int32)
-        depths = projection.distance[indices]
-        return _View(pixels, indices[starts[:-1]], starts, indices, depths, depths[starts[:-1]])
+        starts = np.concatenate([[0], np.cumsum(counts)])
+        indices = np.empty(starts[-1], dtype=np.int32)
+        _list_candidates(projection, order, half_sides, rows, columns, starts[:-1].copy(), indices)
+        depths, pixels = projection.distance[indices], np.flatnonzero(counts)
+        padded = np.append(indices, np.zeros(SORTED_BY, dtype=np.int32))
+        keys = [np.where(counts[pixels] > k, padded[starts[pixels] + k], -1)
+                for k in range(SORTED_BY)]
+        pixels = pixels[np.lexsort(keys[::-1])]
+        depth = np.full(rows * columns, self.far, dtype=np.float32)
+        depth[pixels] = depths[starts[pixels]]
+        depth.setflags(write=False)
+        trees = _Trees(*_grow(pixels, starts, indices, depths, self.far))
+        return trees, depth.reshape(self.shape)
 
     def depth_map(self, viewpoint: int) -> np.ndarray:
         """
@@ -142,18 +194,18 @@ class DepthError:
         :param viewpoint: 0 to 4.
         :returns: (H, W) float32, metres; an empty pixel reads the bounding box's diagonal.
         """
-        view = self._views[viewpoint]
-        depth = np.full(self.shape[0] * self.shape[1], self.far, dtype=np.float32)
-        depth[view.pixels] = view.full
-        return depth.reshape(self.shape)
+        return self._maps[viewpoint]
 
-    def __call__(self, visible: np.ndarray) -> float:
+    def __call__(self, seen: np.ndarray) -> float:
         """
         Return the depth observation error of the visible points.
 
-        :param visible: (N,) bool.
+        :param seen: (W,) uint64, packed bits of the points.
         :returns: metres: the sum over the viewpoints of the mean over the pixels.
         """
-        total = sum(_error(view.first, view.starts, view.indices, view.depths, view.full,
-                           np.float32(self.far), visible) for view in self._views)
-        return float(total / (self.shape[0] * self.shape[1]))
+        return _error(self._trees, seen) / (self.shape[0] * self.shape[1])
+
+    @property
+    def nbytes(self) -> int:
+        """Return the bytes held for the scene."""
+        return sum(array.nbytes for array in (*self._trees, *self._maps))

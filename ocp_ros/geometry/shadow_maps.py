@@ -12,7 +12,7 @@ from typing import NamedTuple
 from numba import njit
 import numpy as np
 
-from ocp_ros.geometry.cameras import Lens, OMNIDIRECTIONAL, PINHOLE
+from ocp_ros.geometry.cameras import in_view, OMNIDIRECTIONAL
 
 HALF_PI = 0.5 * np.pi
 TWO_PI = 2.0 * np.pi
@@ -32,18 +32,6 @@ class CubeSettings(NamedTuple):
     compensation: float
 
 
-class Pose(NamedTuple):
-    """
-    Where a camera is and how it is turned.
-
-    :ivar position: (3,) float64, metres, map frame.
-    :ivar rotation: (3, 3) float64, body frame (x forward, y left, z up) to map frame.
-    """
-
-    position: np.ndarray
-    rotation: np.ndarray
-
-
 class Projection(NamedTuple):
     """
     Where points appear from a camera.
@@ -61,17 +49,6 @@ class Projection(NamedTuple):
     def empty(cls, count: int) -> 'Projection':
         """Allocate room for ``count`` points."""
         return cls(*(np.empty(count, dtype=np.float32) for _ in cls._fields))
-
-
-@njit(cache=True, nogil=True, inline='always')
-def in_view(x: float, y: float, z: float, lens: Lens) -> bool:
-    """Tell whether a direction in the camera's body frame lies in the viewing cone."""
-    if lens.kind == OMNIDIRECTIONAL:
-        return True
-    if lens.kind == PINHOLE:
-        return x > 0.0 and abs(y) <= x * lens.half_horizontal and abs(z) <= x * lens.half_vertical
-    return (abs(math.atan2(y, x)) <= lens.half_horizontal
-            and abs(math.atan2(z, math.hypot(x, y))) <= lens.half_vertical)
 
 
 @njit(cache=True, nogil=True)

@@ -4,9 +4,9 @@ Shadow maps of surfels: points as small discs that lie on the surface they were 
 
 A cell of the map holds the inverse distance of the nearest disc along the ray through the cell's
 centre. Along a plane, inverse distance is linear in the ray's direction, n.u / n.d for the ray u
-and the point d, so within a disc's few cells it is a sum of two steps; and since a point is
-compared with the map by that same quantity, taken at the centre of the cell, a surface seen at a
-slant does not hide itself and needs no compensation for its slope.
+and the point d, so within a disc's few cells it is a sum of two steps. A point is then compared
+with the farthest of the four cells around it: a surface seen at a slant, whose cells lie on both
+sides of the point, does not hide itself and needs no compensation for its slope.
 """
 
 import math
@@ -15,8 +15,8 @@ from typing import NamedTuple
 from numba import njit
 import numpy as np
 
-from ocp_ros.geometry.cameras import Lens, OMNIDIRECTIONAL
-from ocp_ros.geometry.shadow_maps import in_view, Pose
+from ocp_ros.geometry.blocks import BLOCK, blocks_in_view, WORDS
+from ocp_ros.geometry.cameras import in_view, OMNIDIRECTIONAL
 
 f32, i32, u32, u64 = np.float32, np.int32, np.uint32, np.uint64
 #: Nothing here may come out as NaN, and the order of a sum does not matter.
@@ -24,8 +24,8 @@ FAST = {'nsz', 'arcp', 'contract', 'afn', 'reassoc'}
 PI, HALF_PI, HALF, ONE = f32(np.pi), f32(np.pi / 2), f32(0.5), f32(1.0)
 #: On grazing surfaces, the least cosine and the farthest from its point that a disc may reach.
 LEAST_COSINE, LOWEST, HIGHEST = f32(0.12), f32(0.7), f32(1.4)
-#: Points that are looked at or passed over together.
-BLOCK = 256
+#: What is nearer to a camera than this is the camera, metres.
+NEAREST = f32(1e-3)
 #: Unsigned, since an index that might be negative keeps a loop from being vectorised.
 STEP = u64(BLOCK)
 
@@ -37,108 +37,47 @@ class Surfels(NamedTuple):
     :ivar x: position.
     :ivar y: position.
     :ivar z: position.
+    :ivar radius: radius of the disc.
     :ivar nx: unit normal of either sign.
     :ivar ny: unit normal.
     :ivar nz: unit normal.
-    :ivar radius: radius of the disc.
     """
 
     x: np.ndarray
     y: np.ndarray
     z: np.ndarray
+    radius: np.ndarray
     nx: np.ndarray
     ny: np.ndarray
     nz: np.ndarray
-    radius: np.ndarray
 
     @classmethod
     def of(cls, points: np.ndarray, normals: np.ndarray, radius: np.ndarray) -> 'Surfels':
         """Build surfels from points (N, 3), normals (N, 3) and radii (N,)."""
-        columns = [*np.asarray(points).T, *np.asarray(normals).T, radius]
+        columns = [*np.asarray(points).T, radius, *np.asarray(normals).T]
         return cls(*(np.ascontiguousarray(column, dtype=np.float32) for column in columns))
 
 
-def spatial_order(points: np.ndarray) -> np.ndarray:
+class Places(NamedTuple):
     """
-    Sort points along a Morton curve, so that neighbours in the order are neighbours in space.
+    Places in the air, which hide nothing; each field is (M,) float32, metres, map frame.
 
-    :param points: (N, 3), metres.
-    :returns: (N,) int64 indices.
-    """
-    if len(points) == 0:
-        return np.empty(0, dtype=np.int64)
-    low = points.min(axis=0)
-    extent = max(float(np.ptp(points, axis=0).max()), 1e-9)
-    cells = ((points - low) / extent * 1023).astype(np.int64)
-    code = np.zeros(len(points), dtype=np.int64)
-    for bit in range(10):
-        for axis in range(3):
-            code |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
-    return np.argsort(code, kind='stable')
-
-
-def block_bounds(points: np.ndarray) -> np.ndarray:
-    """
-    Bound each block of ``BLOCK`` points in a row.
-
-    :param points: (N, 3), metres, in spatial order.
-    :returns: (B, 2, 3) float32: lowest and highest corners, metres.
-    """
-    starts = np.arange(0, len(points), BLOCK)
-    if len(starts) == 0:
-        return np.empty((0, 2, 3), dtype=np.float32)
-    return np.stack([np.minimum.reduceat(points, starts), np.maximum.reduceat(points, starts)],
-                    axis=1).astype(np.float32)
-
-
-@njit(cache=True, nogil=True)
-def blocks_in_range(bounds, position, farthest):
-    """
-    Find the blocks that a camera may measure some point of.
-
-    :param bounds: (B, 2, 3) float32, metres.
-    :param position: (3,) float32, metres.
-    :param farthest: range of the camera, metres.
-    :returns: int64 indices of blocks.
-    """
-    found = np.empty(bounds.shape[0], dtype=np.int64)
-    count = 0
-    for b in range(bounds.shape[0]):
-        total = f32(0.0)
-        for axis in range(3):
-            short = max(bounds[b, 0, axis] - position[axis], position[axis] - bounds[b, 1, axis])
-            total += max(short, f32(0.0)) ** 2
-        if total <= farthest * farthest:
-            found[count] = b
-            count += 1
-    return found[:count]
-
-
-class SurfelView(NamedTuple):
-    """
-    Where surfels appear from a camera; each field is (N,) float32.
-
-    :ivar inverse: 1 / distance, 1/m; 0 where the camera cannot measure the point.
-    :ivar row: elevation in rows of the map.
-    :ivar column: azimuth in columns of the map.
-    :ivar flat: cosine of the elevation.
-    :ivar slope_row: relative change of the inverse distance per radian of elevation.
-    :ivar slope_column: the same per radian across, on the great circle.
-    :ivar cosine: of the angle of incidence, at least ``LEAST_COSINE``.
+    :ivar x: position.
+    :ivar y: position.
+    :ivar z: position.
+    :ivar radius: 0.
     """
 
-    inverse: np.ndarray
-    row: np.ndarray
-    column: np.ndarray
-    flat: np.ndarray
-    slope_row: np.ndarray
-    slope_column: np.ndarray
-    cosine: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    z: np.ndarray
+    radius: np.ndarray
 
     @classmethod
-    def empty(cls, count: int) -> 'SurfelView':
-        """Allocate room for ``count`` surfels."""
-        return cls(*(np.empty(count, dtype=np.float32) for _ in cls._fields))
+    def of(cls, points: np.ndarray) -> 'Places':
+        """Build places from points (M, 3)."""
+        columns = [*np.asarray(points).T, np.zeros(len(points))]
+        return cls(*(np.ascontiguousarray(column, dtype=np.float32) for column in columns))
 
 
 class SurfelSettings(NamedTuple):
@@ -160,6 +99,52 @@ class SurfelSettings(NamedTuple):
     quad: float
 
 
+class Workspace(NamedTuple):
+    """
+    What one look writes: the map, and one block's appearance from the camera.
+
+    :ivar inverse_map: ((H + 2) (W + 2),) float32: inverse distances, 1/m, with a border of one
+        cell that repeats the cells across the seam.
+    :ivar farthest_of_four: the same shape: the least of each cell and the three to the right and
+        above.
+    :ivar inverse: (256,) float32, 1 / distance, 1/m; 0 where the camera's range ends before.
+    :ivar row: (256,) float32, elevation in rows of the map.
+    :ivar column: (256,) float32, azimuth in columns of the map.
+    :ivar flat: (256,) float32, cosine of the elevation.
+    :ivar step_row: (256,) float32, change of the inverse distance per row along the disc.
+    :ivar step_column: (256,) float32, the same per column.
+    :ivar flags: (256,) uint8, whether a point is visible.
+    :ivar octets: (32,) uint64, the same memory as ``flags``.
+    :ivar distance: (N,) float32, of every point, metres.
+    :ivar around: (N,) uint32, the lower left of the four cells around every point.
+    :ivar blocks: (B,) uint32, the blocks to look at.
+    """
+
+    inverse_map: np.ndarray
+    farthest_of_four: np.ndarray
+    inverse: np.ndarray
+    row: np.ndarray
+    column: np.ndarray
+    flat: np.ndarray
+    step_row: np.ndarray
+    step_column: np.ndarray
+    flags: np.ndarray
+    octets: np.ndarray
+    distance: np.ndarray
+    around: np.ndarray
+    blocks: np.ndarray
+
+    @classmethod
+    def of(cls, rows: int, count: int) -> 'Workspace':
+        """Allocate for maps of so many rows and so many points."""
+        cells, octets = (rows + 2) * (2 * rows + 2), np.zeros(BLOCK // 8, dtype=np.uint64)
+        maps = (np.full(cells, np.inf, dtype=np.float32) for _ in range(2))
+        block = (np.empty(BLOCK, dtype=np.float32) for _ in range(6))
+        return cls(*maps, *block, octets.view(np.uint8), octets,
+                   np.empty(count, dtype=np.float32), np.empty(count, dtype=np.uint32),
+                   np.empty(-(-count // BLOCK), dtype=np.uint32))
+
+
 @njit(nogil=True, inline='always', fastmath=FAST)
 def _arctan2(y, x):
     """Approximate the arc tangent to 2e-6 by an odd polynomial; vectorises where libm does not."""
@@ -176,69 +161,51 @@ def _arctan2(y, x):
     return -angle if y < f32(0.0) else angle
 
 
+@njit(nogil=True, inline='always', fastmath=FAST)
+def _block(number, count):
+    """Return the first point of a block and how many it has."""
+    first = u64(number) * STEP
+    return first, min(STEP, u64(count) - first)
+
+
 @njit(cache=True, nogil=True, fastmath=FAST, error_model='numpy')
-def _project(surfels, blocks, position, nearest, farthest, rows, view):
-    """Project without regard to the field of view; per block one loop without branches."""
-    x0, y0, z0 = position[0], position[1], position[2]
-    per_radian = f32(rows) / PI
-    for block in blocks:
-        for i in range(u64(block) * STEP, min(u64(block + 1) * STEP, u64(surfels.x.shape[0]))):
-            dx, dy, dz = surfels.x[i] - x0, surfels.y[i] - y0, surfels.z[i] - z0
-            flat = math.sqrt(dx * dx + dy * dy)
-            distance = math.sqrt(dx * dx + dy * dy + dz * dz)
-            inverse = ONE / max(distance, f32(1e-6))
-            across = ONE / max(flat, f32(1e-6))
-            cos_a, sin_a = dx * across, dy * across
-            cos_e, sin_e = flat * inverse, dz * inverse
-            outward = surfels.nx[i] * cos_a + surfels.ny[i] * sin_a
-            facing = outward * cos_e + surfels.nz[i] * sin_e
-            cosine = max(abs(facing), LEAST_COSINE)
-            steep = (ONE if facing >= f32(0.0) else -ONE) / cosine
-            view.cosine[i] = cosine
-            view.slope_row[i] = (surfels.nz[i] * cos_e - outward * sin_e) * steep
-            view.slope_column[i] = (surfels.ny[i] * cos_a - surfels.nx[i] * sin_a) * steep
-            view.row[i] = min((_arctan2(dz, flat) + HALF_PI) * per_radian, f32(rows) - f32(1e-3))
-            view.column[i] = min((_arctan2(dy, dx) + PI) * per_radian, f32(2 * rows) - f32(2e-3))
-            view.flat[i] = max(cos_e, f32(1e-4))
-            measured = (distance >= nearest) & (distance <= farthest)
-            view.inverse[i] = inverse if measured else f32(0.0)
-
-
-@njit(cache=True, nogil=True)
-def _keep_in_view(surfels, blocks, pose, lens, view):
-    """Drop what lies outside the viewing cone."""
-    for block in blocks:
-        for i in range(u64(block) * STEP, min(u64(block + 1) * STEP, u64(surfels.x.shape[0]))):
-            if not _in_cone(surfels.x[i], surfels.y[i], surfels.z[i], pose, lens):
-                view.inverse[i] = f32(0.0)
-
-
-@njit(cache=True, nogil=True, inline='always')
-def _in_cone(x, y, z, pose, lens):
-    """Tell whether a point lies in a camera's viewing cone."""
-    position, rotation = pose.position, pose.rotation
-    dx, dy, dz = x - position[0], y - position[1], z - position[2]
-    return in_view(rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz,
-                   rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz,
-                   rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz, lens)
-
-
-def project_surfels(surfels: Surfels, blocks: np.ndarray, pose: Pose, lens: Lens, rows: int,
-                    view: SurfelView) -> None:
+def project_block(surfels, number, position, farthest, rows, out):
     """
-    Write where surfels appear from a camera.
+    Write where the surfels of one block appear from a camera; one loop without branches.
 
-    :param surfels: N surfels.
-    :param blocks: the blocks of surfels to look at.
-    :param pose: the camera's pose.
-    :param lens: the camera model.
+    :param surfels: N :class:`Surfels`.
+    :param number: of the block.
+    :param position: (3,) float64, of the camera, metres.
+    :param farthest: its range, metres.
     :param rows: rows of the map.
-    :param view: N entries, out; those of other blocks stay as they are.
+    :param out: :class:`Workspace`.
     """
-    _project(surfels, blocks, np.asarray(pose.position, dtype=np.float32),
-             f32(max(lens.min_range, 1e-3)), f32(lens.max_range), rows, view)
-    if lens.kind != OMNIDIRECTIONAL:
-        _keep_in_view(surfels, blocks, pose, lens, view)
+    x0, y0, z0 = f32(position[0]), f32(position[1]), f32(position[2])
+    per_radian, per_cell, far = f32(rows) / PI, PI / f32(rows), f32(farthest)
+    last_row, last_column = f32(rows) - f32(1e-3), f32(2 * rows) - f32(2e-3)
+    stride = u32(2 * rows + 2)
+    first, count = _block(number, surfels.x.shape[0])
+    for j in range(count):
+        i = first + j
+        dx, dy, dz = surfels.x[i] - x0, surfels.y[i] - y0, surfels.z[i] - z0
+        flat = math.sqrt(dx * dx + dy * dy)
+        distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+        inverse = ONE / max(distance, f32(1e-6))
+        across = ONE / max(flat, f32(1e-6))
+        cos_a, sin_a = dx * across, dy * across
+        cos_e, sin_e = flat * inverse, dz * inverse
+        outward = surfels.nx[i] * cos_a + surfels.ny[i] * sin_a
+        facing = outward * cos_e + surfels.nz[i] * sin_e
+        cell = inverse * per_cell
+        steep = (cell if facing >= f32(0.0) else -cell) / max(abs(facing), LEAST_COSINE)
+        out.step_row[j] = (surfels.nz[i] * cos_e - outward * sin_e) * steep
+        out.step_column[j] = (surfels.ny[i] * cos_a - surfels.nx[i] * sin_a) * steep * cos_e
+        row = min((_arctan2(dz, flat) + HALF_PI) * per_radian, last_row)
+        column = min((_arctan2(dy, dx) + PI) * per_radian, last_column)
+        out.row[j], out.column[j], out.distance[i] = row, column, distance
+        out.around[i] = u32(i32(row + HALF)) * stride + u32(i32(column + HALF))
+        out.flat[j] = max(cos_e, f32(1e-4))
+        out.inverse[j] = inverse if (distance >= NEAREST) & (distance <= far) else f32(0.0)
 
 
 @njit(nogil=True, inline='always', fastmath=FAST)
@@ -269,21 +236,23 @@ def _splat_quad(inverse, row, column, reach, across, step_row, step_column, stri
 
 
 @njit(nogil=True, inline='always', fastmath=FAST)
-def _splat_ellipse(inverse, row, column, flat, slope_row, slope_column, cosine, size,
-                   step_row, step_column, rows, inverse_map):
+def _splat_ellipse(inverse, row, column, flat, size, step_row, step_column, rows, inverse_map):
     """Fill the cells whose centre is within the disc, an ellipse in the map, and its own."""
     columns, stride = 2 * rows, 2 * rows + 2
+    widen = ONE / flat
+    per_radian = f32(rows) / (PI * inverse)
+    slope_row, slope_column = step_row * per_radian, step_column * per_radian * widen
     # |w|^2 + (n.w / n.u)^2 <= size^2 for an offset w, solved for the columns of each row.
-    form, widen = ONE + slope_column * slope_column, ONE / flat
+    form = ONE + slope_column * slope_column
+    whole = form + slope_row * slope_row
     tilt = slope_row * slope_column * widen / form
-    upright = slope_row * cosine
-    height = size * math.sqrt(max(ONE - upright * upright, f32(1e-4)))
+    height = size * math.sqrt(max(form / whole, f32(1e-4)))
     own_row, own_column = i32(row), i32(column)
     first_row = max(min(i32(math.ceil(row - height - HALF)), own_row), 0)
     last_row = min(max(i32(math.floor(row + height - HALF)), own_row), rows - 1)
     for r in range(first_row, last_row + 1):
         down = f32(r) + HALF - row
-        root = max(form * size * size - down * down / (cosine * cosine), f32(0.0))
+        root = max(form * size * size - down * down * whole, f32(0.0))
         middle = column - tilt * down
         reach = math.sqrt(root) * widen / form
         first, last = i32(math.ceil(middle - reach - HALF)), i32(math.floor(middle + reach - HALF))
@@ -305,33 +274,32 @@ def _splat_ellipse(inverse, row, column, flat, slope_row, slope_column, cosine, 
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model='numpy')
-def splat_surfels(view, radius, blocks, farthest, settings, inverse_map):
+def splat_surfels(surfels, blocks, position, farthest, settings, out):
     """
     Fill a map with the nearest of the discs that cover each cell's centre.
 
-    :param view: :class:`SurfelView` of N surfels.
-    :param radius: (N,) float32, metres.
-    :param blocks: the blocks of surfels that were projected.
-    :param farthest: what an empty cell reads, metres.
+    :param surfels: N :class:`Surfels`.
+    :param blocks: (B,) the blocks to splat.
+    :param position: (3,) float64, of the camera, metres.
+    :param farthest: its range and what an empty cell reads, metres.
     :param settings: :class:`SurfelSettings`.
-    :param inverse_map: ((H + 2) (W + 2),) float32, out: inverse distances, 1/m, with a border of
-        one cell that repeats the cells across the seam.
+    :param out: :class:`Workspace`.
     """
-    rows, columns, stride = settings.rows, 2 * settings.rows, 2 * settings.rows + 2
-    per_cell, cells = PI / f32(rows), f32(rows) / PI
+    rows, stride = settings.rows, 2 * settings.rows + 2
+    inverse_map, cells = out.inverse_map, f32(rows) / PI
     single, quad = f32(settings.single), f32(settings.quad)
     inverse_map[:] = ONE / f32(farthest)
-    for block in blocks:
-        for i in range(u64(block) * STEP, min(u64(block + 1) * STEP, u64(radius.shape[0]))):
-            inverse = view.inverse[i]
+    for number in blocks:
+        project_block(surfels, number, position, farthest, rows, out)
+        start, count = _block(number, surfels.x.shape[0])
+        for j in range(count):
+            inverse = out.inverse[j]
             if inverse == f32(0.0):
                 continue
             # Local copies: the compiler cannot know that the map is not one of these arrays.
-            row, column, flat = view.row[i], view.column[i], view.flat[i]
-            slope_row, slope_column = view.slope_row[i], view.slope_column[i]
-            size = radius[i] * inverse * cells
-            step_row = inverse * per_cell * slope_row
-            step_column = inverse * per_cell * slope_column * flat
+            row, column, flat = out.row[j], out.column[j], out.flat[j]
+            step_row, step_column = out.step_row[j], out.step_column[j]
+            size = surfels.radius[start + j] * inverse * cells
             if size < flat * single:
                 own_row, own_column = i32(row), i32(column)
                 value = (inverse + step_row * (f32(own_row) + HALF - row)
@@ -342,59 +310,143 @@ def splat_surfels(view, radius, blocks, farthest, settings, inverse_map):
                 _splat_quad(inverse, row, column, max(size, HALF), max(size / flat, HALF),
                             step_row, step_column, stride, inverse_map)
             else:
-                _splat_ellipse(inverse, row, column, flat, slope_row, slope_column, view.cosine[i],
-                               size, step_row, step_column, rows, inverse_map)
-    _join_seam(rows, columns, stride, inverse_map)
+                _splat_ellipse(inverse, row, column, flat, size, step_row, step_column, rows,
+                               inverse_map)
+    _join_edges(rows, stride, inverse_map)
+    _take_farthest(rows, stride, inverse_map, out.farthest_of_four)
 
 
 @njit(nogil=True)
-def _join_seam(rows, columns, stride, inverse_map):
-    """Give both sides of the azimuth seam the nearer of what either has."""
-    for row in range(rows + 2):
+def _join_edges(rows, stride, inverse_map):
+    """Give both sides of the azimuth seam the nearer of what either has; close the poles."""
+    columns = stride - 2
+    for row in range(1, rows + 1):
         first = row * stride
         for left, right in ((0, columns), (1, columns + 1)):
             nearer = max(inverse_map[first + left], inverse_map[first + right])
             inverse_map[first + left] = inverse_map[first + right] = nearer
+    # There is no cell beyond a pole: none that could be the farthest.
+    inverse_map[:stride] = f32(np.inf)
+    inverse_map[(rows + 1) * stride:] = f32(np.inf)
+
+
+@njit(nogil=True)
+def _take_farthest(rows, stride, inverse_map, farthest_of_four):
+    """Write the least of each cell and the three to the right and above."""
+    step = u64(stride)
+    for row in range(u64(rows + 1)):
+        for cell in range(row * step, row * step + step - u64(1)):
+            lower = min(inverse_map[cell], inverse_map[cell + u64(1)])
+            upper = min(inverse_map[cell + step], inverse_map[cell + step + u64(1)])
+            farthest_of_four[cell] = min(lower, upper)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model='numpy')
-def visible_surfels(view, radius, blocks, order, settings, inverse_map, out):
+def locate_block(places, number, position, rows, out):
+    """Write where the places of one block appear; :func:`project_block` without discs."""
+    x0, y0, z0 = f32(position[0]), f32(position[1]), f32(position[2])
+    per_radian, stride = f32(rows) / PI, u32(2 * rows + 2)
+    last_row, last_column = f32(rows) - f32(1e-3), f32(2 * rows) - f32(2e-3)
+    first, count = _block(number, places.x.shape[0])
+    for i in range(first, first + count):
+        dx, dy, dz = places.x[i] - x0, places.y[i] - y0, places.z[i] - z0
+        flat = math.sqrt(dx * dx + dy * dy)
+        out.distance[i] = math.sqrt(dx * dx + dy * dy + dz * dz)
+        row = min((_arctan2(dz, flat) + HALF_PI) * per_radian, last_row)
+        column = min((_arctan2(dy, dx) + PI) * per_radian, last_column)
+        out.around[i] = u32(i32(row + HALF)) * stride + u32(i32(column + HALF))
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model='numpy')
+def visible_surfels(points, blocks, pose, lens, settings, work, seen):
     """
-    Add the surfels that a camera sees to those that others see.
+    Add the points that a camera sees to those that others see.
 
-    A surfel is seen if, at the centre of one of the four nearest cells, its plane is at most
-    base + share * radius behind the map.
+    A point is seen if it is at most base + share * radius behind the farthest of the four nearest
+    cells.
 
-    :param view: :class:`SurfelView` of N surfels.
-    :param radius: (N,) float32, metres.
-    :param blocks: the blocks of surfels that were projected.
-    :param order: (N,) int64, each surfel's index in ``out``.
+    :param points: N :class:`Surfels` or :class:`Places` whose blocks have been located.
+    :param blocks: (B,) the blocks to look at.
+    :param pose: the camera's :class:`~ocp_ros.geometry.cameras.Pose`.
+    :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Lens`.
     :param settings: :class:`SurfelSettings`.
-    :param inverse_map: from :func:`splat_surfels`.
-    :param out: (N,) bool, in and out: set where the surfel is visible, else left alone.
+    :param work: :class:`Workspace` after :func:`splat_surfels` for the same camera.
+    :param seen: (W,) uint64, packed bits, in and out: set where a point is visible.
     """
-    stride = u32(2 * settings.rows + 2)
-    per_cell = PI / f32(settings.rows)
     base, share = f32(settings.base), f32(settings.share)
-    for block in blocks:
-        for i in range(u64(block) * STEP, min(u64(block + 1) * STEP, u64(radius.shape[0]))):
-            inverse = view.inverse[i]
-            step_row = inverse * per_cell * view.slope_row[i]
-            step_column = inverse * per_cell * view.slope_column[i] * view.flat[i]
-            down, left = view.row[i] + HALF, view.column[i] + HALF
-            row, column = i32(down), i32(left)
-            value = inverse - step_row * (down - f32(row)) - step_column * (left - f32(column))
-            behind = base + share * radius[i]
-            cell = u32(row) * stride + u32(column)
-            a, b = inverse_map[cell], inverse_map[cell + u32(1)]
-            c, d = inverse_map[cell + stride], inverse_map[cell + stride + u32(1)]
-            # t <= SM + behind, with t = 1 / value and SM = 1 / a, without the divisions.
-            seen = (_clamped(value, inverse) * (ONE + behind * a) >= a)
-            seen |= (_clamped(value + step_column, inverse) * (ONE + behind * b) >= b)
-            seen |= (_clamped(value + step_row, inverse) * (ONE + behind * c) >= c)
-            value += step_row + step_column
-            seen |= (_clamped(value, inverse) * (ONE + behind * d) >= d)
-            out[order[i]] |= seen & (inverse > f32(0.0))
+    nearest, farthest = max(f32(lens.min_range), NEAREST), f32(lens.max_range)
+    flags = work.flags
+    for number in blocks:
+        first, count = _block(number, points.x.shape[0])
+        for j in range(count):
+            distance = work.distance[first + j]
+            ahead = distance - base - share * points.radius[first + j]
+            # ahead <= 1 / deepest, without the division.
+            flags[j] = ((ahead * work.farthest_of_four[work.around[first + j]] <= ONE)
+                        & (distance >= nearest) & (distance <= farthest))
+        flags[count:] = 0
+        if lens.kind != OMNIDIRECTIONAL:
+            _keep_in_cone(points, first, count, pose, lens, flags)
+        _pack(work.octets, seen, u64(number) * u64(WORDS))
+
+
+@njit(cache=True, nogil=True)
+def visible_places(places, blocks, pose, lens, settings, work, seen):
+    """Add the places that a camera sees; see :func:`visible_surfels`."""
+    for number in blocks:
+        locate_block(places, number, pose.position, settings.rows, work)
+    visible_surfels(places, blocks, pose, lens, settings, work, seen)
+
+
+@njit(nogil=True)
+def _keep_in_cone(points, first, count, pose, lens, flags):
+    """Clear the flags of points outside the viewing cone."""
+    x0, y0, z0 = pose.position[0], pose.position[1], pose.position[2]
+    rotation = pose.rotation
+    for j in range(count):
+        i = first + j
+        dx, dy, dz = points.x[i] - x0, points.y[i] - y0, points.z[i] - z0
+        x = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
+        y = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
+        z = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
+        flags[j] &= in_view(x, y, z, lens)
+
+
+@njit(nogil=True, inline='always')
+def _pack(octets, seen, first):
+    """Add 256 flags of a byte each, eight of them to a number, to four words of bits."""
+    for word in range(u64(WORDS)):
+        bits = u64(0)
+        for k in range(u64(8)):
+            # The product moves the lowest bit of each byte into the highest byte.
+            byte = (octets[word * u64(8) + k] * u64(0x0102040810204080)) >> u64(56)
+            bits |= byte << (k * u64(8))
+        seen[first + word] |= bits
+
+
+@njit(cache=True, nogil=True)
+def look_at_surfels(surfels, bounds, places, place_bounds, pose, lens, settings, work, seen,
+                    covered):
+    """
+    Add what a camera sees to what others see, in one call that holds no lock.
+
+    :param surfels: N :class:`Surfels` in spatial order.
+    :param bounds: (B, 2, 3) float32, of their blocks.
+    :param places: M :class:`Places` in spatial order; none to leave them out.
+    :param place_bounds: (C, 2, 3) float32, of their blocks.
+    :param pose: the camera's :class:`~ocp_ros.geometry.cameras.Pose`.
+    :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Lens`.
+    :param settings: :class:`SurfelSettings`.
+    :param work: :class:`Workspace`.
+    :param seen: (W,) uint64, packed bits of the points, in and out.
+    :param covered: (V,) uint64, packed bits of the places, in and out.
+    """
+    blocks = work.blocks[:blocks_in_view(bounds, pose, lens, work.blocks)]
+    splat_surfels(surfels, blocks, pose.position, lens.max_range, settings, work)
+    visible_surfels(surfels, blocks, pose, lens, settings, work, seen)
+    if covered.shape[0]:
+        blocks = work.blocks[:blocks_in_view(place_bounds, pose, lens, work.blocks)]
+        visible_places(places, blocks, pose, lens, settings, work, covered)
 
 
 def distances(inverse_map: np.ndarray, rows: int) -> np.ndarray:

@@ -2,58 +2,60 @@
 """
 What a camera sees of a scene, by presets.
 
-``fine``: surfels on a map of 144 x 288 cells, for scores and live planning. ``fast``: surfels on
-64 x 128, for training. ``paper``: points as cubes and a constant compensation, as arXiv 2110.11106
+``fine``: surfels on a map of 160 x 320 cells, for scores and live planning. ``fast``: surfels on
+72 x 144, for training. ``paper``: points as cubes and a constant compensation, as arXiv 2110.11106
 describes it.
+
+Either class keeps its points in spatial order and answers in packed bits of that order; see
+:mod:`ocp_ros.geometry.blocks`. Threads may share one: what a look writes is borrowed for the look.
 """
 
-from copy import copy
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from ocp_ros.geometry.cameras import Lens
-from ocp_ros.geometry.shadow_maps import (
-    CubeSettings,
-    Pose,
-    project,
-    Projection,
-    splat,
-    visible,
-)
+from ocp_ros.geometry.blocks import block_bounds, no_bits, pack, spatial_order
+from ocp_ros.geometry.cameras import Lens, Pose
+from ocp_ros.geometry.shadow_maps import CubeSettings, project, Projection, splat, visible
 from ocp_ros.geometry.surfels import (
-    block_bounds,
-    blocks_in_range,
     distances,
-    project_surfels,
-    spatial_order,
-    splat_surfels,
+    look_at_surfels,
+    Places,
     Surfels,
     SurfelSettings,
-    SurfelView,
-    visible_surfels,
+    Workspace,
 )
 
-FINE = SurfelSettings(rows=144, base=0.02, share=0.35, single=0.7, quad=1.5)
-FAST = SurfelSettings(rows=64, base=0.02, share=0.25, single=1.0, quad=2.0)
+FINE = SurfelSettings(rows=160, base=0.01, share=0.35, single=0.85, quad=1.5)
+FAST = SurfelSettings(rows=72, base=0.02, share=0.15, single=0.8, quad=2.0)
 #: The paper's cube of twice the spacing and a constant, for which it gives no figure.
 PAPER = CubeSettings(rows=128, cube_scale=1.0, compensation=0.2)
 PRESETS = {'fine': FINE, 'fast': FAST, 'paper': PAPER}
 #: Radius of a surfel in multiples of the pitch: discs of 0.71 would just cover a square grid.
-DISC_SCALE = 0.95
+DISC_SCALE = 0.9
+NO_BITS = no_bits(0)
+
+T = TypeVar('T')
 
 
-class _Sorted:
-    """Surfels in spatial order, in blocks that can be passed over when they are out of range."""
+class _Shelf(Generic[T]):
+    """Workspaces to borrow: as many are made as are ever in use at once."""
 
-    def __init__(self, points: np.ndarray, normals: np.ndarray, radius: np.ndarray) -> None:
-        self.order = spatial_order(points)
-        self.surfels = Surfels.of(points[self.order], normals[self.order], radius[self.order])
-        self.bounds = block_bounds(points[self.order])
+    def __init__(self, make: Callable[[], T]) -> None:
+        self._make, self._free = make, deque()
 
-    def blocks_in_range(self, pose: Pose, lens: Lens) -> np.ndarray:
-        """Return the blocks that a camera may measure some point of."""
-        position = np.asarray(pose.position, dtype=np.float32)
-        return blocks_in_range(self.bounds, position, np.float32(lens.max_range))
+    @contextmanager
+    def borrowed(self) -> Iterator[T]:
+        """Lend one for the time of the context."""
+        try:
+            work = self._free.pop()
+        except IndexError:
+            work = self._make()
+        yield work
+        self._free.append(work)
 
 
 class SurfelVisibility:
@@ -64,62 +66,58 @@ class SurfelVisibility:
     :param normals: (N, 3) float32 unit vectors.
     :param pitch: (N,) float32, metres: edge of the square that each point stands for.
     :param places: (M, 3) float32, metres: places in the air, such as cells of a coverage grid.
-    :param lens: the camera model.
     :param settings: rules.
+    :ivar order: (N,) int64: index of each point of the spatial order among the given points.
+    :ivar place_order: (M,) int64: the same of the places.
     """
 
     def __init__(self, points: np.ndarray, normals: np.ndarray, pitch: np.ndarray,
-                 places: np.ndarray, lens: Lens, settings: SurfelSettings) -> None:
-        self.lens, self.settings = lens, settings
-        # Without a normal a place has the same distance in every direction.
-        self._points = _Sorted(points, normals, DISC_SCALE * pitch)
-        self._places = _Sorted(places, np.zeros_like(places), np.zeros(len(places), np.float32))
-        self._make_room()
+                 places: np.ndarray, settings: SurfelSettings) -> None:
+        self.settings = settings
+        self.order, self.place_order = spatial_order(points), spatial_order(places)
+        points, radius = points[self.order], (DISC_SCALE * pitch)[self.order]
+        self._surfels = Surfels.of(points, normals[self.order], radius)
+        self._bounds = block_bounds(points, radius)
+        self._places = Places.of(places[self.place_order])
+        self._place_bounds = block_bounds(places[self.place_order], self._places.radius)
+        self._shelf = _Shelf(
+            lambda: Workspace.of(settings.rows, max(len(points), len(places))))
 
-    def _make_room(self) -> None:
-        """Allocate the arrays that every look works in."""
-        rows = self.settings.rows
-        self._view = SurfelView.empty(len(self._points.order))
-        self._place_view = SurfelView.empty(len(self._places.order))
-        self._map = np.empty((rows + 2) * (2 * rows + 2), dtype=np.float32)
-
-    def for_another_thread(self) -> 'SurfelVisibility':
-        """Return one that shares the points but works in arrays of its own."""
-        other = copy(self)
-        other._make_room()
-        return other
-
-    def look(self, pose: Pose, seen: np.ndarray) -> None:
+    def look(self, pose: Pose, lens: Lens, seen: np.ndarray,
+             covered: np.ndarray | None = None) -> None:
         """
-        Add the points that a camera sees to those that others see.
+        Add what a camera sees to what others see.
 
         :param pose: the camera's pose.
-        :param seen: (N,) bool, in and out.
+        :param lens: its model.
+        :param seen: packed bits of the points, in and out.
+        :param covered: packed bits of the places, in and out; None to leave them out.
         """
-        points, view, settings = self._points, self._view, self.settings
-        blocks = points.blocks_in_range(pose, self.lens)
-        project_surfels(points.surfels, blocks, pose, self.lens, settings.rows, view)
-        splat_surfels(view, points.surfels.radius, blocks, self.lens.max_range, settings,
-                      self._map)
-        visible_surfels(view, points.surfels.radius, blocks, points.order, settings, self._map,
-                        seen)
+        with self._shelf.borrowed() as work:
+            look_at_surfels(self._surfels, self._bounds, self._places, self._place_bounds, pose,
+                            lens, self.settings, work, seen,
+                            NO_BITS if covered is None else covered)
 
-    def cover(self, pose: Pose, covered: np.ndarray) -> None:
-        """
-        Add the places that the camera of the last look sees to those that others see.
+    def shadow_map(self, pose: Pose, lens: Lens) -> np.ndarray:
+        """Return a camera's map: (H, W) float32 distances, metres; filled where it looks."""
+        with self._shelf.borrowed() as work:
+            look_at_surfels(self._surfels, self._bounds, self._places, self._place_bounds, pose,
+                            lens, self.settings, work, no_bits(len(self.order)), NO_BITS)
+            return distances(work.inverse_map, self.settings.rows)
 
-        :param pose: the same pose.
-        :param covered: (M,) bool, in and out.
-        """
-        places, view = self._places, self._place_view
-        blocks = places.blocks_in_range(pose, self.lens)
-        project_surfels(places.surfels, blocks, pose, self.lens, self.settings.rows, view)
-        visible_surfels(view, places.surfels.radius, blocks, places.order, self.settings,
-                        self._map, covered)
+    @property
+    def nbytes(self) -> int:
+        """Return the bytes held for the scene, without the copy that the caller has."""
+        return sum(array.nbytes for array in (*self._surfels, *self._places, self._bounds,
+                                              self._place_bounds, self.order, self.place_order))
 
-    def shadow_map(self) -> np.ndarray:
-        """Return the map of the last look: (H, W) float32 distances, metres."""
-        return distances(self._map, self.settings.rows)
+
+class _CubeWorkspace(NamedTuple):
+    """What one look writes."""
+
+    view: Projection
+    place_view: Projection
+    shadow_map: np.ndarray
 
 
 class CubeVisibility:
@@ -129,40 +127,50 @@ class CubeVisibility:
     :param points: (N, 3) float32, metres, map frame.
     :param spacing: (N,) float32, metres: distance to the nearest neighbour.
     :param places: (M, 3) float32, metres.
-    :param lens: the camera model.
     :param settings: rules.
+    :ivar order: (N,) int64: index of each point of the spatial order among the given points.
+    :ivar place_order: (M,) int64: the same of the places.
     """
 
-    def __init__(self, points: np.ndarray, spacing: np.ndarray, places: np.ndarray, lens: Lens,
+    def __init__(self, points: np.ndarray, spacing: np.ndarray, places: np.ndarray,
                  settings: CubeSettings) -> None:
-        self.lens, self.settings = lens, settings
-        self._points, self._spacing, self._places = points, spacing, places
-        self._make_room()
+        self.settings = settings
+        self.order, self.place_order = spatial_order(points), spatial_order(places)
+        self._points, self._spacing = points[self.order], spacing[self.order]
+        self._places = places[self.place_order]
+        self._shelf = _Shelf(lambda: _CubeWorkspace(
+            Projection.empty(len(points)), Projection.empty(len(places)),
+            np.empty((settings.rows, 2 * settings.rows), dtype=np.float32)))
 
-    def _make_room(self) -> None:
-        """Allocate the arrays that every look works in."""
-        rows = self.settings.rows
-        self._view = Projection.empty(len(self._points))
-        self._place_view = Projection.empty(len(self._places))
-        self._map = np.empty((rows, 2 * rows), dtype=np.float32)
+    def look(self, pose: Pose, lens: Lens, seen: np.ndarray,
+             covered: np.ndarray | None = None) -> None:
+        """Add what a camera sees to what others see; see :meth:`SurfelVisibility.look`."""
+        with self._shelf.borrowed() as work:
+            self._fill(pose, lens, work)
+            seen |= self._visible(work.view, work.shadow_map)
+            if covered is not None:
+                project(self._places, pose, lens, work.place_view)
+                covered |= self._visible(work.place_view, work.shadow_map)
 
-    def for_another_thread(self) -> 'CubeVisibility':
-        """Return one that shares the points but works in arrays of its own."""
-        other = copy(self)
-        other._make_room()
-        return other
+    def _fill(self, pose: Pose, lens: Lens, work: _CubeWorkspace) -> None:
+        """Fill a camera's map."""
+        project(self._points, pose, lens, work.view)
+        splat(work.view, self._spacing, self.settings.cube_scale, lens.max_range, work.shadow_map)
 
-    def look(self, pose: Pose, seen: np.ndarray) -> None:
-        """Add the points that a camera sees; see :meth:`SurfelVisibility.look`."""
-        project(self._points, pose, self.lens, self._view)
-        splat(self._view, self._spacing, self.settings.cube_scale, self.lens.max_range, self._map)
-        visible(self._view, self.settings.compensation, self._map, seen)
+    def _visible(self, view: Projection, shadow_map: np.ndarray) -> np.ndarray:
+        """Return packed bits of what the map does not hide."""
+        flags = np.zeros(len(view.distance), dtype=bool)
+        visible(view, self.settings.compensation, shadow_map, flags)
+        return pack(flags)
 
-    def cover(self, pose: Pose, covered: np.ndarray) -> None:
-        """Add the places that a camera sees; see :meth:`SurfelVisibility.cover`."""
-        project(self._places, pose, self.lens, self._place_view)
-        visible(self._place_view, self.settings.compensation, self._map, covered)
+    def shadow_map(self, pose: Pose, lens: Lens) -> np.ndarray:
+        """Return a camera's map: (H, W) float32 distances, metres."""
+        with self._shelf.borrowed() as work:
+            self._fill(pose, lens, work)
+            return work.shadow_map.copy()
 
-    def shadow_map(self) -> np.ndarray:
-        """Return the map of the last look: (H, W) float32 distances, metres."""
-        return self._map
+    @property
+    def nbytes(self) -> int:
+        """Return the bytes held for the scene."""
+        return sum(array.nbytes for array in (self._points, self._spacing, self._places,
+                                              self.order, self.place_order))

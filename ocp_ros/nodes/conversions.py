@@ -5,8 +5,9 @@ from array import array
 from collections.abc import Mapping
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Pose, PoseArray
+from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
 import numpy as np
+from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, UInt8MultiArray
 
@@ -88,14 +89,21 @@ def msg_to_cloud(message: PointCloud2) -> np.ndarray:
     return points if finite.all() else points[finite]
 
 
-def positions_to_msg(positions: np.ndarray, header: Header) -> PoseArray:
+def positions_to_msg(positions: np.ndarray, header: Header,
+                     headings: np.ndarray | None = None) -> PoseArray:
     """
-    Pack camera positions as poses without rotation.
+    Pack where cameras are as poses.
 
     :param positions: (K, 3), metres, in the header's frame.
+    :param headings: (K, 3) yaw, pitch and roll in radians; None for level cameras along x.
     """
-    return PoseArray(header=header, poses=[
+    message = PoseArray(header=header, poses=[
         Pose(position=Point(x=float(x), y=float(y), z=float(z))) for x, y, z in positions])
+    if headings is not None:
+        for pose, (x, y, z, w) in zip(
+                message.poses, Rotation.from_euler('ZYX', headings).as_quat(), strict=True):
+            pose.orientation = Quaternion(x=float(x), y=float(y), z=float(z), w=float(w))
+    return message
 
 
 def msg_to_positions(message: PoseArray, cameras: int | None = None) -> np.ndarray:

@@ -11,18 +11,19 @@ TRAJECTORY_COLOUR = ColorRGBA(r=1.0, g=1.0, b=1.0, a=0.9)
 RANGE_COLOUR = ColorRGBA(r=0.4, g=0.65, b=1.0, a=0.08)
 
 
-def rig_markers(trajectories: np.ndarray, max_range: float, header: Header) -> MarkerArray:
+def rig_markers(trajectories: np.ndarray, ranges: np.ndarray, header: Header) -> MarkerArray:
     """
     Draw a rig.
 
     :param trajectories: (T, K, 3), metres: where the cameras were after each turn, last row now.
-    :param max_range: effective range, metres.
+    :param ranges: (K,) effective ranges, metres.
     """
     markers = []
     for camera in range(trajectories.shape[1]):
         way = [Point(x=float(x), y=float(y), z=float(z)) for x, y, z in trajectories[:, camera]]
         markers.append(_ball(header, 'cameras', camera, way[-1], 0.2, CAMERA_COLOUR))
-        markers.append(_ball(header, 'ranges', camera, way[-1], 2.0 * max_range, RANGE_COLOUR))
+        markers.append(_ball(header, 'ranges', camera, way[-1], 2.0 * float(ranges[camera]),
+                             RANGE_COLOUR))
         # RViz complains of a line of one point.
         line = Marker(header=header, ns='trajectories', id=camera, type=Marker.LINE_STRIP,
                       action=Marker.ADD if len(way) > 1 else Marker.DELETE,

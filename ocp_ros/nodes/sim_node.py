@@ -76,9 +76,9 @@ class SimNode(Node):
             f'{scene.name}: {len(scene)} points, ' + ' x '.join(f'{s:.1f}' for s in scene.size)
             + f' m, {self.config.rig.cameras} cameras')
         self._begin()
-        if not self.episode.observed.any():
+        if not len(self.episode.observed):
             raise SceneError(
-                f'{scene.name}: found no point within {self.config.rig.max_range} m of the '
+                f'{scene.name}: found no point within {self.config.rig.ranges.max()} m of the '
                 f'cameras at the centre, {self.config.rig.height} m above the lowest point; '
                 'expected them inside the room; check scene.up, scene.scale and rig.height')
 
@@ -115,13 +115,13 @@ class SimNode(Node):
         header, turn = self._header(), self.episode.turn
         self._turn_messages = (
             (self._reward, fields_to_msg(self._reward_fields())),
-            (self._poses, positions_to_msg(turn.positions, header)),
+            (self._poses, positions_to_msg(turn.positions, header, self.config.rig.headings)),
             (self._observation, cloud_to_msg(self.episode.observed_cloud, header)))
         self._send_turn()
         self._coverage.publish(Float64(data=turn.space_coverage))
         self._error.publish(Float64(data=turn.depth_error))
         self._markers.publish(
-            rig_markers(np.array(self._way), self.config.rig.max_range, header))
+            rig_markers(np.array(self._way), self.config.rig.ranges, header))
 
     def _reward_fields(self) -> dict[str, float]:
         """Return the fields of the reward topic in their order."""

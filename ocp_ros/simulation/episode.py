@@ -42,7 +42,7 @@ class Episode:
     def __init__(self, simulator: Simulator, rng: np.random.Generator) -> None:
         self.simulator, self.scene = simulator, simulator.scene
         self.config = simulator.config.episode
-        self.observed = np.zeros(len(self.scene), dtype=bool)
+        self.observed = simulator.nothing()
         self.turn = self._look(0, self._start(rng), NO_REWARD)
 
     def _start(self, rng: np.random.Generator) -> np.ndarray:
@@ -80,12 +80,13 @@ class Episode:
 
     def _look(self, step: int, positions: np.ndarray, terms: RewardTerms) -> Turn:
         """Judge the placement and remember what it sees."""
-        result = self.simulator.evaluate(positions)
-        self.observed |= result.visible
+        result = self.simulator.evaluate(
+            np.hstack([positions, self.simulator.config.rig.headings]))
+        self.observed |= result.seen
         return Turn(step, positions, result.space_coverage, result.depth_error, terms,
                     truncated=step >= self.config.turns)
 
     @property
     def observed_cloud(self) -> np.ndarray:
         """Return all points seen since the episode began: (M, 3) float32, metres, map frame."""
-        return self.scene.points[self.observed]
+        return self.scene.points[self.observed.mask]

@@ -3,14 +3,14 @@
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-import threading
 from typing import NamedTuple
 
 import numpy as np
 
+from ocp_ros.geometry.blocks import no_bits, Subset
+from ocp_ros.geometry.cameras import OMNIDIRECTIONAL, Pose
 from ocp_ros.geometry.coverage import coverage_grid, space_coverage
 from ocp_ros.geometry.depth_error import DepthError
-from ocp_ros.geometry.shadow_maps import Pose
 from ocp_ros.geometry.visibility import CubeVisibility, PRESETS, SurfelVisibility
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.config import SimulationConfig
@@ -20,35 +20,44 @@ from ocp_ros.simulation.config import SimulationConfig
 ERROR_CUBE = 1.0
 
 
+class View(NamedTuple):
+    """
+    What one camera sees, as packed bits in the engine's order.
+
+    :ivar seen: (W,) uint64, points.
+    :ivar covered: (V,) uint64, cells of the coverage grid.
+    """
+
+    seen: np.ndarray
+    covered: np.ndarray
+
+
 class Evaluation(NamedTuple):
     """
     What a placement is worth.
 
-    :ivar visible: (N,) bool, points that at least one camera sees.
+    :ivar seen: the points that at least one camera sees.
     :ivar space_coverage: cubic metres.
     :ivar depth_error: metres.
     """
 
-    visible: np.ndarray
+    seen: Subset
     space_coverage: float
     depth_error: float
 
-
-class View(NamedTuple):
-    """
-    What one camera sees.
-
-    :ivar visible: (N,) bool, points.
-    :ivar covered: (M,) bool, cells of the coverage grid.
-    """
-
-    visible: np.ndarray
-    covered: np.ndarray
+    @property
+    def visible(self) -> np.ndarray:
+        """Return (N,) bool, whether at least one camera sees each point of the scene."""
+        return self.seen.mask
 
 
 class Simulator:
     """
     Judge placements in one scene; threads may share it, and the kernels run without the GIL.
+
+    A placement has one row per camera: x, y, z in metres, or x, y, z, yaw, pitch, roll with angles
+    in radians (see :func:`~ocp_ros.geometry.cameras.rotation_matrix`); row k belongs to camera k
+    of the rig.
 
     :param scene: the room.
     :param config: the rig and the engine's settings.
@@ -62,20 +71,20 @@ class Simulator:
             raise SceneError(
                 f'{scene.name}: found a room {scene.size[2]:.2f} m high; expected more than the '
                 f"cameras' height of {config.rig.height:.2f} m; lower rig.height")
+        self._lenses = [model.lens for model in config.rig.models]
         self.grid, self.cell_volume = coverage_grid(scene.bounds, config.engine.coverage_cell)
-        self._visibility = self._make_visibility()
-        self._own = threading.local()
-        self.depth_error = DepthError(scene.points, scene.spacing, scene.bounds,
+        self.visibility = self._make_visibility()
+        order = self.visibility.order
+        self.depth_error = DepthError(scene.points[order], scene.spacing[order], scene.bounds,
                                       config.engine.error_rows, ERROR_CUBE)
 
     def _make_visibility(self) -> SurfelVisibility | CubeVisibility:
         """Build what the preset asks for."""
-        scene, lens = self.scene, self.config.rig.model.lens
-        settings = PRESETS[self.config.engine.preset]
-        if self.config.engine.preset == 'paper':
-            return CubeVisibility(scene.points, scene.spacing, self.grid, lens, settings)
+        scene, preset = self.scene, self.config.engine.preset
+        if preset == 'paper':
+            return CubeVisibility(scene.points, scene.spacing, self.grid, PRESETS[preset])
         return SurfelVisibility(scene.points, scene.normals_or_estimate, scene.pitch, self.grid,
-                                lens, settings)
+                                PRESETS[preset])
 
     @property
     def volume(self) -> float:
@@ -83,22 +92,28 @@ class Simulator:
         return float(self.scene.size.prod())
 
     @property
-    def visibility(self) -> SurfelVisibility | CubeVisibility:
-        """Return the visibility that belongs to the calling thread: it has arrays to work in."""
-        if not hasattr(self._own, 'visibility'):
-            self._own.visibility = self._visibility.for_another_thread()
-        return self._own.visibility
+    def nbytes(self) -> int:
+        """Return the bytes held for the scene, its points included."""
+        scene = self.scene
+        return sum(array.nbytes for array in (scene.points, scene.spacing, self.grid)) \
+            + self.visibility.nbytes + self.depth_error.nbytes
 
-    def look(self, position: np.ndarray) -> View:
+    def nothing(self) -> Subset:
+        """Return the empty subset of the scene's points."""
+        return Subset.none(self.visibility.order)
+
+    def look(self, pose: np.ndarray, camera: int = 0) -> View:
         """
         Compute what one camera sees.
 
-        :param position: (3,) metres, map frame.
+        :param pose: a row of a placement.
+        :param camera: which camera of the rig; all see alike where the rig has one kind.
         """
-        view = View(np.zeros(len(self.scene), dtype=bool), np.zeros(len(self.grid), dtype=bool))
-        pose, visibility = Pose(np.asarray(position, dtype=np.float64), np.eye(3)), self.visibility
-        visibility.look(pose, view.visible)
-        visibility.cover(pose, view.covered)
+        view = View(no_bits(len(self.scene)), no_bits(len(self.grid)))
+        lens = self._lenses[camera if len(self._lenses) > 1 else 0]
+        # How an omnidirectional camera is turned makes no difference.
+        turned = pose[:3] if lens.kind == OMNIDIRECTIONAL else pose
+        self.visibility.look(Pose.of(turned), lens, *view)
         return view
 
     def judge(self, views: Sequence[View]) -> Evaluation:
@@ -107,29 +122,43 @@ class Simulator:
 
         :param views: from :meth:`look`, one per camera.
         """
-        seen = np.logical_or.reduce([view.visible for view in views])
-        covered = np.logical_or.reduce([view.covered for view in views])
-        return Evaluation(seen, space_coverage(covered, self.cell_volume), self.depth_error(seen))
+        seen = np.bitwise_or.reduce([view.seen for view in views])
+        covered = np.bitwise_or.reduce([view.covered for view in views])
+        return Evaluation(Subset(seen, self.visibility.order),
+                          space_coverage(covered, self.cell_volume), self.depth_error(seen))
 
-    def evaluate(self, positions: np.ndarray) -> Evaluation:
+    def evaluate(self, placement: np.ndarray) -> Evaluation:
         """
         Judge a placement.
 
-        :param positions: (K, 3), metres, map frame, K >= 1.
+        :param placement: (K, 3) or (K, 6), K >= 1; where the rig has several kinds of camera, at
+            most one row for each.
+        :raises ValueError: if there are more rows than cameras of several kinds.
         """
-        return self.judge([self.look(position) for position in positions])
+        if len(placement) > len(self._lenses) > 1:
+            raise ValueError(f'placement: found {len(placement)} cameras; expected at most '
+                             f'{len(self._lenses)}, one for each of rig.sensors')
+        return self.judge([self.look(pose, camera) for camera, pose in enumerate(placement)])
 
     def evaluate_many(self, placements: np.ndarray, threads: int = 1) -> np.ndarray:
         """
         Judge many placements.
 
-        :param placements: (M, K, 3), metres, map frame.
+        :param placements: (M, K, 3) or (M, K, 6).
         :param threads: how many to use.
         :returns: (M, 2) float64: space coverage in cubic metres and depth error in metres.
         """
-        def scores(positions: np.ndarray) -> tuple[float, float]:
-            result = self.evaluate(positions)
-            return result.space_coverage, result.depth_error
-
         with ThreadPoolExecutor(threads) as pool:
-            return np.array(list(pool.map(scores, placements))).reshape(-1, 2)
+            results = list(pool.map(lambda placement: self.evaluate(placement)[1:], placements))
+        return np.array(results).reshape(-1, 2)
+
+    def look_many(self, poses: np.ndarray, camera: int = 0, threads: int = 1) -> list[View]:
+        """
+        Compute what a camera sees from each of many poses, the candidates of a search.
+
+        :param poses: (M, 3) or (M, 6), rows of a placement.
+        :param camera: which camera of the rig.
+        :param threads: how many to use.
+        """
+        with ThreadPoolExecutor(threads) as pool:
+            return list(pool.map(lambda pose: self.look(pose, camera), poses))

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Depth sensors one can buy, as camera models.
+
+Each number is the manufacturer's; the source is named with it. Where a sheet gives an ideal range,
+that is the range here: beyond it a sensor still measures, but worse than its sheet promises. A
+field of view given without tolerance is the nominal one.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ocp_ros.geometry.cameras import CameraModel
+
+MICROSOFT = ('Microsoft, Azure Kinect DK hardware specifications, depth camera supported '
+             'operating modes')
+ORBBEC = 'Orbbec, Femto Bolt hardware specifications, depth camera supported operating modes'
+REALSENSE = 'Intel, RealSense product family D400 series datasheet 337029 and product page'
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """
+    A depth sensor.
+
+    :ivar title: maker, model and mode.
+    :ivar model: what it sees.
+    :ivar source: where its numbers come from.
+    """
+
+    title: str
+    model: CameraModel
+    source: str
+
+
+def _sensor(title: str, ranges: tuple[float, float], degrees: tuple[float, float],
+            resolution: tuple[int, int], source: str) -> Sensor:
+    """Describe a sensor by ranges in metres and fields of view in degrees."""
+    horizontal, vertical = np.deg2rad(degrees)
+    return Sensor(title, CameraModel(*ranges, float(horizontal), float(vertical), resolution),
+                  source)
+
+
+SENSORS = {
+    'realsense_d435': _sensor(
+        'Intel RealSense D435', (0.3, 3.0), (87.0, 58.0), (1280, 720),
+        f'{REALSENSE}: ideal range 0.3 to 3 m'),
+    'realsense_d455': _sensor(
+        'Intel RealSense D455', (0.6, 6.0), (87.0, 58.0), (1280, 720),
+        f'{REALSENSE}: ideal range 0.6 to 6 m'),
+    'realsense_l515': _sensor(
+        'Intel RealSense LiDAR Camera L515', (0.25, 9.0), (70.0, 55.0), (1024, 768),
+        'Intel, RealSense LiDAR Camera L515 product page: 0.25 to 9 m, less on dark surfaces'),
+    'azure_kinect_nfov': _sensor(
+        'Microsoft Azure Kinect, NFOV unbinned', (0.5, 3.86), (75.0, 65.0), (640, 576), MICROSOFT),
+    'azure_kinect_wfov': _sensor(
+        'Microsoft Azure Kinect, WFOV 2x2 binned', (0.25, 2.88), (120.0, 120.0), (512, 512),
+        MICROSOFT),
+    'femto_bolt_nfov': _sensor(
+        'Orbbec Femto Bolt, NFOV unbinned', (0.5, 3.86), (75.0, 65.0), (640, 576), ORBBEC),
+    'femto_bolt_wfov': _sensor(
+        'Orbbec Femto Bolt, WFOV 2x2 binned', (0.25, 2.88), (120.0, 120.0), (512, 512), ORBBEC),
+    'kinect_v2': _sensor(
+        'Microsoft Kinect for Windows v2', (0.5, 4.5), (70.0, 60.0), (512, 424),
+        'Microsoft, Kinect for Windows v2 hardware features: 0.5 to 4.5 m, 70 x 60 degrees'),
+    'velodyne_vlp16': _sensor(
+        'Velodyne VLP-16 spinning lidar, 10 Hz', (1.0, 100.0), (360.0, 30.0), (1800, 16),
+        'Velodyne, VLP-16 User Manual 63-9243: 1 to 100 m, 16 channels from -15 to +15 degrees, '
+        '0.2 degrees of azimuth at 10 Hz'),
+}

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The depth observation error: against its twin and ray casting, and what must hold of it."""
+
+from hypothesis import given
+from hypothesis import settings as budget
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+import twins
+
+from ocp_ros.benchmark.truth import RayCaster
+from ocp_ros.geometry.blocks import no_bits, pack
+from ocp_ros.geometry.cameras import rotation_matrix
+from ocp_ros.geometry.depth_error import DepthError, viewpoints
+from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.simulation.config import SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
+
+#: Sums of single-precision depths, metres.
+ROUNDING = 1e-5
+seeds = st.integers(0, 2 ** 32 - 1)
+
+
+def test_viewpoints_are_where_the_paper_puts_them():
+    found = viewpoints(np.array([[0.0, 0.0, 0.0], [6.0, 12.0, 3.0]]))
+    assert found.tolist() == [[3, 6, 1.5], [1, 2, 1.5], [1, 10, 1.5], [5, 2, 1.5], [5, 10, 1.5]]
+
+
+@pytest.fixture(scope='module')
+def small():
+    """Return a small room and its depth error at a low resolution."""
+    scene = generate_room(2, 1500)
+    return scene, DepthError(scene.points, scene.spacing, scene.bounds, 24, 0.75)
+
+
+@given(seed=seeds, share=st.floats(0.0, 1.0))
+@budget(max_examples=8, deadline=None)
+def test_depth_error_agrees_with_its_twin(small, seed, share):
+    scene, error = small
+    seen = np.random.default_rng(seed).random(len(scene)) < share
+    expected = twins.depth_error(scene.points, 0.75 * scene.spacing, error.viewpoints, error.far,
+                                 24, seen)
+    assert error(pack(seen)) == pytest.approx(expected, rel=2e-3, abs=2e-3)
+
+
+@given(seed=seeds, share=st.floats(0.0, 1.0))
+@budget(max_examples=30, deadline=None)
+def test_depth_error_falls_or_stays_when_more_is_seen(small, seed, share):
+    scene, error = small
+    rng = np.random.default_rng(seed)
+    some = rng.random(len(scene)) < share
+    more = some | (rng.random(len(scene)) < 0.2)
+    assert 0.0 <= error(pack(more)) <= error(pack(some)) + ROUNDING
+    assert error(pack(some)) <= error.worst + ROUNDING
+
+
+def test_depth_maps_agree_with_ray_casting():
+    scene = generate_room(0, 15000)
+    engine = Simulator(scene, SimulationConfig()).depth_error
+    caster = RayCaster(scene.mesh)
+    rays = twins.directions(engine.shape[0]).reshape(-1, 3)
+    off = [np.abs(engine.depth_map(k).ravel() - caster.distance(engine.viewpoints[k], rays)).mean()
+           for k in range(5)]
+    # Cubes reach a little beyond what they stand for; holes would cost metres.
+    assert sum(off) < 0.6
+    assert (engine.depth_map(0) == np.float32(engine.far)).mean() < 0.01
+
+
+def test_depth_error_is_zero_when_all_is_seen(small):
+    scene, error = small
+    assert error(pack(np.ones(len(scene), dtype=bool))) == 0.0
+    assert error.worst == error(no_bits(len(scene))) > 1.0
+    assert error.depth_map(0).shape == (24, 48)
+
+
+@pytest.mark.parametrize('quarters', [1, 2, 3])
+def test_a_room_that_turns_with_its_cameras_is_worth_the_same(quarters):
+    """By quarters, so that the bounding box turns as well: the viewpoints follow from it."""
+    scene = generate_room(5, 6000)
+    turn = rotation_matrix(quarters * np.pi / 2)
+    turned = Scene((scene.points @ turn.T).astype(np.float32),
+                   normals=(scene.normals_or_estimate @ turn.T).astype(np.float32))
+    placement = np.random.default_rng(0).uniform(*scene.bounds, (3, 3))
+    one = Simulator(scene, SimulationConfig()).evaluate(placement)
+    other = Simulator(turned, SimulationConfig()).evaluate(placement @ turn.T)
+    assert (one.seen.mask != other.seen.mask).mean() <= 0.002
+    assert other.depth_error == pytest.approx(one.depth_error, rel=0.02)
+    assert other.space_coverage == pytest.approx(one.space_coverage, rel=0.02)

@@ -1,0 +1,363 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What cameras see: the kernels against NumPy and ray casting, and what must hold of them."""
+
+from hypothesis import given
+from hypothesis import settings as budget
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+import twins
+
+from ocp_ros.benchmark.engine import free_places
+from ocp_ros.benchmark.truth import RayCaster
+from ocp_ros.benchmark.twin import Twin
+from ocp_ros.geometry.blocks import no_bits, Subset
+from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose, rotation_matrix
+from ocp_ros.geometry.coverage import coverage_grid
+from ocp_ros.geometry.sensors import SENSORS
+from ocp_ros.geometry.shadow_maps import project, Projection, splat, visible
+from ocp_ros.geometry.surfels import (
+    distances,
+    project_block,
+    splat_surfels,
+    Surfels,
+    SurfelSettings,
+    Workspace,
+)
+from ocp_ros.geometry.visibility import (
+    CubeVisibility,
+    DISC_SCALE,
+    PRESETS,
+    SurfelVisibility,
+)
+from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.scenes.scene import Scene
+
+MODELS = {
+    'omnidirectional': CameraModel(0.0, 4.0),
+    'pinhole': CameraModel(0.3, 5.0, np.deg2rad(87), np.deg2rad(58)),
+    'lidar': CameraModel(0.5, 6.0, 2 * np.pi, np.deg2rad(30)),
+}
+HERE = Pose(np.zeros(3), LEVEL)
+NOWHERE = np.empty((0, 3), np.float32)
+#: The tests' clouds fit in one block.
+ALL = np.zeros(1, np.uint32)
+seeds = st.integers(0, 2 ** 32 - 1)
+
+
+def cloud(seed, count=120, size=6.0):
+    """Return random points, sizes in metres and unit normals."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-size / 2, size / 2, (count, 3)).astype(np.float32)
+    sizes = rng.uniform(0.0, 0.4, count).astype(np.float32)
+    normals = rng.normal(size=(count, 3))
+    return points, sizes, (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype('f4')
+
+
+def visibility(points, sizes, normals, preset, places=NOWHERE):
+    """Return the visibility of one preset."""
+    settings = PRESETS[preset]
+    if preset == 'paper':
+        return CubeVisibility(points, sizes, places, settings)
+    return SurfelVisibility(points, normals, sizes, places, settings)
+
+
+def look(points, sizes, normals, pose, model, preset):
+    """Return which points a camera sees."""
+    engine = visibility(points, sizes, normals, preset)
+    seen = Subset.none(engine.order)
+    engine.look(pose, model.lens, seen.bits)
+    return seen.mask
+
+
+def look_at_scene(scene, pose, model, preset):
+    """Return which points of a scene a camera sees."""
+    sizes = scene.spacing if preset == 'paper' else scene.pitch
+    return look(scene.points, sizes, scene.normals_or_estimate, pose, model, preset)
+
+
+@pytest.mark.parametrize('model', MODELS.values(), ids=MODELS)
+@given(seed=seeds)
+@budget(max_examples=15, deadline=None)
+def test_both_projections_agree_with_their_twin(model, seed):
+    points, sizes, normals = cloud(seed)
+    rng = np.random.default_rng(seed)
+    pose = Pose(rng.uniform(-1, 1, 3), rotation_matrix(*rng.uniform(-3, 3, 3)))
+    where, work = Projection.empty(len(points)), Workspace.of(64, len(points))
+    project(points, pose, model.lens, where)
+    project_block(Surfels.of(points, normals, sizes), 0, pose.position, model.max_range, 64, work)
+    distance, elevation, azimuth = twins.project(points, *pose, model)
+    measured = np.isfinite(distance)
+    assert np.array_equal(np.isfinite(where.distance), measured)
+    np.testing.assert_allclose(where.distance[measured], distance[measured], rtol=1e-5)
+    np.testing.assert_allclose(where.elevation, elevation, atol=1e-5)
+    np.testing.assert_allclose(where.azimuth, azimuth, atol=1e-5)
+    # What is outside the cone or too near still hides what is behind it.
+    apart = np.linalg.norm(points - pose.position, axis=1)
+    reached = apart < model.max_range - 1e-4
+    inverse, row, column = (field[:len(points)] for field in (work.inverse, work.row, work.column))
+    np.testing.assert_allclose(inverse[reached], 1.0 / apart[reached], rtol=1e-4)
+    assert (inverse[apart > model.max_range + 1e-4] == 0.0).all()
+    np.testing.assert_allclose(row, (elevation + np.pi / 2) * 64 / np.pi, atol=2e-3)
+    off = np.abs(column - (azimuth + np.pi) * 64 / np.pi)
+    assert np.minimum(off, 128 - off).max() < 5e-3
+
+
+@given(seed=seeds)
+@budget(max_examples=10, deadline=None)
+def test_cubes_agree_with_their_twins(seed):
+    points, sizes, _ = cloud(seed)
+    where, shadow = Projection.empty(len(points)), np.empty((32, 64), np.float32)
+    project(points, HERE, MODELS['omnidirectional'].lens, where)
+    splat(where, sizes, 0.75, 4.0, shadow)
+    # The twins get the kernel's own single-precision directions, so that cells agree exactly.
+    parts = [np.asarray(part, dtype=np.float64) for part in where]
+    expected = twins.shadow_map(*parts, 0.75 * np.float64(sizes), 32, 4.0)
+    # A cell whose centre lies on the rectangle's edge may fall to either side.
+    assert (~np.isclose(shadow, expected, rtol=1e-6)).mean() < 2e-3
+    seen = np.zeros(len(points), dtype=bool)
+    visible(where, 0.2, shadow, seen)
+    assert np.array_equal(seen, twins.visible(*parts, 0.2, shadow))
+
+
+@given(seed=seeds)
+@budget(max_examples=40, deadline=None)
+def test_a_surfel_is_a_disc_on_its_plane(seed):
+    rng = np.random.default_rng(seed)
+    settings = SurfelSettings(rows=128, base=0.02, share=0.3, single=0.0, quad=0.0)
+    point, normal = rng.normal(size=3), rng.normal(size=3)
+    point[2] *= 0.5
+    point *= rng.uniform(1.5, 3.5) / np.linalg.norm(point)
+    normal /= np.linalg.norm(normal)
+    if abs(point @ normal) < 0.35 * np.linalg.norm(point):
+        normal = point / np.linalg.norm(point)
+    radius, work = np.array([rng.uniform(0.05, 0.2)], np.float32), Workspace.of(settings.rows, 1)
+    splat_surfels(Surfels.of(point[None], normal[None], radius), ALL, np.zeros(3), 4.0, settings,
+                  work)
+    found = distances(work.inverse_map, settings.rows)
+    plane, offset = twins.disc(point, normal, np.zeros(3), settings.rows)
+    covered = found < 3.99
+    # Well inside the disc every cell is covered, well outside only the point's own.
+    assert covered[offset < 0.8 * radius].all()
+    assert covered[offset > 1.3 * radius].sum() <= 1
+    inside = covered & (offset < radius)
+    np.testing.assert_allclose(found[inside], plane[inside], rtol=0.02)
+
+
+@pytest.mark.parametrize('preset', ['fine', 'fast'])
+@given(seed=seeds)
+@budget(max_examples=12, deadline=None)
+def test_a_look_agrees_with_its_twin(preset, seed):
+    points, sizes, normals = cloud(seed, count=300)
+    twin = Twin(points, normals, DISC_SCALE * sizes, np.zeros(3), 4.0, PRESETS[preset])
+    seen = look(points, sizes, normals, HERE, MODELS['omnidirectional'], preset)
+    # Single precision moves a few edges of discs to the neighbouring cell.
+    assert (seen != twin.visible()).mean() <= 0.02
+
+
+@pytest.mark.parametrize('preset', ['fine', 'fast'])
+def test_a_look_at_a_room_agrees_with_its_twin(preset):
+    scene = generate_room(3, 6000)
+    camera = np.append(scene.bounds.mean(axis=0)[:2], 1.6)
+    twin = Twin(scene.points, scene.normals_or_estimate, DISC_SCALE * scene.pitch, camera, 4.0,
+                PRESETS[preset])
+    seen = look_at_scene(scene, Pose.of(camera), CameraModel(0.0, 4.0), preset)
+    assert (seen != twin.visible()).mean() <= 0.001
+
+
+def test_small_discs_fill_up_to_four_cells():
+    settings = SurfelSettings(rows=64, base=0.0, share=0.0, single=0.5, quad=2.0)
+    cell = np.pi / 64
+    counts = []
+    for size in (0.3, 0.9, 1.6):
+        # Where four cells meet: each of the four has its centre half a cell away either way.
+        point = 2.0 * np.array([[np.cos(1e-4), 0.0, np.sin(1e-4)]])
+        radius, work = np.array([size * cell * 2.0], np.float32), Workspace.of(64, 1)
+        splat_surfels(Surfels.of(point, point / 2.0, radius), ALL, np.zeros(3), 4.0, settings,
+                      work)
+        counts.append(int((distances(work.inverse_map, 64) < 3.0).sum()))
+    assert counts == [1, 4, 4]
+
+
+@pytest.mark.parametrize('preset', ['fine', 'fast'])
+def test_the_seam_of_a_surfel_map_is_no_edge(preset):
+    """A wall across the seam hides what is behind it on both sides."""
+    y, z = (axis.ravel() for axis in np.meshgrid(np.arange(-1, 1, 0.05), np.arange(-1, 1, 0.05)))
+    wall = np.stack([np.full_like(y, -2.0), y, z], axis=1)
+    behind = np.array([[-3.0, a, 0.0] for a in np.linspace(-0.5, 0.5, 21)])
+    points = np.concatenate([wall, behind]).astype(np.float32)
+    normals = np.tile(np.array([1.0, 0, 0], np.float32), (len(points), 1))
+    seen = look(points, np.full(len(points), 0.05, np.float32), normals, HERE,
+                MODELS['omnidirectional'], preset)
+    assert seen[:len(wall)].all() and not seen[len(wall):].any()
+
+
+@pytest.mark.parametrize('preset', ['fine', 'fast'])
+@pytest.mark.parametrize('sign', [-1, 1])
+def test_a_ceiling_hides_what_is_straight_above_it(preset, sign):
+    """Next to a pole no cell is missing that could look like open space."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-1, 1, 0.05), np.arange(-1, 1, 0.05)))
+    ceiling = np.stack([x, y, np.full_like(x, sign * 2.0)], axis=1)
+    rng = np.random.default_rng(0)
+    above = np.column_stack([rng.uniform(-0.05, 0.05, (40, 2)), np.full(40, sign * 3.0)])
+    points = np.concatenate([ceiling, above]).astype(np.float32)
+    normals = np.tile(np.array([0, 0, 1.0], np.float32), (len(points), 1))
+    seen = look(points, np.full(len(points), 0.05, np.float32), normals, HERE,
+                MODELS['omnidirectional'], preset)
+    assert seen[:len(ceiling)].all() and not seen[len(ceiling):].any()
+
+
+def test_the_azimuth_seam_is_no_edge():
+    where = Projection(*(np.array([v], np.float32) for v in (1.0, 0.0, np.pi - 1e-3)))
+    shadow = np.empty((32, 64), np.float32)
+    splat(where, np.array([0.5], np.float32), 0.75, 4.0, shadow)
+    row = shadow[16]
+    assert row[0] == row[-1] == 1.0
+    assert row[32] == 4.0
+    covered_columns = np.flatnonzero(row == 1.0)
+    assert len(covered_columns) == pytest.approx(0.75 / (np.pi / 32), abs=1.01)
+
+
+@pytest.mark.parametrize('sign', [-1, 1])
+def test_a_point_at_a_pole_covers_full_rows(sign):
+    where = Projection.empty(1)
+    points = np.array([[0.0, 0.0, sign * 2.0]], np.float32)
+    project(points, HERE, MODELS['omnidirectional'].lens, where)
+    shadow = np.empty((32, 64), np.float32)
+    splat(where, np.array([0.4], np.float32), 1.0, 4.0, shadow)
+    pole = shadow[-1] if sign > 0 else shadow[0]
+    assert (pole == 2.0).all()
+    assert (shadow[16] == 4.0).all()
+
+
+@pytest.mark.parametrize('preset', PRESETS)
+def test_degenerate_points_do_no_harm(preset):
+    points = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 0], [0, 1, 0], [9, 0, 0], [0, 0, 1]], 'f4')
+    sizes = np.array([1.0, 0.0, 0.0, 50.0, 1.0, 0.1], np.float32)
+    normals = np.array([[1, 0, 0], [1, 0, 0], [0, 1, 0], [0, 1, 0], [1, 0, 0], [0, 0, 0]], 'f4')
+    lens = MODELS['omnidirectional'].lens
+    assert np.isfinite(visibility(points, sizes, normals, preset).shadow_map(HERE, lens)).all()
+    seen = look(points, sizes, normals, HERE, MODELS['omnidirectional'], preset)
+    # On the camera, twice in one place, as large as the room, out of range, without a normal.
+    assert seen[[0, 1, 2, 3, 4]].tolist() == [False, True, True, True, False]
+
+
+@pytest.mark.parametrize('preset', ['fine', 'fast'])
+def test_what_is_too_near_is_not_measured_but_hides(preset):
+    y, z = (axis.ravel() for axis in np.meshgrid(np.arange(-1, 1, 0.02), np.arange(-1, 1, 0.02)))
+    points = np.concatenate([np.stack([np.full_like(y, x), y, z], axis=1) for x in (0.4, 2.0)])
+    normals = np.tile(np.array([1.0, 0, 0], np.float32), (len(points), 1))
+    sizes = np.full(len(points), 0.02, np.float32)
+    seen = look(points.astype(np.float32), sizes, normals, HERE, CameraModel(1.5, 4.0), preset)
+    near, straight = points[:, 0] < 1.0, np.abs(points[:, 1:]).max(axis=1) < 0.8
+    assert not seen[near].any() and not seen[~near & straight].any()
+
+
+@pytest.mark.parametrize('preset', PRESETS)
+@given(seed=seeds, more=st.floats(0.1, 4.0))
+@budget(max_examples=15, deadline=None)
+def test_what_is_visible_stays_visible_with_more_range(preset, seed, more):
+    points, sizes, normals = cloud(seed)
+    near, far = (look(points, sizes, normals, HERE, CameraModel(0.0, r), preset)
+                 for r in (2.0, 2.0 + more))
+    # Beyond the shorter range lies nothing that could hide anything nearer, but for discs that
+    # reach across it.
+    assert (near & ~far).mean() <= (0.0 if preset == 'paper' else 0.02)
+
+
+@pytest.mark.parametrize('preset', PRESETS)
+@given(seed=seeds)
+@budget(max_examples=15, deadline=None)
+def test_taking_occluders_away_hides_nothing(preset, seed):
+    points, sizes, normals = cloud(seed)
+    keep = np.random.default_rng(seed).random(len(points)) < 0.6
+    before = look(points, sizes, normals, HERE, MODELS['omnidirectional'], preset)
+    after = look(points[keep], sizes[keep], normals[keep], HERE, MODELS['omnidirectional'], preset)
+    assert not (before[keep] & ~after).any()
+
+
+@pytest.mark.parametrize('preset', PRESETS)
+@given(seed=seeds, turns=st.integers(0, 127))
+@budget(max_examples=15, deadline=None)
+def test_turning_the_room_by_whole_cells_changes_next_to_nothing(preset, seed, turns):
+    points, sizes, normals = cloud(seed, count=400)
+    rotation = rotation_matrix(turns * np.pi / PRESETS[preset].rows).astype(np.float32)
+    one = look(points, sizes, normals, HERE, MODELS['omnidirectional'], preset)
+    other = look(np.ascontiguousarray(points @ rotation.T), sizes,
+                 np.ascontiguousarray(normals @ rotation.T), HERE, MODELS['omnidirectional'],
+                 preset)
+    # Rounding moves a few points and edges of footprints to the neighbouring cell.
+    assert (one != other).mean() <= 0.015
+
+
+@pytest.mark.parametrize(('preset', 'most'), [('fine', 0.0), ('fast', 0.0), ('paper', 0.01)])
+def test_frusta_that_tile_the_sphere_see_what_an_omnidirectional_camera_sees(preset, most):
+    scene = generate_room(3, 6000)
+    position = np.append(scene.bounds.mean(axis=0)[:2], 1.6)
+    together = np.zeros(len(scene), dtype=bool)
+    # The six faces of a cube around the camera.
+    square = CameraModel(0.0, 4.0, np.pi / 2 + 1e-5, np.pi / 2 + 1e-5)
+    for yaw, pitch in ((0, 0), (1, 0), (2, 0), (3, 0), (0, 1), (0, -1)):
+        pose = Pose(position, rotation_matrix(yaw * np.pi / 2, pitch * np.pi / 2))
+        together |= look_at_scene(scene, pose, square, preset)
+    whole = look_at_scene(scene, Pose(position, LEVEL), CameraModel(0.0, 4.0), preset)
+    assert not (whole & ~together).any()
+    # With cubes an occluder beside the field of view hides nothing in it.
+    assert (together & ~whole).mean() <= most
+
+
+@pytest.mark.parametrize(('preset', 'least'), [('fine', 0.96), ('fast', 0.94), ('paper', 0.75)])
+def test_visibility_agrees_with_ray_casting(preset, least):
+    right = wrong = missed = 0
+    for seed in range(3):
+        scene = generate_room(seed, 15000)
+        for position in free_places(scene, 1.9, 2, np.random.default_rng(seed)):
+            truth = RayCaster(scene.mesh).visible(scene.points, position, 6.0)
+            seen = look_at_scene(scene, Pose(position, LEVEL), CameraModel(0.0, 6.0), preset)
+            right += (seen & truth).sum()
+            wrong += (seen & ~truth).sum()
+            missed += (~seen & truth).sum()
+    assert 2 * right / (2 * right + wrong + missed) >= least
+
+
+@pytest.mark.parametrize('name', ['realsense_d455', 'azure_kinect_wfov', 'velodyne_vlp16'])
+def test_a_real_sensor_agrees_with_ray_casting_in_its_cone(name):
+    scene, model = generate_room(1, 15000), SENSORS[name].model
+    right = wrong = missed = 0
+    for k, position in enumerate(free_places(scene, 1.9, 4, np.random.default_rng(1))):
+        pose = Pose(position, rotation_matrix(1.7 * k, 0.4, 0.1))
+        cone, _, _ = twins.project(scene.points, *pose, model)
+        truth = RayCaster(scene.mesh).visible(scene.points, position, model.max_range)
+        truth &= np.isfinite(cone)
+        seen = look_at_scene(scene, pose, model, 'fine')
+        right += (seen & truth).sum()
+        wrong += (seen & ~truth).sum()
+        missed += (~seen & truth).sum()
+    assert right > 300 and 2 * right / (2 * right + wrong + missed) >= 0.93
+
+
+@pytest.mark.parametrize('preset', PRESETS)
+def test_a_place_in_the_air_is_covered_unless_something_is_in_front(preset):
+    scene = generate_room(4, 12000)
+    camera = free_places(scene, 1.9, 1, np.random.default_rng(1))[0]
+    places, _ = coverage_grid(scene.bounds, 0.5)
+    sizes = scene.spacing if preset == 'paper' else scene.pitch
+    engine = visibility(scene.points, sizes, scene.normals_or_estimate, preset, places)
+    covered = Subset.none(engine.place_order)
+    engine.look(Pose.of(camera), CameraModel(0.0, 6.0).lens, no_bits(len(scene)), covered.bits)
+    truth = RayCaster(scene.mesh).visible(places, camera, 6.0)
+    assert (covered.mask == truth).mean() > 0.95
+
+
+@pytest.mark.parametrize(('preset', 'leak'), [('fine', 0.02), ('fast', 0.05)])
+def test_a_camera_inside_a_pillar_sees_its_inside_alone(preset, leak):
+    u, v = (axis.ravel() for axis in np.meshgrid(np.arange(-0.3, 0.3, 0.02),
+                                                 np.arange(0.0, 3.0, 0.02)))
+    faces = [np.stack([np.full_like(u, s), u, v], 1) for s in (-0.3, 0.3)]
+    faces += [np.stack([u, np.full_like(u, s), v], 1) for s in (-0.3, 0.3)]
+    far = np.random.default_rng(0).uniform([2, -3, 0.2], [3, 3, 2.8], (500, 3))
+    scene = Scene(np.concatenate([*faces, far]).astype(np.float32))
+    seen = look_at_scene(scene, Pose(np.array([0.0, 0.0, 1.5]), np.eye(3)),
+                         CameraModel(0.0, 4.0), preset)
+    assert seen[:len(seen) - 500].mean() > 0.9
+    assert seen[-500:].mean() < leak
