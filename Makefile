@@ -34,6 +34,7 @@ format: $(READY)  ## mend what ruff can mend
 
 bench: $(READY)  ## measure fidelity and speed of the engine
 	$(RUN) -m ocp_ros.benchmark.engine --out "$(OUT)/bench.json" --page docs/bench.md
+	$(RUN) -m ocp_ros.report.visibility --out docs/visibility.png
 
 colcon: $(READY)  ## build with colcon and start the installed nodes once
 	tools/check_install $(VENV)

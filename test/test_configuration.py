@@ -31,6 +31,9 @@ def test_nested_form_comes_back(cls):
     ({'rig.cameras': True}, 'rig.cameras: found True'),
     ({'rig.height': float('nan')}, 'rig.height: found nan; expected 0'),
     ({'rig.min_range': 5.0}, 'rig.min_range: found 5.0 m with rig.max_range 4.0 m'),
+    ({'rig.sensors': 'realsense_d436'}, "rig.sensors: .*did you mean 'realsense_d435'"),
+    ({'rig.sensors': 'kinect_v2,kinect_v2'}, 'found 2 sensors for rig.cameras 4; expected one'),
+    ({'rig.sensors': ''}, "rig.sensors: found the unknown name ''; expected one of"),
     ({'reward.kind': 'papr'}, "reward.kind: found 'papr'; expected one of"),
 ])
 def test_a_bad_setting_is_named_with_what_was_expected(values, words):

@@ -19,6 +19,15 @@ def test_every_parameter_is_in_the_table_as_it_is():
     assert found == done.stdout.splitlines()
 
 
+def test_every_sensor_is_in_the_tables_as_it_is():
+    done = subprocess.run([sys.executable, str(ROOT / 'tools' / 'sensor_table')],
+                          capture_output=True, text=True, check=True)
+    found = [line for line in (ROOT / 'docs' / 'sensors.md').read_text().splitlines()
+             if line.startswith('| `')]
+    # Where they differ, tools/sensor_table prints what belongs there.
+    assert found == done.stdout.splitlines()
+
+
 def test_every_topic_and_field_is_documented():
     pytest.importorskip('rclpy', reason='topics need ROS 2 (rclpy)')
     from ocp_ros.nodes import topics
@@ -28,7 +37,8 @@ def test_every_topic_and_field_is_documented():
         assert f'`{name}`' in text, name
 
 
-@pytest.mark.parametrize('page', ['README.md', 'CONTRIBUTING.md', 'docs/ros.md', 'docs/engine.md'])
+@pytest.mark.parametrize('page', ['README.md', 'CONTRIBUTING.md', 'docs/ros.md', 'docs/engine.md',
+                                  'docs/sensors.md'])
 def test_links_and_folders_exist(page):
     path = ROOT / page
     text = path.read_text()
@@ -41,6 +51,19 @@ def test_links_and_folders_exist(page):
         assert re.search(rf'^{target}:', makefile, re.M), target
 
 
+def python_example(page):
+    """Return the first Python example of a page."""
+    text = (ROOT / page).read_text()
+    code = re.search(r'((?:    from ocp_ros.*\n)+\n(?:    .*\n)+)', text).group(1)
+    return re.sub('^    ', '', code, flags=re.M)
+
+
+def test_the_example_with_sensors_runs(capsys):
+    exec(python_example('docs/sensors.md'), {})
+    error, coverage, seen = map(float, capsys.readouterr().out.split())
+    assert error > 0.0 and coverage > 1.0 and seen > 100
+
+
 def test_the_readmes_python_example_runs(tmp_path, monkeypatch, capsys):
     import numpy as np
     from plyfile import PlyData, PlyElement
@@ -50,8 +73,6 @@ def test_the_readmes_python_example_runs(tmp_path, monkeypatch, capsys):
     rows = points.view([(axis, 'f4') for axis in 'xyz']).ravel()
     PlyData([PlyElement.describe(rows, 'vertex')]).write(str(tmp_path / 'room.ply'))
     monkeypatch.chdir(tmp_path)
-    text = (ROOT / 'README.md').read_text()
-    code = re.search(r'((?:    from ocp_ros.*\n)+\n(?:    .*\n)+)', text).group(1)
-    exec(re.sub('^    ', '', code, flags=re.M), {})
+    exec(python_example('README.md'), {})
     error, coverage, share = map(float, capsys.readouterr().out.split())
     assert error > 0.0 and coverage > 1.0 and 0.0 < share < 1.0

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
+from ocp_ros.geometry.blocks import Subset
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.config import (
@@ -174,6 +175,41 @@ def test_one_moved_camera_costs_one_view_and_gives_the_same_judgement(simulator,
     views[1] = simulator.look(positions[3])
     moved = simulator.judge(views)
     assert moved[1:] == simulator.evaluate(positions[[0, 3, 2]])[1:]
+
+
+def test_each_camera_of_a_mixed_rig_sees_with_its_own_model(room):
+    rig = RigConfig(cameras=2, sensors='omnidirectional, realsense_d435')
+    simulator = Simulator(room, SimulationConfig(engine=SMALL.engine, rig=rig))
+    middle = np.append(room.bounds.mean(axis=0)[:2], 1.9)
+    whole, part = (Subset(simulator.look(middle, k).seen, simulator.visibility.order)
+                   for k in (0, 1))
+    x, y, _ = (room.points - middle).T
+    assert 0 < len(part) < 0.3 * len(whole)
+    assert (np.abs(np.arctan2(y, x))[part.mask] <= np.deg2rad(43.6)).all()
+    assert list(rig.ranges) == [4.0, 3.0]
+    turned = np.append(middle, [np.pi / 2, 0.0, 0.0])
+    seen = Subset(simulator.look(turned, 1).seen, simulator.visibility.order).mask
+    assert seen.any() and (y[seen] > 0.0).all()
+    with pytest.raises(ValueError, match='found 3 cameras; expected at most 2'):
+        simulator.evaluate(np.tile(middle, (3, 1)))
+
+
+def test_the_cameras_of_an_episode_look_outwards(room):
+    rig = RigConfig(cameras=4, sensors='azure_kinect_wfov', tilt=0.4)
+    simulator = Simulator(room, SimulationConfig(engine=SMALL.engine, rig=rig))
+    episode = Episode(simulator, np.random.default_rng(0))
+    placement = np.hstack([episode.turn.positions, rig.headings])
+    np.testing.assert_allclose(np.rad2deg(rig.headings[:, 0]), [0, 90, 180, 270])
+    assert episode.turn.depth_error == simulator.evaluate(placement).depth_error
+    alike = simulator.evaluate(np.hstack([episode.turn.positions, 0.0 * rig.headings]))
+    assert len(alike.seen) < 0.8 * len(episode.observed)
+
+
+def test_many_looks_in_threads_are_the_looks(simulator):
+    poses = np.random.default_rng(0).uniform(*simulator.scene.bounds, (20, 3))
+    for view, pose in zip(simulator.look_many(poses, threads=2), poses, strict=True):
+        assert np.array_equal(view.seen, simulator.look(pose).seen)
+        assert np.array_equal(view.covered, simulator.look(pose).covered)
 
 
 @pytest.mark.parametrize('preset', ['fine', 'fast', 'paper'])

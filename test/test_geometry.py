@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 import twins
+from twins import MODELS
 
 from ocp_ros.geometry.blocks import (
     BLOCK,
@@ -23,11 +24,6 @@ from ocp_ros.geometry.clouds import fixed_size
 from ocp_ros.geometry.coverage import coverage_grid, space_coverage
 from ocp_ros.geometry.sensors import SENSORS
 
-MODELS = {
-    'omnidirectional': CameraModel(0.0, 4.0),
-    'pinhole': CameraModel(0.3, 5.0, np.deg2rad(87), np.deg2rad(58)),
-    'lidar': CameraModel(0.5, 6.0, 2 * np.pi, np.deg2rad(30)),
-}
 seeds = st.integers(0, 2 ** 32 - 1)
 
 

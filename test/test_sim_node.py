@@ -5,6 +5,7 @@ from copy import deepcopy
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
 
@@ -69,6 +70,18 @@ def turn_message(loop, topic, stamp):
 
     loop.graph.until(found)
     return found()[0]
+
+
+def test_poses_say_how_the_cameras_are_turned(loop):
+    loop.start(rig__sensors='azure_kinect_wfov', rig__tilt=0.5)
+    poses = loop.last(topics.CAMERA_POSES).poses
+    assert len(poses) == 4
+    for k, pose in enumerate(poses):
+        q = pose.orientation
+        forward = Rotation.from_quat([q.x, q.y, q.z, q.w]).apply([1.0, 0.0, 0.0])
+        expected = [np.cos(k * np.pi / 2) * np.cos(0.5), np.sin(k * np.pi / 2) * np.cos(0.5),
+                    -np.sin(0.5)]
+        np.testing.assert_allclose(forward, expected, atol=1e-9)
 
 
 def test_an_observation_is_the_cloud_seen_so_far(loop):

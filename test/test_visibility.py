@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 import twins
+from twins import MODELS
 
 from ocp_ros.benchmark.engine import free_places
 from ocp_ros.benchmark.truth import RayCaster
@@ -33,11 +34,6 @@ from ocp_ros.geometry.visibility import (
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import Scene
 
-MODELS = {
-    'omnidirectional': CameraModel(0.0, 4.0),
-    'pinhole': CameraModel(0.3, 5.0, np.deg2rad(87), np.deg2rad(58)),
-    'lidar': CameraModel(0.5, 6.0, 2 * np.pi, np.deg2rad(30)),
-}
 HERE = Pose(np.zeros(3), LEVEL)
 NOWHERE = np.empty((0, 3), np.float32)
 #: The tests' clouds fit in one block.

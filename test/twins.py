@@ -1,7 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Slow, obvious NumPy twins of the engine's kernels."""
+"""Slow, obvious NumPy twins of the engine's kernels, and the cameras they are tried with."""
 
 import numpy as np
+
+from ocp_ros.geometry.cameras import CameraModel
+
+MODELS = {
+    'omnidirectional': CameraModel(0.0, 4.0),
+    'pinhole': CameraModel(0.3, 5.0, np.deg2rad(87), np.deg2rad(58)),
+    'lidar': CameraModel(0.5, 6.0, 2 * np.pi, np.deg2rad(30)),
+}
 
 
 def project(points, position, rotation, model):

@@ -154,6 +154,16 @@ METHODS: dict[str, Method] = {
     'embree': embree, 'numpy twin of fast': numpy_twin}
 
 
+def mask_of(seen: np.ndarray | Subset) -> np.ndarray:
+    """Return what a method says as (N,) bool."""
+    return seen.mask if isinstance(seen, Subset) else seen
+
+
+def f1_score(seen: np.ndarray, truth: np.ndarray) -> float:
+    """Return the harmonic mean of precision and recall of (N,) bool."""
+    return float(2 * (seen & truth).sum() / (seen.sum() + truth.sum()))
+
+
 def measure(density: int, rooms: int, positions: int) -> list[dict[str, Any]]:
     """
     Measure every method on the same cases, side by side.
@@ -166,8 +176,7 @@ def measure(density: int, rooms: int, positions: int) -> list[dict[str, Any]]:
     for case in cases(density, rooms, positions):
         size.append(len(case.scene))
         for name, method in METHODS.items():
-            seen = method(case)
-            seen = seen.mask if isinstance(seen, Subset) else seen
+            seen = mask_of(method(case))
             times[name].append(median_seconds(partial(method, case), 0.02))
             counts[name] += [(seen & case.truth).sum(), (seen & ~case.truth).sum(),
                              (~seen & case.truth).sum()]

@@ -39,20 +39,13 @@ def viewpoints(bounds: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True, nogil=True)
-def _count_candidates(projection, order, half_sides, rows, columns, counts):
-    """Count the points that cover each pixel: counts (H * W,) int64, out."""
-    for i in order:
-        first_row, last_row, first_column, count = footprint(
-            projection.distance[i], projection.elevation[i], projection.azimuth[i],
-            half_sides[i], rows, columns)
-        for row in range(first_row, last_row + 1):
-            for k in range(first_column, first_column + count):
-                counts[row * columns + k % columns] += 1
-
-
-@njit(cache=True, nogil=True)
 def _list_candidates(projection, order, half_sides, rows, columns, ends, indices):
-    """Write each pixel's points in the given order; ends (H * W,) int64 moves to each end."""
+    """
+    Write each pixel's points in the given order.
+
+    :param ends: (H * W,) int64, in and out: moves by one for each point of a pixel.
+    :param indices: (L,) int32, out: the points; empty to count them only.
+    """
     for i in order:
         first_row, last_row, first_column, count = footprint(
             projection.distance[i], projection.elevation[i], projection.azimuth[i],
@@ -60,7 +53,8 @@ def _list_candidates(projection, order, half_sides, rows, columns, ends, indices
         for row in range(first_row, last_row + 1):
             for k in range(first_column, first_column + count):
                 cell = row * columns + k % columns
-                indices[ends[cell]] = i
+                if indices.shape[0]:
+                    indices[ends[cell]] = i
                 ends[cell] += 1
 
 
@@ -172,7 +166,8 @@ class DepthError:
         order = np.argsort(projection.distance, kind='stable')
         order = order[np.isfinite(projection.distance[order])]
         counts = np.zeros(rows * columns, dtype=np.int64)
-        _count_candidates(projection, order, half_sides, rows, columns, counts)
+        _list_candidates(projection, order, half_sides, rows, columns, counts,
+                         np.empty(0, dtype=np.int32))
         starts = np.concatenate([[0], np.cumsum(counts)])
         indices = np.empty(starts[-1], dtype=np.int32)
         _list_candidates(projection, order, half_sides, rows, columns, starts[:-1].copy(), indices)

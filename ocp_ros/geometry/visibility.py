@@ -3,7 +3,7 @@
 What a camera sees of a scene, by presets.
 
 ``fine``: surfels on a map of 160 x 320 cells, for scores and live planning. ``fast``: surfels on
-72 x 144, for training. ``paper``: points as cubes and a constant compensation, as arXiv 2110.11106
+64 x 128, for training. ``paper``: points as cubes and a constant compensation, as arXiv 2110.11106
 describes it.
 
 Either class keeps its points in spatial order and answers in packed bits of that order; see
@@ -30,7 +30,7 @@ from ocp_ros.geometry.surfels import (
 )
 
 FINE = SurfelSettings(rows=160, base=0.01, share=0.35, single=0.85, quad=1.5)
-FAST = SurfelSettings(rows=72, base=0.02, share=0.15, single=0.8, quad=2.0)
+FAST = SurfelSettings(rows=64, base=0.02, share=0.15, single=0.8, quad=2.0)
 #: The paper's cube of twice the spacing and a constant, for which it gives no figure.
 PAPER = CubeSettings(rows=128, cube_scale=1.0, compensation=0.2)
 PRESETS = {'fine': FINE, 'fast': FAST, 'paper': PAPER}
