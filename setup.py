@@ -33,10 +33,10 @@ setup(
     ],
     zip_safe=True,
     install_requires=[
-        'setuptools', 'numpy>=1.26', 'numba', 'scipy', 'torch', 'safetensors', 'gymnasium',
+        'setuptools', 'numpy>=1.26', 'numba', 'scipy', 'torch', 'safetensors', 'gymnasium', 'cma',
         'stable-baselines3', 'tensorboard', 'open3d', 'plyfile', 'laspy[lazrs]', 'matplotlib',
         'rich', 'pyyaml'],
-    extras_require={'test': ['pytest', 'pytest-timeout', 'hypothesis']},
+    extras_require={'test': ['pytest', 'pytest-timeout', 'hypothesis'], 'ray': ['ray']},
     entry_points={
         'console_scripts': [
             'sim_node = ocp_ros.nodes.sim_node:main',

@@ -25,6 +25,17 @@ def _train(arguments: argparse.Namespace) -> None:
         print(f'wrote {arguments.model}')
 
 
+def _benchmark(arguments: argparse.Namespace) -> None:
+    """Compare planners, write the results and, where it is wanted, a report."""
+    from ocp_ros.report.compare import command_of, compare
+    compare(arguments, command_of(arguments.argv))
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    """Read whole numbers with commas between."""
+    return tuple(int(number) for number in text.split(','))
+
+
 def parser() -> argparse.ArgumentParser:
     """Build the parser of all commands."""
     top = argparse.ArgumentParser(prog='ocp', description=__doc__)
@@ -35,12 +46,29 @@ def parser() -> argparse.ArgumentParser:
                        help='folder of the run; an interrupted one goes on')
     train.add_argument('--model', type=Path, help='write the best weights here as well')
     train.set_defaults(run=_train)
+    compare = commands.add_parser('benchmark', help='compare planners under equal budgets')
+    compare.add_argument('--preset', choices=('smoke', 'full'), default='smoke',
+                         help='smoke: two rooms, under two minutes; full: ten rooms, three '
+                         'rotations, up to 10,000 evaluations')
+    compare.add_argument('--rooms', type=Path, help='folder of scans to take instead')
+    compare.add_argument('--planners', type=lambda text: tuple(text.split(',')),
+                         help='names with commas between; all unless named')
+    compare.add_argument('--budgets', type=_numbers, help='evaluations, with commas between')
+    compare.add_argument('--seeds', type=int, help='runs of each')
+    compare.add_argument('--out', type=Path, default=Path('out/benchmark'),
+                         help='folder of the results; an interrupted comparison goes on')
+    compare.add_argument('--workers', type=int, help='processes; one for each core unless named')
+    compare.add_argument('--ray', metavar='ADDRESS', help='run on a Ray cluster, such as auto')
+    compare.add_argument('--report', type=Path, nargs='?', const=Path('docs/benchmark'),
+                         help='write tables and figures here')
+    compare.set_defaults(run=_benchmark)
     return top
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command; bad input gets one sentence and exit code 2."""
     arguments = parser().parse_args(argv)
+    arguments.argv = sys.argv[1:] if argv is None else argv
     try:
         arguments.run(arguments)
     except (SceneError, ConfigurationError, CheckpointError, OSError) as error:

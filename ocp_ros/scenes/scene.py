@@ -102,6 +102,22 @@ class Scene:
         return np.minimum(pitch, 4.0 * np.median(pitch)).astype(np.float32)
 
 
+def turned(scene: Scene, degrees: float) -> Scene:
+    """
+    Turn a room about the vertical axis through the origin.
+
+    :param scene: the room.
+    :param degrees: counter-clockwise seen from above.
+    """
+    c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+    rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    mesh = scene.mesh
+    if mesh is not None:
+        mesh = Mesh((mesh.vertices @ rotation.T).astype(np.float32), mesh.triangles)
+    normals = None if scene.normals is None else scene.normals @ rotation.T
+    return Scene(scene.points @ rotation.T, f'{scene.name}@{degrees:g}', normals, mesh)
+
+
 def edge_aware_normals(points: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
     """
     Fit a plane to each point's neighbours; then take, of those planes nearby, the one that fits.

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The rooms that planners are compared in: none of them was ever trained on.
+
+Ratios of depth errors mean nothing where four cameras see all there is, so a room is only taken if
+the best placement known is worth at least 2 % of what placements are worth on average. Running
+this module chooses the rooms anew and prints them.
+"""
+
+from pathlib import Path
+import sys
+
+import numpy as np
+
+from ocp_ros.planners.offline import OFFLINE
+from ocp_ros.planners.planner import Space
+from ocp_ros.planners.scorer import Scorer
+from ocp_ros.planners.solve import solve
+from ocp_ros.scenes.files import load_scene, READERS
+from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.scenes.scene import Scene, SceneError, turned
+from ocp_ros.simulation.config import EngineConfig, SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
+
+#: Seeds of generated rooms, by ``python -m ocp_ros.benchmark.rooms`` on 2026-11-21.
+TEST_ROOMS = (2014, 2021, 2025, 2032, 2079, 2098, 2150, 2154, 2171, 2216)
+#: Degrees, as in the paper.
+ROTATIONS = (0, 60, 120)
+#: Points of a room.
+POINTS = 15000
+#: The first seed that is looked at, the least share of the mean error, and how much is searched.
+FIRST, LEAST_SHARE, SEARCHED = 2000, 0.02, 1000
+
+
+def difficulty(scene: Scene) -> float:
+    """Return the error of the best placement found as a share of the mean random one's."""
+    config = SimulationConfig(engine=EngineConfig(preset='fast'))
+    simulator, rng = Simulator(scene, config), np.random.default_rng(0)
+    space = space_of(simulator)
+    score = Scorer(simulator)
+    drawn = score([space.placement(space.random(rng)) for _ in range(64)])
+    best = solve(OFFLINE['differential_evolution'](space, rng, SEARCHED), score, SEARCHED)
+    return best.depth_error / float(drawn.depth_error.mean())
+
+
+def space_of(simulator: Simulator) -> Space:
+    """Return where the cameras of a simulator's rig may be."""
+    config = simulator.config
+    return Space.of(simulator.scene.bounds, simulator.height, config.rig.cameras,
+                    config.episode.wall_margin)
+
+
+def make_room(name: str, rotation: float) -> Scene:
+    """
+    Make one room of a comparison.
+
+    :param name: the seed of a generated room, or the path of a scan.
+    :param rotation: degrees about the vertical axis.
+    :raises SceneError: if the scan cannot be used.
+    """
+    if name.isdigit():
+        scene = generate_room(int(name), POINTS)
+    else:
+        scene = load_scene(name, max_points=POINTS)
+    return turned(scene, rotation) if rotation else scene
+
+
+def rooms_in(folder: Path) -> list[str]:
+    """
+    Return the scans of a folder.
+
+    :raises SceneError: if there are none.
+    """
+    found = sorted(str(path) for path in Path(folder).glob('*') if path.suffix.lower() in READERS)
+    if not found:
+        raise SceneError(f'{folder}: found no scans; expected files of {", ".join(READERS)}')
+    return found
+
+
+def main() -> int:
+    """Choose the rooms and print how hard they are."""
+    chosen, seed = [], FIRST
+    while len(chosen) < 10:
+        share = difficulty(generate_room(seed, POINTS))
+        if share >= LEAST_SHARE:
+            chosen.append(seed)
+            print(f'room {seed}: best known {100 * share:.1f} % of random')
+        seed += 1
+    print(f'{len(chosen)} of {seed - FIRST} rooms: {tuple(chosen)}')
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Run a comparison: all tasks, on all cores or on a Ray cluster, once each, interrupted or not."""
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import as_completed, ProcessPoolExecutor
+from dataclasses import asdict
+import hashlib
+import json
+from multiprocessing import get_context
+import os
+from pathlib import Path
+from typing import Any
+
+from ocp_ros.benchmark.protocol import Protocol, run_task, Task
+from ocp_ros.configuration import ConfigurationError
+
+Rows = list[dict[str, Any]]
+
+
+def run(protocol: Protocol, folder: Path, workers: int, ray_address: str | None = None,
+        progress: Callable[[int, int], None] | None = None) -> Rows:
+    """
+    Run what has not been run yet.
+
+    :param protocol: what to compare.
+    :param folder: each task leaves a file here as soon as it is done.
+    :param workers: processes on this machine.
+    :param ray_address: a Ray cluster to run on instead, such as ``auto``.
+    :param progress: called with the tasks done and all of them.
+    :returns: the rows of all tasks.
+    :raises ConfigurationError: if the folder belongs to another comparison.
+    """
+    tasks = protocol.tasks
+    files = {task: folder / 'tasks' / f'{name_of(task)}.json' for task in tasks}
+    _claim(folder, protocol)
+    left = [task for task in tasks if not files[task].exists()]
+    execute = _on_ray(ray_address) if ray_address else _in_processes(workers)
+    done = len(tasks) - len(left)
+    if progress is not None:
+        progress(done, len(tasks))
+    for task, rows in execute(protocol, left):
+        write_whole(files[task], json.dumps(rows))
+        done += 1
+        if progress is not None:
+            progress(done, len(tasks))
+    return [row for task in tasks for row in json.loads(files[task].read_text())]
+
+
+def name_of(task: Task) -> str:
+    """Return a name for the file of a task."""
+    stem = Path(task.room).stem
+    if not task.room.isdigit():
+        stem += '-' + hashlib.sha256(task.room.encode()).hexdigest()[:8]
+    return f'{stem}-{task.rotation:g}-{task.planner}'
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file that is either whole or not there."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_suffix('.draft')
+    draft.write_text(text)
+    os.replace(draft, path)
+
+
+def _claim(folder: Path, protocol: Protocol) -> None:
+    """Write down what is compared here, or check that it is the same."""
+    path, text = folder / 'protocol.json', json.dumps(asdict(protocol), indent=2) + '\n'
+    if path.exists() and path.read_text() != text:
+        raise ConfigurationError(
+            f'{folder}: found the results of another comparison; expected the same rooms, '
+            'planners, budgets and seeds; name another folder or remove this one')
+    write_whole(path, text)
+
+
+def _in_processes(workers: int) -> Callable[[Protocol, list[Task]], Iterator[tuple[Task, Rows]]]:
+    """Run tasks in processes of this machine."""
+    def execute(protocol: Protocol, tasks: list[Task]) -> Iterator[tuple[Task, Rows]]:
+        # Forked, threads of the parent would leave locks that nobody opens.
+        with ProcessPoolExecutor(workers, mp_context=get_context('spawn')) as pool:
+            futures = {pool.submit(run_task, protocol, task): task for task in tasks}
+            try:
+                for future in as_completed(futures):
+                    yield futures[future], future.result()
+            finally:
+                pool.shutdown(wait=True, cancel_futures=True)
+    return execute
+
+
+def _on_ray(address: str) -> Callable[[Protocol, list[Task]], Iterator[tuple[Task, Rows]]]:
+    """Run tasks on a Ray cluster; each of its machines needs this package."""
+    try:
+        import ray
+    except ImportError as error:
+        raise ConfigurationError(
+            '--ray: found no package ray; expected it; pip install "ocp_ros[ray]"') from error
+
+    def execute(protocol: Protocol, tasks: list[Task]) -> Iterator[tuple[Task, Rows]]:
+        if not ray.is_initialized():
+            ray.init(address=address, log_to_driver=False)
+        remote = ray.remote(num_cpus=1, max_retries=2)(run_task)
+        waiting = {remote.remote(protocol, task): task for task in tasks}
+        while waiting:
+            ready, _ = ray.wait(list(waiting))
+            for reference in ready:
+                yield waiting.pop(reference), ray.get(reference)
+    return execute

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every method that finds a placement, behind one interface."""

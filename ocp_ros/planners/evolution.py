@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Differential evolution (DE), after Storn and Price (1997), and CMA-ES with restarts.
+
+A placement is a set: which camera has which number means nothing. So before DE takes a difference,
+the cameras of the other placements are matched with those of the base by the least sum of squared
+distances.
+"""
+
+import logging
+
+import cma
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from ocp_ros.planners.planner import Planner, Search
+
+#: Placements of a generation, how many of the best may lead, and the chance to take a camera over.
+POPULATION, LEADERS, CROSSOVER = 24, 0.2, 0.5
+#: Standard deviation that CMA-ES starts with, as a share of the rectangle's edges.
+SIGMA = 0.25
+
+
+def matched(base: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return the other's positions (K, 2) in the order in which they belong to the base's."""
+    cost = ((base[:, None] - other[None]) ** 2).sum(axis=-1)
+    return other[linear_sum_assignment(cost)[1]]
+
+
+class DifferentialEvolution(Planner):
+    """DE/current-to-pbest/1/bin, camera by camera."""
+
+    def search(self) -> Search:
+        """Evolve until the budget ends."""
+        space, rng = self.space, self.rng
+        count = int(np.clip(self.budget // 10, 5, POPULATION))
+        placed = np.array([space.random(rng) for _ in range(count)])
+        scores = yield list(placed)
+        errors = scores.depth_error.copy()
+        while True:
+            trials = np.array([self._trial(placed, errors, i) for i in range(count)])
+            scores = yield list(trials)
+            better = scores.depth_error <= errors
+            placed[better], errors[better] = trials[better], scores.depth_error[better]
+            if np.ptp(placed, axis=0).max() < 1e-3:
+                # All alike: nothing differs any more, so all but the best begin anew.
+                best = int(np.argmin(errors))
+                for i in range(count):
+                    placed[i] = placed[best] if i == best else space.random(rng)
+                scores = yield list(placed)
+                errors = scores.depth_error.copy()
+
+    def _trial(self, placed: np.ndarray, errors: np.ndarray, i: int) -> np.ndarray:
+        """Cross a placement with its mutant."""
+        leaders = np.argsort(errors)[:max(int(LEADERS * len(placed)), 2)]
+        base = placed[i]
+        lead, one, two = (matched(base, placed[k]) for k in (
+            self.rng.choice(leaders), *self.rng.choice(len(placed), 2, replace=False)))
+        weight = self.rng.uniform(0.3, 0.9)
+        mutant = base + weight * (lead - base) + weight * (one - two)
+        take = self.rng.random(len(base)) < CROSSOVER
+        take[self.rng.integers(len(base))] = True
+        return np.where(take[:, None], self.space.reflected(mutant), base)
+
+
+class CmaEs(Planner):
+    """CMA-ES by pycma, restarted from elsewhere with a larger population when it has converged."""
+
+    #: Where the first run starts: positions (K, 2), or None for a random placement.
+    start: np.ndarray | None = None
+
+    def search(self) -> Search:
+        """Run and restart until the budget ends."""
+        logging.getLogger('cma').setLevel(logging.ERROR)
+        space, restarts = self.space, 0
+        scale = np.maximum(space.size, 1e-9)
+        while True:
+            given = restarts == 0 and self.start is not None
+            start = self.start if given else space.random(self.rng)
+            first = ((start - space.low) / scale).ravel()
+            size = int(4 + 3 * np.log(len(first))) * 2 ** min(restarts, 3)
+            strategy = cma.CMAEvolutionStrategy(first, 0.2 * SIGMA if given else SIGMA, {
+                'bounds': [0.0, 1.0], 'verbose': -9, 'popsize': size, 'tolfun': 1e-4,
+                'tolx': 1e-4, 'seed': np.nan, 'randn': self._normal})
+            while not strategy.stop():
+                shares = strategy.ask()
+                scores = yield [space.inside(space.low + scale * row.reshape(-1, 2))
+                                for row in shares]
+                strategy.tell(shares, list(scores.depth_error))
+            restarts += 1
+
+    def _normal(self, *shape: int) -> np.ndarray:
+        """Draw for pycma, which would otherwise draw from NumPy's global generator."""
+        return self.rng.standard_normal(shape)

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The loop that every planner runs in: it owns the clock, the count, the best and the trace."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+import time
+
+import numpy as np
+
+from ocp_ros.planners.planner import Planner, Scores
+
+
+@dataclass(frozen=True)
+class Result:
+    """
+    The best placement that a planner found.
+
+    :ivar placement: (K, 3) metres, map frame.
+    :ivar depth_error: metres, as it was judged during the search.
+    :ivar space_coverage: cubic metres.
+    :ivar evaluations: how many placements were judged.
+    :ivar seconds: how long the search took.
+    :ivar trace: (T, 3) evaluations, seconds and depth error at each improvement.
+    """
+
+    placement: np.ndarray
+    depth_error: float
+    space_coverage: float
+    evaluations: int
+    seconds: float
+    trace: np.ndarray
+
+
+def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], evaluations: int,
+          seconds: float = np.inf, progress: Callable[[int, float], None] | None = None) -> Result:
+    """
+    Run a planner until its budget is used up or it has nothing more to ask.
+
+    :param planner: the method.
+    :param score: judges placements (n, 3).
+    :param evaluations: the most placements to judge.
+    :param seconds: the most time to take; the batch that is being judged is finished.
+    :param progress: called after each batch with the evaluations so far and the best error.
+    :raises ValueError: if a planner places cameras outside its space or too many of them, or
+        never judged a placement.
+    """
+    began, count = time.perf_counter(), 0
+    best, found, trace = (np.inf, 0.0), None, []
+    while (batch := planner.ask()) is not None and count < evaluations:
+        if count and time.perf_counter() - began >= seconds:
+            break
+        batch = batch[:evaluations - count]
+        for positions in batch:
+            _check(planner, positions)
+        scores = score([planner.space.placement(positions) for positions in batch])
+        count += len(batch)
+        leader = int(np.argmin(scores.depth_error))
+        if scores.depth_error[leader] < best[0]:
+            best = float(scores.depth_error[leader]), float(scores.space_coverage[leader])
+            found = batch[leader].copy()
+            trace.append((count, time.perf_counter() - began, best[0]))
+        if progress is not None:
+            progress(count, best[0])
+        if len(scores.depth_error) < len(planner.ask()):
+            break
+        planner.tell(scores)
+    if found is None:
+        raise ValueError(f'{type(planner).__name__}: found no placement in {count} evaluations; '
+                         'expected at least one; give it a budget of 1 or more')
+    return Result(planner.space.placement(found), *best, count, time.perf_counter() - began,
+                  np.array(trace))
+
+
+def _check(planner: Planner, positions: np.ndarray) -> None:
+    """Refuse positions that the planner's own space does not allow."""
+    space = planner.space
+    if len(positions) > space.cameras or (positions < space.low - 1e-9).any() \
+            or (positions > space.high + 1e-9).any():
+        raise ValueError(
+            f'{type(planner).__name__}: found the positions {positions.tolist()}; expected at '
+            f'most {space.cameras}, from {space.low.tolist()} to {space.high.tolist()}')

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A comparison of planners as tables and figures."""
+
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+import numpy as np
+
+from ocp_ros.report.room import INK, PALE_INK
+
+#: Told apart with any kind of colour vision, repeated with another line where there are more.
+COLOURS = ('#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '#d55e00', '#8c6d31')
+LINES = ('-', '--', ':')
+Rows = list[dict[str, Any]]
+
+
+def style(number: int) -> dict[str, Any]:
+    """Return the colour and the line of a planner."""
+    return {'color': COLOURS[number % len(COLOURS)],
+            'linestyle': LINES[number // len(COLOURS) % len(LINES)]}
+
+
+def write_report(folder: Path, summary: dict[str, Any], rows: Rows) -> None:
+    """
+    Write ``README.md``, ``rooms.png`` and ``anytime.png``.
+
+    :param folder: where; it is made.
+    :param summary: of :func:`ocp_ros.benchmark.summary.summarise`, with ``command``, ``date`` and
+        ``versions`` added.
+    :param rows: the runs.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    draw_rooms(folder / 'rooms.png', summary)
+    draw_anytime(folder / 'anytime.png', summary, rows)
+    (folder / 'README.md').write_text(page(summary))
+
+
+def budgets_of(summary: dict[str, Any]) -> list[str]:
+    """Return the budgets, least first."""
+    return sorted({budget for runs in summary['planners'].values() for budget in runs}, key=int)
+
+
+def draw_rooms(path: Path, summary: dict[str, Any]) -> None:
+    """Draw a group of bars for each room: every planner at the largest budget."""
+    budget, rooms = budgets_of(summary)[-1], list(summary['rooms'])
+    names = [name for name, runs in summary['planners'].items() if budget in runs]
+    figure = Figure(figsize=(1.2 + 1.5 * len(rooms), 5.5), dpi=100, facecolor='white')
+    axes = figure.add_axes((0.07, 0.12, 0.91, 0.66))
+    width = 0.85 / len(names)
+    for k, name in enumerate(names):
+        values = [summary['planners'][name][budget]['rooms'][room] for room in rooms]
+        axes.bar(np.arange(len(rooms)) + (k - 0.5 * (len(names) - 1)) * width, values, width,
+                 color=style(k)['color'], hatch=('', '//', '..')[k // len(COLOURS) % 3],
+                 edgecolor='white', linewidth=0.4, label=name.replace('_', ' '))
+    for k, room in enumerate(rooms):
+        known = summary['rooms'][room]['best_known']
+        axes.plot([k - 0.45, k + 0.45], [known, known], color=INK, linewidth=1.2,
+                  label='best known' if k == 0 else None)
+    axes.set_xticks(range(len(rooms)), [Path(room).stem for room in rooms])
+    axes.set_ylabel('depth error (m)', color=PALE_INK)
+    axes.set_yscale('log')
+    _quiet(axes)
+    figure.text(0.07, 0.95, f'Depth error of the final placement, {int(budget):,} evaluations',
+                fontsize=14, fontweight='bold', color=INK, va='center')
+    figure.legend(loc='upper left', bbox_to_anchor=(0.06, 0.92), ncols=6, frameon=False,
+                  fontsize=9)
+    figure.savefig(path)
+
+
+def draw_anytime(path: Path, summary: dict[str, Any], rows: Rows) -> None:
+    """Draw the error during the search against evaluations and against seconds."""
+    budget = int(budgets_of(summary)[-1])
+    figure = Figure(figsize=(14.0, 5.8), dpi=100, facecolor='white')
+    for column, title in ((0, 'evaluations'), (1, 'seconds on one core')):
+        axes = figure.add_axes((0.06 + 0.48 * column, 0.11, 0.43, 0.66))
+        for k, name in enumerate(summary['planners']):
+            runs = [np.array(row['trace']) for row in rows
+                    if row['planner'] == name and row['budget'] == budget and row['trace']]
+            if not runs:
+                continue
+            last = max(run[-1, column] for run in runs)
+            at = np.geomspace(max(min(run[0, column] for run in runs), 1e-3), last, 120)
+            # Before its first answer a run is worth what that answer is.
+            curves = [run[np.maximum(np.searchsorted(run[:, column], at, 'right') - 1, 0), 2]
+                      for run in runs]
+            axes.plot(at, np.mean(curves, axis=0), linewidth=1.8, label=name.replace('_', ' '),
+                      **style(k))
+        axes.set_xscale('log')
+        axes.set_yscale('log')
+        axes.set_xlabel(title, color=PALE_INK)
+        axes.set_ylabel('mean depth error of the best so far (m)', color=PALE_INK)
+        _quiet(axes)
+    figure.text(0.06, 0.95, 'How fast planners get better', fontsize=14, fontweight='bold',
+                color=INK, va='center')
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc='upper left',
+                  bbox_to_anchor=(0.05, 0.92), ncols=6, frameon=False, fontsize=9)
+    figure.savefig(path)
+
+
+def _quiet(axes: Axes) -> None:
+    """Leave out what does not tell anything."""
+    axes.spines[['top', 'right']].set_visible(False)
+    axes.tick_params(colors=PALE_INK)
+    axes.grid(axis='y', color='#e4e6e8', linewidth=0.8)
+    axes.set_axisbelow(True)
+
+
+def page(summary: dict[str, Any]) -> str:
+    """Write the comparison as Markdown."""
+    lines = [
+        '# Planners compared', '',
+        f'Made on {summary["date"]} by', '', f'    {summary["command"]}', '',
+        f'{len(summary["rooms"])} rooms, {summary["rotations"]} rotations of each, '
+        f'{summary["cameras"]} cameras on a plane. While it searches, a planner is scored by the '
+        'preset `fast`; what counts is its final placement alone, judged by `fine` at 128 x 256 '
+        'pixels and averaged over eight ways of mounting the cameras 2 cm off. *Sum* is over '
+        'rooms, each the mean over rotations and seeds, with a 95 % bootstrap interval over '
+        'rooms. *Ratio* is to the best known of all methods, seeds and budgets; *gap closed* is '
+        '(random - method) / (random - best known), random being a placement drawn at random. '
+        '*Wins* are rooms in which no other planner of the same budget was better.', '']
+    for budget in budgets_of(summary):
+        lines += [f'## {int(budget):,} evaluations', '',
+                  '| planner | sum (m) | 95 % | ratio | gap closed | wins | rank | p | 5 cm off | '
+                  '10 cm off | seconds |', '|---|---|---|---|---|---|---|---|---|---|---|']
+        test = summary['rank_tests'][budget]
+        runs = [(name, runs[budget]) for name, runs in summary['planners'].items()
+                if budget in runs]
+        for name, run in sorted(runs, key=lambda item: item[1]['sum']):
+            p = test['against_leader'].get(name)
+            low, high = run['interval']
+            lines.append(
+                f'| {name.replace("_", " ")} | {run["sum"]:.2f} | {low:.2f} to {high:.2f} | '
+                f'{run["ratio_to_best_known"]:.2f} | {run["gap_closed"]:.4f} | {run["wins"]} | '
+                f'{test["mean_rank"][name]:.1f} | {"" if p is None else f"{p:.3f}"} | '
+                f'{run["off_5_cm"]:.2f} | {run["off_10_cm"]:.2f} | {run["seconds"]:.2f} |')
+        friedman = test['friedman_p']
+        lines += ['', f"Rank is the mean over rooms; p is Wilcoxon's signed-rank test against "
+                  f'{test["leader"].replace("_", " ")}, corrected after Holm'
+                  + ('.' if friedman is None else
+                     f'; that all are alike has p = {friedman:.2g} (Friedman).'), '']
+    lines += ['![Depth error of every planner in every room](rooms.png)', '',
+              '![Depth error during the search](anytime.png)', '', '## Rooms', '',
+              '| room | best known (m) | random placement (m) | share | from everywhere (m) |',
+              '|---|---|---|---|---|']
+    for room, known in summary['rooms'].items():
+        lines.append(
+            f'| {Path(room).stem} | {known["best_known"]:.3f} | {known["random_placement"]:.2f} | '
+            f'{known["best_known"] / known["random_placement"]:.3f} | '
+            f'{known["lower_bound"]:.3f} |')
+    lines += ['', 'The last column is what all places of the plane miss together: no placement '
+              'can do better.', '', 'Versions: ' + ', '.join(
+                  f'{name} {version}' for name, version in summary['versions'].items()) + '.', '']
+    return '\n'.join(lines)

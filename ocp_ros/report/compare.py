@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``ocp benchmark``: run a comparison, keep its results, print and report them."""
+
+import argparse
+import csv
+from dataclasses import replace
+from datetime import datetime, timezone
+from importlib.metadata import version
+import json
+import os
+from pathlib import Path
+import platform
+import shlex
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from ocp_ros.benchmark.protocol import PRESETS, Protocol
+from ocp_ros.benchmark.rooms import rooms_in
+from ocp_ros.benchmark.runner import run, write_whole
+from ocp_ros.benchmark.summary import summarise
+from ocp_ros.report.benchmark import budgets_of, write_report
+
+PACKAGES = ('ocp_ros', 'numpy', 'numba', 'scipy', 'cma')
+
+
+def protocol_of(arguments: argparse.Namespace) -> Protocol:
+    """Return what a command line asks to compare."""
+    changes: dict[str, Any] = {
+        name: value for name in ('planners', 'budgets', 'seeds')
+        if (value := getattr(arguments, name)) is not None}
+    if arguments.rooms is not None:
+        changes['rooms'] = tuple(rooms_in(arguments.rooms))
+    return replace(PRESETS[arguments.preset], **changes)
+
+
+def compare(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
+    """
+    Run a comparison and write ``results.csv``, ``results.json`` and ``summary.json``.
+
+    :param arguments: of ``ocp benchmark``.
+    :param command: the command line, for the record.
+    :returns: the summary.
+    """
+    protocol = protocol_of(arguments)
+    columns = (TextColumn('comparing planners'), BarColumn(), MofNCompleteColumn(),
+               TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        bar = progress.add_task('')
+        rows = run(protocol, arguments.out, arguments.workers or os.cpu_count() or 1,
+                   arguments.ray,
+                   lambda done, total: progress.update(bar, completed=done, total=total))
+    summary = {
+        'command': command, 'date': datetime.now(timezone.utc).isoformat(timespec='seconds'),
+        'versions': {'python': platform.python_version(),
+                     **{name: version(name) for name in PACKAGES}},
+        'rotations': len(protocol.rotations), 'cameras': protocol.simulation.rig.cameras,
+        **summarise(rows)}
+    _write(arguments.out, rows, summary)
+    if arguments.report:
+        write_report(arguments.report, summary, rows)
+        write_whole(arguments.report / 'summary.json', json.dumps(summary, indent=1) + '\n')
+    show(summary)
+    print(f'wrote {arguments.out / "summary.json"}'
+          + (f' and {arguments.report / "README.md"}' if arguments.report else ''))
+    return summary
+
+
+def command_of(argv: list[str]) -> str:
+    """Return a command line as one types it."""
+    return shlex.join(['ocp', *argv])
+
+
+def _write(folder: Path, rows: list[dict[str, Any]], summary: dict[str, Any]) -> None:
+    """Keep the runs as a table and whole, and their summary."""
+    names = [name for name in rows[-1] if name not in ('placement', 'trace')]
+    with (folder / 'results.csv').open('w', newline='') as file:
+        table = csv.DictWriter(file, names, extrasaction='ignore')
+        table.writeheader()
+        table.writerows(rows)
+    write_whole(folder / 'results.json', json.dumps(rows))
+    write_whole(folder / 'summary.json', json.dumps(summary, indent=1) + '\n')
+
+
+def show(summary: dict[str, Any]) -> None:
+    """Print the sums, ratios and times of the largest budget."""
+    budget = budgets_of(summary)[-1]
+    table = Table('planner', 'sum (m)', 'ratio to best known', 'gap closed', 'wins', 'seconds',
+                  title=f'{len(summary["rooms"])} rooms, {int(budget):,} evaluations')
+    runs = [(name, runs[budget]) for name, runs in summary['planners'].items() if budget in runs]
+    for name, run_ in sorted(runs, key=lambda item: item[1]['sum']):
+        table.add_row(name, f'{run_["sum"]:.2f}', f'{run_["ratio_to_best_known"]:.2f}',
+                      f'{run_["gap_closed"]:.4f}', str(run_['wins']), f'{run_["seconds"]:.2f}')
+    Console(width=100).print(table)

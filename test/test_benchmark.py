@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The comparison of planners: one protocol, results that are kept, sums that can be checked."""
+
+from dataclasses import replace
+import json
+
+import numpy as np
+import pytest
+
+from ocp_ros import cli
+from ocp_ros.benchmark import runner
+from ocp_ros.benchmark.protocol import CONTROL, Judge, mounted, MOUNTING, Protocol, run_task, Task
+from ocp_ros.benchmark.rooms import make_room, rooms_in, space_of, TEST_ROOMS
+from ocp_ros.benchmark.summary import interval, ranks, summarise
+from ocp_ros.configuration import ConfigurationError
+from ocp_ros.planners.planner import Space
+from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.scenes.scene import SceneError, turned
+from ocp_ros.simulation.config import EngineConfig, SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
+
+SMALL = Protocol(rooms=('3',), rotations=(0.0,), planners=('random', 'annealing'), budgets=(5, 30),
+                 seeds=2, simulation=SimulationConfig(
+                     engine=EngineConfig(error_rows=32, coverage_cell=0.5)))
+
+
+def test_no_test_room_is_a_training_room():
+    from ocp_ros.training.config import TrainingConfig
+    rooms = TrainingConfig().rooms
+    trained = set(range(rooms.training_first, rooms.training_first + rooms.training))
+    trained |= set(range(rooms.validation_first, rooms.validation_first + rooms.validation))
+    assert not trained & set(TEST_ROOMS) and len(set(TEST_ROOMS)) == 10
+
+
+def test_a_turned_room_is_the_room_turned():
+    scene = generate_room(4, 2000)
+    quarter = turned(scene, 90.0)
+    np.testing.assert_allclose(quarter.points[:, 0], -scene.points[:, 1], atol=1e-5)
+    np.testing.assert_allclose(quarter.mesh.vertices[:, 1], scene.mesh.vertices[:, 0], atol=1e-5)
+    np.testing.assert_allclose(make_room('4', 60).points[:50],
+                               turned(make_room('4', 0), 60).points[:50])
+
+
+def test_a_folder_of_scans_is_a_set_of_rooms(tmp_path):
+    with pytest.raises(SceneError, match='found no scans; expected files of .*ply'):
+        rooms_in(tmp_path)
+    np.save(tmp_path / 'b.npy', generate_room(1, 2000).points)
+    (tmp_path / 'notes.md').write_text('nothing')
+    assert [name[-5:] for name in rooms_in(tmp_path)] == ['b.npy']
+    assert len(make_room(rooms_in(tmp_path)[0], 0)) > 1000
+
+
+def test_mounting_is_off_by_so_much_alike_for_all_and_inside():
+    space = Space(np.zeros(2), np.ones(2) * 4.0, 1.9, 3)
+    placement = space.placement(np.array([[1.0, 1.0], [2.0, 3.0], [4.0, 4.0]]))
+    moved = mounted(placement, 0.05, space)
+    off = np.linalg.norm((moved - placement)[:, :2], axis=-1)
+    np.testing.assert_allclose(off, 0.05)
+    assert (moved[..., :2] <= 4.0).all() and (moved[..., 2] == 1.9).all()
+    shifted = mounted(placement - [0.5, 0.5, 0.0], 0.05, space)
+    np.testing.assert_allclose(shifted[:, :2] + [0.5, 0.5, 0.0], moved[:, :2])
+
+
+def test_the_judge_is_the_engine_at_its_best(room):
+    simulator = Simulator(room, SMALL.simulation)
+    placement = np.random.default_rng(0).uniform(*room.bounds, (4, 3))
+    placement[:, 2] = simulator.height
+    judged = Judge(simulator)(placement)
+    assert judged['exact'] == simulator.evaluate(placement).depth_error
+    means = [np.mean([simulator.evaluate(moved).depth_error
+                      for moved in mounted(placement, off, space_of(simulator))])
+             for off in MOUNTING]
+    assert [judged[name] for name in ('depth_error', 'off_5_cm', 'off_10_cm')] == \
+        pytest.approx(means)
+    assert SMALL.simulation.engine.preset == Protocol().simulation.engine.preset == 'fine'
+    assert Protocol().simulation.engine.error_rows >= 128
+
+
+def test_a_task_runs_every_budget_and_seed():
+    rows = run_task(SMALL, Task('3', 0.0, 'annealing'))
+    assert [(row['budget'], row['seed']) for row in rows] == [(5, 0), (5, 1), (30, 0), (30, 1)]
+    for row in rows:
+        assert row['evaluations'] <= row['budget'] and np.shape(row['placement']) == (4, 3)
+        assert row['searched'] == row['trace'][-1][2]
+    again = run_task(SMALL, Task('3', 0.0, 'annealing'))
+    assert [row['placement'] for row in again] == [row['placement'] for row in rows]
+    control = run_task(SMALL, Task('3', 0.0, CONTROL))
+    assert all(row['lower_bound'] <= row['depth_error'] for row in control + control)
+    assert control[0]['lower_bound'] <= min(row['depth_error'] for row in rows)
+
+
+@pytest.mark.parametrize(('changes', 'words'), [
+    ({'planners': ('tdsa', 'magic')}, "planners: found 'magic'; expected some of"),
+    ({'rooms': ()}, 'found 0 rooms'), ({'budgets': (0,)}, r'budgets \[0\]'),
+    ({'seeds': 0}, '0 seeds; expected at least one')])
+def test_what_cannot_be_compared_is_refused(changes, words):
+    with pytest.raises(ConfigurationError, match=words):
+        replace(SMALL, **changes)
+
+
+def test_an_interrupted_comparison_goes_on(tmp_path, monkeypatch):
+    done = []
+
+    def here(workers):
+        def execute(protocol, tasks):
+            for task in tasks:
+                if len(done) == 2:
+                    done.append(None)
+                    raise KeyboardInterrupt
+                done.append(task.planner)
+                yield task, [{'planner': task.planner}]
+        return execute
+
+    monkeypatch.setattr(runner, '_in_processes', here)
+    with pytest.raises(KeyboardInterrupt):
+        runner.run(SMALL, tmp_path, 1)
+    rows = runner.run(SMALL, tmp_path, 1)
+    assert [row['planner'] for row in rows] == [CONTROL, 'random', 'annealing']
+    assert done == [CONTROL, 'random', None, 'annealing']
+    with pytest.raises(ConfigurationError, match='results of another comparison'):
+        runner.run(replace(SMALL, seeds=1), tmp_path, 1)
+
+
+def rows_of(errors, budget=100):
+    """Return rows of planners with given errors: {planner: {(room, rotation): [by seed]}}."""
+    rows = [{'planner': planner, 'room': room, 'rotation': rotation, 'budget': budget,
+             'seed': seed, 'depth_error': error, 'exact': error, 'off_5_cm': error,
+             'off_10_cm': error, 'seconds': 1.0, 'evaluations': 10}
+            for planner, cases in errors.items() for (room, rotation), found in cases.items()
+            for seed, error in enumerate(found)]
+    cases = {(row['room'], row['rotation']) for row in rows}
+    return rows + [{'planner': CONTROL, 'room': room, 'rotation': rotation, 'budget': 1,
+                    'seed': 0, 'depth_error': 10.0, 'lower_bound': 0.1}
+                   for room, rotation in cases]
+
+
+def test_the_summary_is_what_its_words_say():
+    summary = summarise(rows_of({
+        'good': {('a', 0): [1.0, 3.0], ('a', 60): [2.0, 2.0], ('b', 0): [4.0, 4.0]},
+        'bad': {('a', 0): [5.0, 5.0], ('a', 60): [1.0, 9.0], ('b', 0): [3.0, 3.0]}}))
+    good, bad = (summary['planners'][name]['100'] for name in ('good', 'bad'))
+    assert good['rooms'] == {'a': 2.0, 'b': 4.0} and good['sum'] == 6.0
+    assert bad['sum'] == 8.0 and (good['wins'], bad['wins']) == (1, 1)
+    # Best known: (1 + 1) / 2 in a, 3 in b.
+    assert summary['rooms']['a'] == {'best_known': 1.0, 'random_placement': 10.0,
+                                     'lower_bound': 0.1}
+    assert good['ratio_to_best_known'] == pytest.approx(6.0 / 4.0)
+    assert good['gap_closed'] == pytest.approx((20.0 - 6.0) / (20.0 - 4.0))
+    assert good['interval'][0] <= 6.0 <= good['interval'][1] and good['seeds'] == 2
+
+
+def test_intervals_and_ranks_tell_planners_apart():
+    rng = np.random.default_rng(0)
+    low, high = interval(np.full(10, 2.0))
+    assert low == high == 20.0
+    base = rng.uniform(1.0, 2.0, 12)
+    test = ranks({'best': base, 'worse': base + 1.0, 'alike': base + rng.normal(0, 1e-3, 12)})
+    assert test['leader'] in ('best', 'alike') and test['friedman_p'] < 0.01
+    assert test['against_leader']['worse'] < 0.01
+    other = 'alike' if test['leader'] == 'best' else 'best'
+    assert test['against_leader'][other] > 0.01
+    assert ranks({'a': base[:2], 'b': base[:2]})['friedman_p'] is None
+
+
+def test_the_command_compares_and_reports(tmp_path, capsys):
+    np.save(tmp_path / 'small.npy', generate_room(1, 2500).points)
+    arguments = ['benchmark', '--rooms', str(tmp_path), '--planners', 'random,greedy_error',
+                 '--budgets', '8,20', '--seeds', '1', '--workers', '1', '--out',
+                 str(tmp_path / 'out'), '--report', str(tmp_path / 'report')]
+    assert cli.main(arguments) == 0
+    summary = json.loads((tmp_path / 'report' / 'summary.json').read_text())
+    assert summary['command'].startswith('ocp benchmark --rooms')
+    assert set(summary['planners']) == {'random', 'greedy_error'}
+    assert set(summary['planners']['random']) == {'8', '20'}
+    text = (tmp_path / 'report' / 'README.md').read_text()
+    assert '| greedy error |' in text and summary['command'] in text
+    for picture in ('rooms.png', 'anytime.png'):
+        assert (tmp_path / 'report' / picture).stat().st_size > 10000
+    assert len((tmp_path / 'out' / 'results.csv').read_text().splitlines()) == 1 + 32 + 4
+    assert 'greedy_error' in capsys.readouterr().out
+    assert cli.main([*arguments[:4], 'magic', *arguments[5:]]) == 2
+    assert "planners: found 'magic'" in capsys.readouterr().err
+
+
+def test_a_ray_cluster_of_two_nodes_does_the_same(tmp_path):
+    ray = pytest.importorskip('ray', reason='comparing on a cluster needs ocp_ros[ray]')
+    from ray.cluster_utils import Cluster
+    cluster = Cluster(initialize_head=True, head_node_args={'num_cpus': 1})
+    try:
+        cluster.add_node(num_cpus=1)
+        rows = runner.run(SMALL, tmp_path / 'ray', 1, cluster.address)
+    finally:
+        ray.shutdown()
+        cluster.shutdown()
+    here = run_task(SMALL, Task('3', 0.0, 'annealing'))
+    assert [row['placement'] for row in rows if row['planner'] == 'annealing'] == \
+        [row['placement'] for row in here]

@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every planner keeps its budget and its space, and does what its name promises."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from ocp_ros.planners.annealing import TransDimensionalAnnealing
+from ocp_ros.planners.evolution import matched
+from ocp_ros.planners.greedy import fill
+from ocp_ros.planners.offline import OFFLINE
+from ocp_ros.planners.planner import Planner, Scores, Space
+from ocp_ros.planners.scorer import Scorer
+from ocp_ros.planners.solve import solve
+from ocp_ros.planners.swarm import BinaryParticleSwarm
+from ocp_ros.simulation.config import EngineConfig, SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
+
+SPACE = Space(np.array([-1.0, 2.0]), np.array([5.0, 6.0]), 1.9, 3)
+TARGETS = np.array([[0.1, 2.4], [4.3, 5.1], [2.2, 3.3]])
+#: Those that can go anywhere and have nothing to do but go on.
+CONTINUOUS = ['greedy_swap', 'tdsa', 'annealing', 'bee_colony', 'differential_evolution',
+              'cma_es']
+
+
+def toy(placements):
+    """Score by how far each target is from its nearest camera: 0 at the targets, 36 for nothing."""
+    errors = []
+    for placement in placements:
+        distance = np.linalg.norm(TARGETS[:, None] - placement[None, :, :2], axis=2)
+        errors.append((np.append(distance, np.full((3, 1), 6.0), axis=1).min(axis=1) ** 2).sum())
+    return Scores(np.array(errors), -np.array(errors))
+
+
+def run(name, budget, seed=0, score=toy, space=SPACE):
+    """Run a planner by its name."""
+    return solve(OFFLINE[name](space, np.random.default_rng(seed), budget), score, budget)
+
+
+@pytest.mark.parametrize('budget', [1, 2, 9, 100, 733])
+@pytest.mark.parametrize('name', OFFLINE)
+def test_no_planner_exceeds_its_budget_or_leaves_its_space(name, budget):
+    asked = []
+
+    def score(placements):
+        asked.extend(placements)
+        return toy(placements)
+
+    result = run(name, budget, score=score)
+    assert result.evaluations == len(asked) <= budget
+    for placement in asked:
+        assert placement.shape[1] == 3 and len(placement) <= 3
+        assert (placement[:, 2] == 1.9).all()
+        assert (placement[:, :2] >= SPACE.low - 1e-9).all()
+        assert (placement[:, :2] <= SPACE.high + 1e-9).all()
+    # The answer is the best of all that was judged, and the trace tells how it came about.
+    assert result.depth_error == pytest.approx(toy(asked).depth_error.min())
+    assert toy([result.placement]).depth_error[0] == pytest.approx(result.depth_error)
+    assert (np.diff(result.trace[:, 2]) < 0).all() and (np.diff(result.trace[:, 0]) > 0).all()
+
+
+@pytest.mark.parametrize('name', OFFLINE)
+def test_the_same_seed_leaves_the_same_trace(name):
+    one, other = (run(name, 300, seed=7) for _ in range(2))
+    assert np.array_equal(one.placement, other.placement)
+    assert np.array_equal(one.trace[:, [0, 2]], other.trace[:, [0, 2]])
+
+
+@pytest.mark.parametrize('name', CONTINUOUS)
+def test_a_problem_with_a_known_answer_is_solved(name):
+    result = run(name, 4000)
+    assert result.depth_error < 0.05
+    assert np.abs(matched(TARGETS, result.placement[:, :2]) - TARGETS).max() < 0.25
+
+
+@pytest.mark.parametrize('name', set(OFFLINE) - {'random', 'regular_grid'})
+def test_every_search_beats_chance(name):
+    space = Space(SPACE.low, SPACE.high, 1.9, 3)
+    found = np.mean([run(name, 400, seed, space=space).depth_error for seed in range(4)])
+    assert found < np.mean([run('random', 400, seed).depth_error for seed in range(4)])
+
+
+def cover_problem(seed, candidates):
+    """Return sets that candidates cover, (M, 40) bool, and a score by candidate positions."""
+    sets = np.random.default_rng(seed).random((len(candidates), 40)) < 0.18
+
+    def score(placements):
+        covered = []
+        for placement in placements:
+            chosen = [int(np.linalg.norm(candidates - place[:2], axis=1).argmin())
+                      for place in placement]
+            covered.append(sets[chosen].any(axis=0).sum() if chosen else 0)
+        return Scores(40.0 - np.array(covered), np.array(covered, dtype=float))
+
+    best = max(sets[list(chosen)].any(axis=0).sum()
+               for chosen in combinations(range(len(candidates)), 3))
+    return score, best
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_bpso_solves_a_small_maximum_cover_exactly(seed):
+    score, best = cover_problem(seed, SPACE.grid(16))
+
+    class Small(BinaryParticleSwarm):
+        candidates = 16
+
+    planner = Small(SPACE, np.random.default_rng(seed), 3000)
+    assert solve(planner, score, 3000).space_coverage == best
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_greedy_coverage_keeps_its_bound(seed):
+    candidates = SPACE.grid(16)
+    score, best = cover_problem(seed, candidates)
+    search = fill(3, candidates, lambda scores: -scores.space_coverage)
+    batch = next(search)
+    with pytest.raises(StopIteration) as end:
+        while True:
+            batch = search.send(score(batch))
+    placed, error = end.value.value
+    assert score([placed]).space_coverage[0] == 40.0 - error >= (1.0 - 1.0 / np.e) * best
+
+
+def test_tdsa_without_energy_is_a_poisson_process():
+    """The number of cameras follows Poisson(lambda), their places are uniform."""
+    class Free(TransDimensionalAnnealing):
+        births, rate = 0.3, 3.0
+
+    planner = Free(Space(SPACE.low, SPACE.high, 1.9, 30), np.random.default_rng(5), 100)
+    placed, counts, places = np.empty((0, 2)), [], []
+    for number in range(60000):
+        step = planner.step(placed, 0.0, 1.0, 1.0)
+        next(step)
+        try:
+            step.send(Scores(np.zeros(1), np.zeros(1)))
+        except StopIteration as end:
+            placed, _ = end.value
+        # Far enough apart to be as good as independent.
+        if number % 40 == 0:
+            counts.append(len(placed))
+            places.extend(placed[:1])
+    observed = np.bincount(np.minimum(counts, 8), minlength=9)
+    chance = stats.poisson.pmf(np.arange(9), 3.0)
+    chance[8] = stats.poisson.sf(7, 3.0)
+    assert stats.chisquare(observed, chance * len(counts)).pvalue > 0.001
+    for axis in (0, 1):
+        share = (np.array(places)[::5, axis] - SPACE.low[axis]) / SPACE.size[axis]
+        assert stats.kstest(share, 'uniform').pvalue > 0.001
+
+
+def test_folding_keeps_a_step_symmetric_and_inside():
+    space = Space(np.zeros(2), np.array([2.0, 1.0]), 1.0, 1)
+    np.testing.assert_allclose(space.reflected(np.array([[2.5, -0.25], [-4.5, 3.25]])),
+                               [[1.5, 0.25], [0.5, 0.75]])
+
+
+@pytest.mark.parametrize('most', [1, 2, 7, 60, 400])
+def test_a_grid_is_no_larger_than_asked_and_inside(most):
+    grid = SPACE.grid(most)
+    assert 0.5 * most <= len(grid) <= most
+    assert (grid > SPACE.low).all() and (grid < SPACE.high).all()
+
+
+class Outside(Planner):
+    """A planner that does not know its space."""
+
+    def search(self):
+        """Place a camera far away."""
+        yield [np.array([[100.0, 0.0]])]
+
+
+class Silent(Planner):
+    """A planner that asks nothing."""
+
+    def search(self):
+        """Ask nothing."""
+        yield from ()
+
+
+def test_a_planner_that_breaks_the_rules_is_found_out():
+    with pytest.raises(ValueError, match='Outside: found the positions .*expected at most 3'):
+        solve(Outside(SPACE, np.random.default_rng(0), 5), toy, 5)
+    with pytest.raises(ValueError, match='Silent: found no placement in 0 evaluations'):
+        solve(Silent(SPACE, np.random.default_rng(0), 5), toy, 5)
+
+
+def test_a_time_limit_ends_a_search():
+    planner = OFFLINE['random'](SPACE, np.random.default_rng(0), 10 ** 9)
+    assert 1 <= solve(planner, toy, 10 ** 9, seconds=0.0).evaluations < 100
+
+
+@pytest.mark.parametrize('threads', [1, 2])
+def test_scores_are_those_of_the_engine(room, threads):
+    simulator = Simulator(room, SimulationConfig(
+        engine=EngineConfig(preset='fast', error_rows=32, coverage_cell=0.5)))
+    rng, score = np.random.default_rng(0), Scorer(simulator, threads)
+    places = rng.uniform(*room.bounds, (6, 3))
+    placements = [places[rng.permutation(6)[:count]] for count in (0, 1, 3, 3, 2)]
+    scores = score(placements)
+    for placement, error, coverage in zip(placements, *scores, strict=True):
+        if len(placement):
+            assert simulator.evaluate(placement)[1:] == (coverage, error)
+        else:
+            assert (error, coverage) == (simulator.depth_error.worst, 0.0)
+
+
+def test_a_camera_that_stands_where_one_stood_costs_no_look(room, monkeypatch):
+    simulator = Simulator(room, SimulationConfig(
+        engine=EngineConfig(preset='fast', error_rows=32, coverage_cell=0.5)))
+    looks, look = [], simulator.look
+    monkeypatch.setattr(simulator, 'look', lambda pose: looks.append(pose) or look(pose))
+    score, places = Scorer(simulator), np.random.default_rng(0).uniform(*room.bounds, (5, 3))
+    score([places[:4]])
+    score([places[[0, 1, 2, 4]], places[[4, 3, 2, 1]]])
+    assert len(looks) == 5
