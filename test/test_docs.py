@@ -38,7 +38,7 @@ def test_every_topic_and_field_is_documented():
 
 
 @pytest.mark.parametrize('page', ['README.md', 'CONTRIBUTING.md', 'docs/ros.md', 'docs/engine.md',
-                                  'docs/sensors.md'])
+                                  'docs/sensors.md', 'docs/planners.md'])
 def test_links_and_folders_exist(page):
     path = ROOT / page
     text = path.read_text()
@@ -54,7 +54,7 @@ def test_links_and_folders_exist(page):
 def python_example(page):
     """Return the first Python example of a page."""
     text = (ROOT / page).read_text()
-    code = re.search(r'((?:    from ocp_ros.*\n)+\n(?:    .*\n)+)', text).group(1)
+    code = re.search(r'((?:    (?:from ocp_ros|import ).*\n)+\n(?:    .*\n)+)', text).group(1)
     return re.sub('^    ', '', code, flags=re.M)
 
 
@@ -62,6 +62,18 @@ def test_the_example_with_sensors_runs(capsys):
     exec(python_example('docs/sensors.md'), {})
     error, coverage, seen = map(float, capsys.readouterr().out.split())
     assert error > 0.0 and coverage > 1.0 and seen > 100
+
+
+def test_the_example_with_a_planner_runs(capsys):
+    exec(python_example('docs/planners.md'), {})
+    error, coverage, seconds = map(float, capsys.readouterr().out.split())
+    assert 0.0 < error < 5.0 and coverage > 100.0 and seconds > 0.0
+
+
+def test_every_planner_is_documented():
+    from ocp_ros.planners.offline import OFFLINE
+    text = (ROOT / 'docs' / 'planners.md').read_text()
+    assert re.findall(r'^\| `(\w+)` \|', text, re.M) == list(OFFLINE)
 
 
 def test_the_readmes_python_example_runs(tmp_path, monkeypatch, capsys):

@@ -26,7 +26,7 @@ CONTINUOUS = ['greedy_swap', 'tdsa', 'annealing', 'bee_colony', 'differential_ev
 
 
 def toy(placements):
-    """Score by how far each target is from its nearest camera: 0 at the targets, 36 for nothing."""
+    """Score by how far targets are from their nearest cameras; one without costs 36."""
     errors = []
     for placement in placements:
         distance = np.linalg.norm(TARGETS[:, None] - placement[None, :, :2], axis=2)

@@ -63,12 +63,14 @@ def write_whole(path: Path, text: str) -> None:
 
 
 def _claim(folder: Path, protocol: Protocol) -> None:
-    """Write down what is compared here, or check that it is the same."""
-    path, text = folder / 'protocol.json', json.dumps(asdict(protocol), indent=2) + '\n'
+    """Write down what all results here have in common, or check that it is the same."""
+    common = {name: value for name, value in asdict(protocol).items()
+              if name not in ('rooms', 'rotations', 'planners')}
+    path, text = folder / 'protocol.json', json.dumps(common, indent=2) + '\n'
     if path.exists() and path.read_text() != text:
         raise ConfigurationError(
-            f'{folder}: found the results of another comparison; expected the same rooms, '
-            'planners, budgets and seeds; name another folder or remove this one')
+            f'{folder}: found the results of another comparison; expected the same budgets, seeds '
+            'and rig; name another folder or remove this one')
     write_whole(path, text)
 
 

@@ -7,7 +7,7 @@ Space coverage is monotone and submodular, so that greedy placement by coverage 
 such bound. The candidates are a grid as fine as the budget allows.
 """
 
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 
 import numpy as np
 
@@ -15,6 +15,13 @@ from ocp_ros.planners.planner import Planner, Scores, Search
 
 #: Metres: the first and the last step of the descent, and how many directions it tries.
 FIRST_STEP, LAST_STEP, DIRECTIONS = 0.4, 0.02, 8
+#: Candidates of a search with exchange: the budget's share for each camera, within these limits.
+FEWEST, SHARE, MOST = 20, 16, 150
+#: Places that two cameras are put back to, one after the other, when a search begins again.
+REBUILT = 48
+NOBODY = np.empty((0, 2))
+#: Yields placements, gets scores, and ends with positions and their depth error.
+Answer = Generator[Sequence[np.ndarray], Scores, tuple[np.ndarray, float]]
 
 
 class GreedyCoverage(Planner):
@@ -39,46 +46,48 @@ class GreedySwap(Planner):
     """
     Greedy by depth error, then one camera exchanged at a time, then small steps downhill.
 
-    What is left of the budget goes to the same from other starts: the best placement with one or
-    two cameras thrown somewhere else.
+    What is left of the budget goes to ruin and recreate: two cameras of the best placement are
+    taken away and put back greedily among random places, and all descend again.
     """
 
     def search(self) -> Search:
         """Fill, exchange, descend, and begin again."""
         cameras = self.space.cameras
-        # A third of the budget to fill, and at most so fine that neighbours see much alike.
-        candidates = self.space.grid(int(np.clip(self.budget // (3 * cameras), 4, 400)))
+        # Coarse: neighbours see much alike, and the descent finds what lies between.
+        most = np.clip(self.budget // (SHARE * cameras), FEWEST, MOST)
+        candidates = self.space.grid(int(most))
         placed, _ = yield from fill(cameras, candidates, lambda scores: scores.depth_error)
-        best, error = yield from exchange(self, placed, candidates)
+        best, error = yield from exchange(placed, candidates)
         best, error = yield from descend(self, best, error)
         while True:
-            start = best.copy()
-            thrown = self.rng.permutation(cameras)[:self.rng.integers(1, min(2, cameras) + 1)]
-            start[thrown] = self.space.random(self.rng, len(thrown))
-            other, other_error = yield from descend(self, start, np.inf)
+            kept = self.rng.permutation(cameras)[min(2, cameras):]
+            places = np.array([self.space.random(self.rng, 1)[0] for _ in range(REBUILT)])
+            start, other_error = yield from fill(
+                cameras, places, lambda scores: scores.depth_error, best[kept])
+            other, other_error = yield from descend(self, start, other_error)
             if other_error < error:
                 best, error = other, other_error
 
 
-def fill(cameras: int, candidates: np.ndarray,
-         energy) -> Generator[Sequence[np.ndarray], Scores, tuple[np.ndarray, float]]:
+def fill(cameras: int, candidates: np.ndarray, energy: Callable[[Scores], np.ndarray],
+         placed: np.ndarray = NOBODY) -> Answer:
     """
     Place cameras one by one.
 
     :param candidates: (M, 2).
     :param energy: of scores; the least is best.
+    :param placed: (n, 2), those that are there already.
     :returns: the positions (cameras, 2) and their depth error.
     """
-    placed, error = np.empty((0, 2)), np.inf
-    for _ in range(cameras):
+    error = np.inf
+    for _ in range(cameras - len(placed)):
         scores = yield [np.vstack([placed, place]) for place in candidates]
         choice = int(np.argmin(energy(scores)))
         placed, error = np.vstack([placed, candidates[choice]]), scores.depth_error[choice]
     return placed, error
 
 
-def exchange(planner: Planner, placed: np.ndarray, candidates: np.ndarray,
-             ) -> Generator[Sequence[np.ndarray], Scores, tuple[np.ndarray, float]]:
+def exchange(placed: np.ndarray, candidates: np.ndarray) -> Answer:
     """Exchange one camera for the best candidate until no exchange helps any more."""
     scores = yield [placed]
     error, unchanged, camera = scores.depth_error[0], 0, 0
@@ -97,12 +106,8 @@ def exchange(planner: Planner, placed: np.ndarray, candidates: np.ndarray,
     return placed, error
 
 
-def descend(planner: Planner, placed: np.ndarray, error: float,
-            ) -> Generator[Sequence[np.ndarray], Scores, tuple[np.ndarray, float]]:
+def descend(planner: Planner, placed: np.ndarray, error: float) -> Answer:
     """Move one camera at a time to the best of a ring of places, with ever smaller steps."""
-    if not np.isfinite(error):
-        scores = yield [placed]
-        error = scores.depth_error[0]
     step, unchanged, camera = FIRST_STEP, 0, 0
     while step >= LAST_STEP:
         angle = planner.rng.uniform(0.0, 2.0 * np.pi)

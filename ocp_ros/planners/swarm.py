@@ -16,7 +16,7 @@ from ocp_ros.planners.planner import Planner, Search
 #: Particles, inertia, pull to the own best and to the best of all, and the fastest velocity.
 PARTICLES, INERTIA, OWN, SOCIAL, FASTEST = 24, 0.72, 1.49, 1.49, 4.0
 #: Candidates.
-CANDIDATES = 256
+CANDIDATES = 1024
 
 
 class BinaryParticleSwarm(Planner):
@@ -27,7 +27,7 @@ class BinaryParticleSwarm(Planner):
 
     def search(self) -> Search:
         """Fly until the budget ends."""
-        candidates = self.space.grid(int(np.clip(self.budget, 16, self.candidates)))
+        candidates = self.space.grid(int(np.clip(self.budget // 10, 16, self.candidates)))
         cameras = min(self.space.cameras, len(candidates))
         particles = min(PARTICLES, max(self.budget // 8, 2))
         # Few bits of many are set; velocities begin where the sigmoid says as many.
