@@ -174,6 +174,8 @@ def test_the_command_compares_and_reports(tmp_path, capsys):
     assert set(summary['planners']['random']) == {'8', '20'}
     text = (tmp_path / 'report' / 'README.md').read_text()
     assert '| greedy error |' in text and summary['command'] in text
+    page = (tmp_path / 'report' / 'placements.html').read_text()
+    assert 'small: greedy_error, depth error' in page and 'src="http' not in page
     for picture in ('rooms.png', 'anytime.png'):
         assert (tmp_path / 'report' / picture).stat().st_size > 10000
     assert len((tmp_path / 'out' / 'results.csv').read_text().splitlines()) == 1 + 32 + 4

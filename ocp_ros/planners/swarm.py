@@ -27,7 +27,7 @@ class BinaryParticleSwarm(Planner):
 
     def search(self) -> Search:
         """Fly until the budget ends."""
-        candidates = self.space.grid(int(np.clip(self.budget // 10, 16, self.candidates)))
+        candidates = self.space.grid(int(np.clip(self.budget // 4, 16, self.candidates)))
         cameras = min(self.space.cameras, len(candidates))
         particles = min(PARTICLES, max(self.budget // 8, 2))
         # Few bits of many are set; velocities begin where the sigmoid says as many.

@@ -46,7 +46,8 @@ def draw_rooms(path: Path, summary: dict[str, Any]) -> None:
     """Draw a group of bars for each room: every planner at the largest budget."""
     budget, rooms = budgets_of(summary)[-1], list(summary['rooms'])
     names = [name for name, runs in summary['planners'].items() if budget in runs]
-    figure = Figure(figsize=(1.2 + 1.5 * len(rooms), 5.5), dpi=100, facecolor='white')
+    wide = max(11.0, 1.2 + 1.5 * len(rooms))
+    figure = Figure(figsize=(wide, 5.5), dpi=100, facecolor='white')
     axes = figure.add_axes((0.07, 0.12, 0.91, 0.66))
     width = 0.85 / len(names)
     for k, name in enumerate(names):

@@ -13,16 +13,21 @@ import platform
 import shlex
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from ocp_ros.benchmark.protocol import PRESETS, Protocol
-from ocp_ros.benchmark.rooms import rooms_in
+from ocp_ros.benchmark.rooms import make_room, rooms_in
 from ocp_ros.benchmark.runner import run, write_whole
 from ocp_ros.benchmark.summary import summarise
 from ocp_ros.report.benchmark import budgets_of, write_report
+from ocp_ros.report.page import write_page
+from ocp_ros.simulation.simulator import Simulator
 
+#: Rooms on the page that can be turned around.
+PAGE_ROOMS = 3
 PACKAGES = ('ocp_ros', 'numpy', 'numba', 'scipy', 'cma')
 
 
@@ -61,11 +66,31 @@ def compare(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     _write(arguments.out, rows, summary)
     if arguments.report:
         write_report(arguments.report, summary, rows)
+        write_page(arguments.report / 'placements.html', 'Planners compared',
+                   _shown(protocol, rows))
         write_whole(arguments.report / 'summary.json', json.dumps(summary, indent=1) + '\n')
     show(summary)
     print(f'wrote {arguments.out / "summary.json"}'
           + (f' and {arguments.report / "README.md"}' if arguments.report else ''))
     return summary
+
+
+def _shown(protocol: Protocol, rows: list[dict[str, Any]],
+           ) -> dict[str, tuple[Simulator, dict[str, np.ndarray]]]:
+    """Return the rooms of the page, and each planner's best placement in them."""
+    shown, rotation = {}, protocol.rotations[0]
+    for room in protocol.rooms[:PAGE_ROOMS]:
+        best: dict[str, dict[str, Any]] = {}
+        for row in rows:
+            if (row['room'], row['rotation']) == (room, rotation):
+                rival = best.setdefault(row['planner'], row)
+                if row['depth_error'] < rival['depth_error']:
+                    best[row['planner']] = row
+        simulator = Simulator(make_room(room, rotation), protocol.simulation)
+        shown[simulator.scene.name] = simulator, {
+            planner: np.array(row['placement'])
+            for planner, row in sorted(best.items(), key=lambda item: item[1]['depth_error'])}
+    return shown
 
 
 def command_of(argv: list[str]) -> str:
