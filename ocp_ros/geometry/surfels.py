@@ -358,7 +358,7 @@ def locate_block(places, number, position, rows, out):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model='numpy')
-def visible_surfels(points, blocks, pose, lens, settings, work, seen):
+def see_surfels(points, blocks, pose, lens, settings, work, seen):
     """
     Add the points that a camera sees to those that others see.
 
@@ -391,11 +391,11 @@ def visible_surfels(points, blocks, pose, lens, settings, work, seen):
 
 
 @njit(cache=True, nogil=True)
-def visible_places(places, blocks, pose, lens, settings, work, seen):
-    """Add the places that a camera sees; see :func:`visible_surfels`."""
+def see_places(places, blocks, pose, lens, settings, work, seen):
+    """Add the places that a camera sees; see :func:`see_surfels`."""
     for number in blocks:
         locate_block(places, number, pose.position, settings.rows, work)
-    visible_surfels(places, blocks, pose, lens, settings, work, seen)
+    see_surfels(places, blocks, pose, lens, settings, work, seen)
 
 
 @njit(nogil=True)
@@ -443,10 +443,10 @@ def look_at_surfels(surfels, bounds, places, place_bounds, pose, lens, settings,
     """
     blocks = work.blocks[:blocks_in_view(bounds, pose, lens, work.blocks)]
     splat_surfels(surfels, blocks, pose.position, lens.max_range, settings, work)
-    visible_surfels(surfels, blocks, pose, lens, settings, work, seen)
+    see_surfels(surfels, blocks, pose, lens, settings, work, seen)
     if covered.shape[0]:
         blocks = work.blocks[:blocks_in_view(place_bounds, pose, lens, work.blocks)]
-        visible_places(places, blocks, pose, lens, settings, work, covered)
+        see_places(places, blocks, pose, lens, settings, work, covered)
 
 
 def distances(inverse_map: np.ndarray, rows: int) -> np.ndarray:
