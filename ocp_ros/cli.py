@@ -31,9 +31,20 @@ def _benchmark(arguments: argparse.Namespace) -> None:
     compare(arguments, command_of(arguments.argv))
 
 
-def _numbers(text: str) -> tuple[int, ...]:
+def _whole_numbers(text: str) -> tuple[int, ...]:
     """Read whole numbers with commas between."""
-    return tuple(int(number) for number in text.split(','))
+    try:
+        return tuple(int(number) for number in text.split(','))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(
+            f'found {text!r}; expected whole numbers with commas between') from error
+
+
+def _workers(text: str) -> int:
+    """Read how many processes to use."""
+    if not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f'found {text!r}; expected 1 or more')
+    return int(text)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -53,11 +64,12 @@ def parser() -> argparse.ArgumentParser:
     compare.add_argument('--rooms', type=Path, help='folder of scans to take instead')
     compare.add_argument('--planners', type=lambda text: tuple(text.split(',')),
                          help='names with commas between; all unless named')
-    compare.add_argument('--budgets', type=_numbers, help='evaluations, with commas between')
+    compare.add_argument('--budgets', type=_whole_numbers, help='evaluations, with commas between')
     compare.add_argument('--seeds', type=int, help='runs of each')
     compare.add_argument('--out', type=Path, default=Path('out/benchmark'),
                          help='folder of the results; an interrupted comparison goes on')
-    compare.add_argument('--workers', type=int, help='processes; one for each core unless named')
+    compare.add_argument('--workers', type=_workers,
+                         help='processes; one for each core unless named')
     compare.add_argument('--ray', metavar='ADDRESS', help='run on a Ray cluster, such as auto')
     compare.add_argument('--report', type=Path, nargs='?', const=Path('docs/benchmark'),
                          help='write tables and figures here')

@@ -14,9 +14,10 @@ from ocp_ros.benchmark.rooms import make_room, rooms_in, space_of, TEST_ROOMS
 from ocp_ros.benchmark.summary import interval, ranks, summarise
 from ocp_ros.configuration import ConfigurationError
 from ocp_ros.planners.planner import Space
+from ocp_ros.report.benchmark import page
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import SceneError, turned
-from ocp_ros.simulation.config import EngineConfig, SimulationConfig
+from ocp_ros.simulation.config import EngineConfig, RigConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 
 SMALL = Protocol(rooms=('3',), rotations=(0.0,), planners=('random', 'annealing'), budgets=(5, 30),
@@ -46,6 +47,10 @@ def test_a_folder_of_scans_is_a_set_of_rooms(tmp_path):
         rooms_in(tmp_path)
     np.save(tmp_path / 'b.npy', generate_room(1, 2000).points)
     (tmp_path / 'notes.md').write_text('nothing')
+    (tmp_path / 'notes.txt').write_text('scanned on monday')
+    with pytest.raises(SceneError, match='notes.txt: found .*convert this file first, or move'):
+        rooms_in(tmp_path)
+    (tmp_path / 'notes.txt').unlink()
     assert [name[-5:] for name in rooms_in(tmp_path)] == ['b.npy']
     assert len(make_room(rooms_in(tmp_path)[0], 0)) > 1000
 
@@ -85,14 +90,17 @@ def test_a_task_runs_every_budget_and_seed():
     again = run_task(SMALL, Task('3', 0.0, 'annealing'))
     assert [row['placement'] for row in again] == [row['placement'] for row in rows]
     control = run_task(SMALL, Task('3', 0.0, CONTROL))
-    assert all(row['lower_bound'] <= row['depth_error'] for row in control + control)
+    assert all(row['lower_bound'] <= row['depth_error'] for row in control)
     assert control[0]['lower_bound'] <= min(row['depth_error'] for row in rows)
 
 
 @pytest.mark.parametrize(('changes', 'words'), [
     ({'planners': ('tdsa', 'magic')}, "planners: found 'magic'; expected some of"),
     ({'rooms': ()}, 'found 0 rooms'), ({'budgets': (0,)}, r'budgets \[0\]'),
-    ({'seeds': 0}, '0 seeds; expected at least one')])
+    ({'seeds': 0}, '0 seeds; expected at least one'),
+    ({'budgets': (5, 5)}, r'budgets: found \[5, 5\]; expected each once'),
+    ({'simulation': SimulationConfig(rig=RigConfig(sensors='kinect_v2'))},
+     "rig.sensors: found 'kinect_v2'; expected omnidirectional")])
 def test_what_cannot_be_compared_is_refused(changes, words):
     with pytest.raises(ConfigurationError, match=words):
         replace(SMALL, **changes)
@@ -101,16 +109,21 @@ def test_what_cannot_be_compared_is_refused(changes, words):
 def test_an_interrupted_comparison_goes_on(tmp_path, monkeypatch):
     done = []
 
+    def run_here(protocol, task):
+        done.append(task.planner)
+        return [{'planner': task.planner}]
+
     def here(workers):
         def execute(protocol, tasks):
-            for task in tasks:
+            for task, path in tasks.items():
                 if len(done) == 2:
                     done.append(None)
                     raise KeyboardInterrupt
-                done.append(task.planner)
-                yield task, [{'planner': task.planner}]
+                runner.keep_task(protocol, task, path)
+                yield task
         return execute
 
+    monkeypatch.setattr(runner, 'run_task', run_here)
     monkeypatch.setattr(runner, '_in_processes', here)
     with pytest.raises(KeyboardInterrupt):
         runner.run(SMALL, tmp_path, 1)
@@ -143,7 +156,7 @@ def test_the_summary_is_what_its_words_say():
     assert bad['sum'] == 8.0 and (good['wins'], bad['wins']) == (1, 1)
     # Best known: (1 + 1) / 2 in a, 3 in b.
     assert summary['rooms']['a'] == {'best_known': 1.0, 'random_placement': 10.0,
-                                     'lower_bound': 0.1}
+                                     'share': 0.1, 'lower_bound': 0.1}
     assert good['ratio_to_best_known'] == pytest.approx(6.0 / 4.0)
     assert good['gap_closed'] == pytest.approx((20.0 - 6.0) / (20.0 - 4.0))
     assert good['interval'][0] <= 6.0 <= good['interval'][1] and good['seeds'] == 2
@@ -174,14 +187,48 @@ def test_the_command_compares_and_reports(tmp_path, capsys):
     assert set(summary['planners']['random']) == {'8', '20'}
     text = (tmp_path / 'report' / 'README.md').read_text()
     assert '| greedy error |' in text and summary['command'] in text
-    page = (tmp_path / 'report' / 'placements.html').read_text()
-    assert 'small: greedy_error, depth error' in page and 'src="http' not in page
+    html = (tmp_path / 'report' / 'placements.html').read_text()
+    assert 'small: greedy_error, depth error' in html and 'src="http' not in html
     for picture in ('rooms.png', 'anytime.png'):
         assert (tmp_path / 'report' / picture).stat().st_size > 10000
     assert len((tmp_path / 'out' / 'results.csv').read_text().splitlines()) == 1 + 32 + 4
     assert 'greedy_error' in capsys.readouterr().out
     assert cli.main([*arguments[:4], 'magic', *arguments[5:]]) == 2
     assert "planners: found 'magic'" in capsys.readouterr().err
+
+
+def test_another_scan_under_the_same_name_is_another_room(tmp_path):
+    task = Task(str(tmp_path / 'a.npy'), 0.0, 'random')
+    np.save(task.room, generate_room(1, 2000).points)
+    before = runner.name_of(task)
+    assert runner.name_of(task) == before
+    np.save(task.room, generate_room(2, 2100).points)
+    assert runner.name_of(task) != before
+
+
+def test_rooms_that_are_seen_completely_have_no_ratios():
+    summary = summarise([{**row, 'depth_error': 0.0} for row in rows_of(
+        {'one': {('a', 0): [0.0]}, 'other': {('a', 0): [0.0]}})])
+    assert summary['planners']['one']['100']['ratio_to_best_known'] is None
+    assert summary['rooms']['a']['share'] is None
+    json.dumps(summary, allow_nan=False)
+    assert '| - | - |' in page({**summary, 'date': '', 'command': '', 'rotations': 1, 'cameras': 4,
+                                'versions': {}})
+
+
+@pytest.mark.parametrize(('arguments', 'words'), [
+    (['--workers', '0'], "found '0'; expected 1 or more"),
+    (['--budgets', 'many'], "found 'many'; expected whole numbers")])
+def test_numbers_that_are_none_are_refused(capsys, arguments, words):
+    with pytest.raises(SystemExit) as end:
+        cli.main(['benchmark', *arguments])
+    assert end.value.code == 2 and words in capsys.readouterr().err
+
+
+def test_results_do_not_go_into_a_file(tmp_path, capsys):
+    (tmp_path / 'taken').write_text('')
+    assert cli.main(['benchmark', '--out', str(tmp_path / 'taken')]) == 2
+    assert 'taken: found a file; expected a folder' in capsys.readouterr().err
 
 
 def test_a_ray_cluster_of_two_nodes_does_the_same(tmp_path):

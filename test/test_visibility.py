@@ -188,6 +188,19 @@ def test_the_seam_of_a_surfel_map_is_no_edge(preset):
     assert seen[:len(wall)].all() and not seen[len(wall):].any()
 
 
+@pytest.mark.parametrize('sign', [-1, 1])
+@pytest.mark.parametrize(('off', 'size'), [(1.0, 2.0), (2.0, 3.0), (0.0, 4.0), (0.5, 20.0)])
+def test_a_disc_that_reaches_over_a_pole_has_both_sides_of_it(sign, off, size):
+    """In degrees; a disc that faces the camera."""
+    point = np.array([np.sin(np.deg2rad(off)), 0.0, sign * np.cos(np.deg2rad(off))])
+    radius, work = np.array([np.deg2rad(size)], np.float32), Workspace.of(160, 1)
+    splat_surfels(Surfels.of(point[None], point[None], radius), ALL, np.zeros(3), 4.0,
+                  PRESETS['fine'], work)
+    found = distances(work.inverse_map, 160) < 2.0
+    angle = np.rad2deg(np.arccos(np.clip(twins.directions(160) @ point, -1.0, 1.0)))
+    assert found[angle < size - 1.2].all() and not found[angle > 1.3 * size + 1.2].any()
+
+
 @pytest.mark.parametrize('preset', ['fine', 'fast'])
 @pytest.mark.parametrize('sign', [-1, 1])
 def test_a_ceiling_hides_what_is_straight_above_it(preset, sign):

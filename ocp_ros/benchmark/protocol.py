@@ -58,6 +58,14 @@ class Protocol:
             if name not in OFFLINE:
                 raise ConfigurationError(
                     f'planners: found {name!r}; expected some of {sorted(OFFLINE)}')
+        for figure in ('planners', 'rooms', 'rotations', 'budgets'):
+            given = getattr(self, figure)
+            if len(set(given)) < len(given):
+                raise ConfigurationError(f'{figure}: found {list(given)}; expected each once')
+        if any(not model.omnidirectional for model in self.simulation.rig.models):
+            raise ConfigurationError(
+                f'rig.sensors: found {self.simulation.rig.sensors!r}; expected omnidirectional: '
+                'planners choose where cameras are, not where they look')
         if not self.rooms or not self.budgets or min(self.budgets) < 1 or self.seeds < 1:
             raise ConfigurationError(
                 f'protocol: found {len(self.rooms)} rooms, budgets {list(self.budgets)} and '

@@ -69,11 +69,18 @@ def rooms_in(folder: Path) -> list[str]:
     """
     Return the scans of a folder.
 
-    :raises SceneError: if there are none.
+    :raises SceneError: if there are none, or one that cannot be used.
     """
-    found = sorted(str(path) for path in Path(folder).glob('*') if path.suffix.lower() in READERS)
+    found = sorted(str(path.resolve()) for path in Path(folder).glob('*')
+                   if path.suffix.lower() in READERS)
     if not found:
         raise SceneError(f'{folder}: found no scans; expected files of {", ".join(READERS)}')
+    for path in found:
+        try:
+            make_room(path, 0.0)
+        except SceneError as error:
+            raise SceneError(f'{error}; every scan in {folder} is compared: convert this file '
+                             'first, or move it out') from error
     return found
 
 

@@ -11,10 +11,13 @@ import os
 from pathlib import Path
 from typing import Any
 
+from ocp_ros import __version__
 from ocp_ros.benchmark.protocol import Protocol, run_task, Task
 from ocp_ros.configuration import ConfigurationError
 
 Rows = list[dict[str, Any]]
+#: Runs tasks, leaves the rows of each in its file, and yields those that are done.
+Execute = Callable[[Protocol, dict[Task, Path]], Iterator[Task]]
 
 
 def run(protocol: Protocol, folder: Path, workers: int, ray_address: str | None = None,
@@ -38,8 +41,7 @@ def run(protocol: Protocol, folder: Path, workers: int, ray_address: str | None 
     done = len(tasks) - len(left)
     if progress is not None:
         progress(done, len(tasks))
-    for task, rows in execute(protocol, left):
-        write_whole(files[task], json.dumps(rows))
+    for _ in execute(protocol, {task: files[task] for task in left}):
         done += 1
         if progress is not None:
             progress(done, len(tasks))
@@ -50,7 +52,10 @@ def name_of(task: Task) -> str:
     """Return a name for the file of a task."""
     stem = Path(task.room).stem
     if not task.room.isdigit():
-        stem += '-' + hashlib.sha256(task.room.encode()).hexdigest()[:8]
+        # Another scan under the same name is another room.
+        state = Path(task.room).stat()
+        known = f'{Path(task.room).resolve()} {state.st_size} {state.st_mtime_ns}'
+        stem += '-' + hashlib.sha256(known.encode()).hexdigest()[:8]
     return f'{stem}-{task.rotation:g}-{task.planner}'
 
 
@@ -64,39 +69,47 @@ def write_whole(path: Path, text: str) -> None:
 
 def _claim(folder: Path, protocol: Protocol) -> None:
     """Write down what all results here have in common, or check that it is the same."""
-    common = {name: value for name, value in asdict(protocol).items()
-              if name not in ('rooms', 'rotations', 'planners')}
+    common = {'ocp_ros': __version__, **{
+        name: value for name, value in asdict(protocol).items()
+        if name not in ('rooms', 'rotations', 'planners')}}
     path, text = folder / 'protocol.json', json.dumps(common, indent=2) + '\n'
     if path.exists() and path.read_text() != text:
         raise ConfigurationError(
-            f'{folder}: found the results of another comparison; expected the same budgets, seeds '
-            'and rig; name another folder or remove this one')
+            f'{folder}: found the results of another comparison; expected the same budgets, '
+            'seeds, rig and version; name another folder or remove this one')
     write_whole(path, text)
 
 
-def _in_processes(workers: int) -> Callable[[Protocol, list[Task]], Iterator[tuple[Task, Rows]]]:
+def keep_task(protocol: Protocol, task: Task, path: Path) -> None:
+    """Run a task and leave its rows in a file, whatever becomes of the other tasks."""
+    write_whole(path, json.dumps(run_task(protocol, task)))
+
+
+def _in_processes(workers: int) -> Execute:
     """Run tasks in processes of this machine."""
-    def execute(protocol: Protocol, tasks: list[Task]) -> Iterator[tuple[Task, Rows]]:
+    def execute(protocol: Protocol, tasks: dict[Task, Path]) -> Iterator[Task]:
         # Forked, threads of the parent would leave locks that nobody opens.
         with ProcessPoolExecutor(workers, mp_context=get_context('spawn')) as pool:
-            futures = {pool.submit(run_task, protocol, task): task for task in tasks}
+            futures = {pool.submit(keep_task, protocol, task, path): task
+                       for task, path in tasks.items()}
             try:
                 for future in as_completed(futures):
-                    yield futures[future], future.result()
+                    future.result()
+                    yield futures[future]
             finally:
                 pool.shutdown(wait=True, cancel_futures=True)
     return execute
 
 
-def _on_ray(address: str) -> Callable[[Protocol, list[Task]], Iterator[tuple[Task, Rows]]]:
-    """Run tasks on a Ray cluster; each of its machines needs this package."""
+def _on_ray(address: str) -> Execute:
+    """Run tasks on a Ray cluster; each of its machines needs this package and the scans."""
     try:
         import ray
     except ImportError as error:
         raise ConfigurationError(
             '--ray: found no package ray; expected it; pip install "ocp_ros[ray]"') from error
 
-    def execute(protocol: Protocol, tasks: list[Task]) -> Iterator[tuple[Task, Rows]]:
+    def execute(protocol: Protocol, tasks: dict[Task, Path]) -> Iterator[Task]:
         if not ray.is_initialized():
             ray.init(address=address, log_to_driver=False)
         remote = ray.remote(num_cpus=1, max_retries=2)(run_task)
@@ -104,5 +117,7 @@ def _on_ray(address: str) -> Callable[[Protocol, list[Task]], Iterator[tuple[Tas
         while waiting:
             ready, _ = ray.wait(list(waiting))
             for reference in ready:
-                yield waiting.pop(reference), ray.get(reference)
+                task = waiting.pop(reference)
+                write_whole(tasks[task], json.dumps(ray.get(reference)))
+                yield task
     return execute

@@ -55,8 +55,9 @@ def summarise(rows: Rows) -> dict[str, Any]:
 
     :param rows: of :func:`~ocp_ros.benchmark.protocol.run_task`.
     :returns: by planner and budget, as text: ``sum``, ``interval``, ``rooms``, ``wins``,
-        ``ratio_to_best_known``, ``gap_closed``, ``seconds``, ``seeds``, ``off_5_cm``,
-        ``off_10_cm``; the rank test of each budget; and what is known of each room.
+        ``ratio_to_best_known`` and ``gap_closed`` (None where nothing is ever missed),
+        ``seconds``, ``seeds``, ``off_5_cm``, ``off_10_cm``; the rank test of each budget; and
+        what is known of each room.
     """
     best = best_known(rows)
     rooms = list(dict.fromkeys(row['room'] for row in rows))
@@ -69,6 +70,7 @@ def summarise(rows: Rows) -> dict[str, Any]:
     errors = {run: per_room(rows, *run, 'depth_error') for run in runs}
     summary: dict[str, Any] = {'rooms': {
         room: {'best_known': known[room], 'random_placement': control[room],
+               'share': _share(known[room], control[room]),
                'lower_bound': least[room]} for room in rooms}, 'planners': {}, 'rank_tests': {}}
     total, chance = sum(known.values()), sum(control.values())
     for planner, budget in runs:
@@ -79,8 +81,8 @@ def summarise(rows: Rows) -> dict[str, Any]:
             'rooms': errors[planner, budget],
             'wins': sum(errors[planner, budget][room] <= min(rival[room] for rival in rivals)
                         for room in rooms),
-            'ratio_to_best_known': float(values.sum() / total),
-            'gap_closed': float((chance - values.sum()) / (chance - total)),
+            'ratio_to_best_known': _share(values.sum(), total),
+            'gap_closed': _share(chance - values.sum(), chance - total),
             'seeds': len({row['seed'] for row in rows
                           if (row['planner'], row['budget']) == (planner, budget)})}
         for figure in ('seconds', 'evaluations'):
@@ -94,6 +96,11 @@ def summarise(rows: Rows) -> dict[str, Any]:
         summary['rank_tests'][str(budget)] = ranks(
             {name: np.array([errors[name, budget][room] for room in rooms]) for name in names})
     return summary
+
+
+def _share(part: float, whole: float) -> float | None:
+    """Return a ratio, None where it means nothing: rooms that any placement sees completely."""
+    return float(part / whole) if whole > 0.0 else None
 
 
 def ranks(errors: dict[str, np.ndarray]) -> dict[str, Any]:

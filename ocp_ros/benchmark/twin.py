@@ -56,12 +56,13 @@ class Twin:
         self.slope_column = (normals * across).sum(axis=1) / facing
         self.size = self.radius * self.inverse * self.rows / np.pi
 
-    def _put(self, which: np.ndarray, row: np.ndarray, column: np.ndarray) -> None:
+    def _put(self, which: np.ndarray, row: np.ndarray, column: np.ndarray,
+             over: bool = False) -> None:
         """Write points into one cell each, at the depth of their planes in its centre."""
         cell = np.pi / self.rows
         value = self.inverse[which] * (
             1.0 + self.slope_row[which] * cell * (row + 0.5 - self.row[which])
-            + self.slope_column[which] * self.flat[which] * cell
+            + (not over) * self.slope_column[which] * self.flat[which] * cell
             * (column + 0.5 - self.column[which]))
         value = np.clip(value, LOWEST * self.inverse[which], HIGHEST * self.inverse[which])
         np.maximum.at(self.shadow, (row, column % self.columns), value)
@@ -105,8 +106,13 @@ class Twin:
                     left, right = min(left, own_column), max(right, own_column)
                 if right - left >= self.columns:
                     left, right = 0, self.columns - 1
+                middle_of_row = row + 0.5
+                over = min(self.row[i] + middle_of_row,
+                           2 * self.rows - self.row[i] - middle_of_row) <= self.size[i]
+                if over:
+                    left, right = 0, self.columns - 1
                 columns = np.arange(left, right + 1)
-                self._put(np.full(len(columns), i), np.full(len(columns), row), columns)
+                self._put(np.full(len(columns), i), np.full(len(columns), row), columns, over)
 
     def visible(self) -> np.ndarray:
         """Return (N,) bool: at most base + share * radius behind the farthest of four cells."""

@@ -260,17 +260,22 @@ def _splat_ellipse(inverse, row, column, flat, size, step_row, step_column, rows
             first, last = min(first, own_column), max(last, own_column)
         if last - first >= columns:
             first, last = 0, columns - 1
-        value = inverse + step_row * down + step_column * (f32(first) + HALF - column)
+        # A disc that reaches over the pole has these rows on both sides of it.
+        over = min(row + f32(r) + HALF, f32(2 * rows) - row - f32(r) - HALF) <= size
+        across = f32(0.0) if over else step_column
+        if over:
+            first, last = 0, columns - 1
+        value = inverse + step_row * down + across * (f32(first) + HALF - column)
         start = (r + 1) * stride + 1
         if first >= 0 and last < columns:
             for cell in range(u64(start + first), u64(start + last + 1)):
                 inverse_map[cell] = max(inverse_map[cell], _clamped(value, inverse))
-                value += step_column
+                value += across
         else:
             for c in range(first, last + 1):
                 cell = u64(start + c % columns)
                 inverse_map[cell] = max(inverse_map[cell], _clamped(value, inverse))
-                value += step_column
+                value += across
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model='numpy')

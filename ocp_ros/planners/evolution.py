@@ -17,6 +17,8 @@ from ocp_ros.planners.planner import Planner, Search
 
 #: Placements of a generation, how many of the best may lead, and the chance to take a camera over.
 POPULATION, LEADERS, CROSSOVER = 24, 0.2, 0.5
+#: Metres: placements that differ by less are the same.
+ALIKE = 1e-3
 #: Standard deviation that CMA-ES starts with, as a share of the rectangle's edges.
 SIGMA = 0.25
 
@@ -42,8 +44,8 @@ class DifferentialEvolution(Planner):
             scores = yield list(trials)
             better = scores.depth_error <= errors
             placed[better], errors[better] = trials[better], scores.depth_error[better]
-            if np.ptp(placed, axis=0).max() < 1e-3:
-                # All alike: nothing differs any more, so all but the best begin anew.
+            if np.ptp([matched(placed[0], other) for other in placed], axis=0).max() < ALIKE:
+                # Nothing differs any more, so all but the best begin anew.
                 best = int(np.argmin(errors))
                 for i in range(count):
                     placed[i] = placed[best] if i == best else space.random(rng)
@@ -66,20 +68,15 @@ class DifferentialEvolution(Planner):
 class CmaEs(Planner):
     """CMA-ES by pycma, restarted from elsewhere with a larger population when it has converged."""
 
-    #: Where the first run starts: positions (K, 2), or None for a random placement.
-    start: np.ndarray | None = None
-
     def search(self) -> Search:
         """Run and restart until the budget ends."""
         logging.getLogger('cma').setLevel(logging.ERROR)
         space, restarts = self.space, 0
         scale = np.maximum(space.size, 1e-9)
         while True:
-            given = restarts == 0 and self.start is not None
-            start = self.start if given else space.random(self.rng)
-            first = ((start - space.low) / scale).ravel()
+            first = ((space.random(self.rng) - space.low) / scale).ravel()
             size = int(4 + 3 * np.log(len(first))) * 2 ** min(restarts, 3)
-            strategy = cma.CMAEvolutionStrategy(first, 0.2 * SIGMA if given else SIGMA, {
+            strategy = cma.CMAEvolutionStrategy(first, SIGMA, {
                 'bounds': [0.0, 1.0], 'verbose': -9, 'popsize': size, 'tolfun': 1e-4,
                 'tolx': 1e-4, 'seed': np.nan, 'randn': self._normal})
             while not strategy.stop():

@@ -30,7 +30,11 @@ class GreedyCoverage(Planner):
     def search(self) -> Search:
         """Fill the placement."""
         candidates = self.space.grid(max(self.budget // self.space.cameras, 1))
-        yield from fill(self.space.cameras, candidates, lambda scores: -scores.space_coverage)
+        yield from fill(self.space.cameras, candidates, self.energy)
+
+    def energy(self, scores: Scores) -> np.ndarray:
+        """Maximise coverage."""
+        return -scores.space_coverage
 
 
 class GreedyError(Planner):
@@ -39,7 +43,7 @@ class GreedyError(Planner):
     def search(self) -> Search:
         """Fill the placement."""
         candidates = self.space.grid(max(self.budget // self.space.cameras, 1))
-        yield from fill(self.space.cameras, candidates, lambda scores: scores.depth_error)
+        yield from fill(self.space.cameras, candidates, self.energy)
 
 
 class GreedySwap(Planner):
@@ -56,14 +60,14 @@ class GreedySwap(Planner):
         # Coarse: neighbours see much alike, and the descent finds what lies between.
         most = np.clip(self.budget // (SHARE * cameras), FEWEST, MOST)
         candidates = self.space.grid(int(most))
-        placed, _ = yield from fill(cameras, candidates, lambda scores: scores.depth_error)
+        placed, _ = yield from fill(cameras, candidates, self.energy)
         best, error = yield from exchange(placed, candidates)
         best, error = yield from descend(self, best, error)
         while True:
             kept = self.rng.permutation(cameras)[min(2, cameras):]
             places = np.array([self.space.random(self.rng, 1)[0] for _ in range(REBUILT)])
             start, other_error = yield from fill(
-                cameras, places, lambda scores: scores.depth_error, best[kept])
+                cameras, places, self.energy, best[kept])
             other, other_error = yield from descend(self, start, other_error)
             if other_error < error:
                 best, error = other, other_error

@@ -103,9 +103,6 @@ class Planner(ABC):
     :param budget: how many evaluations there will be, for those methods that plan with it.
     """
 
-    #: What the method uses beyond scores.
-    knows = 'scores alone'
-
     def __init__(self, space: Space, rng: np.random.Generator, budget: int) -> None:
         self.space, self.rng, self.budget = space, rng, budget
         self._search = self.search()
@@ -114,6 +111,10 @@ class Planner(ABC):
     @abstractmethod
     def search(self) -> Search:
         """Yield batches of positions (n, 2), each camera inside the space."""
+
+    def energy(self, scores: Scores) -> np.ndarray:
+        """Return what the method minimises: (B,), its answer is the placement of the least."""
+        return scores.depth_error
 
     def ask(self) -> Sequence[np.ndarray] | None:
         """Return the placements to be judged next, positions (n, 2) each; None at the end."""

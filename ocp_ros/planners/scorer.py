@@ -10,8 +10,8 @@ import numpy as np
 from ocp_ros.planners.planner import Scores
 from ocp_ros.simulation.simulator import Simulator, View
 
-#: Views that are kept: a few kilobytes each.
-REMEMBERED = 4096
+#: Bytes of views that are kept: 16,000 of them in a room of 25,000 points.
+REMEMBERED = 64_000_000
 
 
 class Scorer:
@@ -24,7 +24,11 @@ class Scorer:
 
     def __init__(self, simulator: Simulator, threads: int = 1) -> None:
         self.simulator = simulator
-        self._views: OrderedDict[bytes, View] = OrderedDict()
+        self._views: OrderedDict[tuple[int, bytes], View] = OrderedDict()
+        nothing = simulator.nothing().bits.nbytes + len(simulator.grid) // 8
+        self._most = max(REMEMBERED // nothing, 64)
+        #: Where all cameras are alike, who stands where makes no difference.
+        self._mixed = len(simulator.config.rig.models) > 1
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
     def __call__(self, placements: Sequence[np.ndarray]) -> Scores:
@@ -33,25 +37,33 @@ class Scorer:
 
         :param placements: B placements of the simulator, (n, 3) or (n, 6), n >= 0.
         """
-        wanted = {pose.tobytes(): pose for placement in placements for pose in placement}
+        wanted = {self._key(camera, pose): pose
+                  for placement in placements for camera, pose in enumerate(placement)}
         views = {}
         for key in list(wanted):
             if key in self._views:
                 self._views.move_to_end(key)
                 views[key] = self._views[key]
                 del wanted[key]
-        views.update(zip(wanted, self._map(self.simulator.look, list(wanted.values()))))
+        looks = self._map(lambda item: self.simulator.look(item[1], item[0][0]),
+                          list(wanted.items()))
+        views.update(zip(wanted, looks))
         self._views.update((key, views[key]) for key in wanted)
-        while len(self._views) > REMEMBERED:
+        while len(self._views) > self._most:
             self._views.popitem(last=False)
 
         def judge(placement: np.ndarray) -> tuple[float, float]:
             if len(placement) == 0:
                 return self.simulator.depth_error.worst, 0.0
-            result = self.simulator.judge([views[pose.tobytes()] for pose in placement])
+            result = self.simulator.judge([views[self._key(camera, pose)]
+                                           for camera, pose in enumerate(placement)])
             return result.depth_error, result.space_coverage
 
         return Scores(*np.array(self._map(judge, placements)).reshape(-1, 2).T)
+
+    def _key(self, camera: int, pose: np.ndarray) -> tuple[int, bytes]:
+        """Return what a view is remembered by."""
+        return camera if self._mixed else 0, pose.tobytes()
 
     def _map(self, function, items: Sequence) -> list:
         """Apply a function to all items, in threads where there are several of both."""

@@ -20,7 +20,8 @@ class Result:
     :ivar space_coverage: cubic metres.
     :ivar evaluations: how many placements were judged.
     :ivar seconds: how long the search took.
-    :ivar trace: (T, 3) evaluations, seconds and depth error at each improvement.
+    :ivar trace: (T, 3) evaluations, seconds (when the batch had been judged) and depth error at
+        each improvement.
     """
 
     placement: np.ndarray
@@ -45,7 +46,7 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
         never judged a placement.
     """
     began, count = time.perf_counter(), 0
-    best, found, trace = (np.inf, 0.0), None, []
+    best, found, trace = (np.inf, 0, 0.0), None, []
     while (batch := planner.ask()) is not None and count < evaluations:
         if count and time.perf_counter() - began >= seconds:
             break
@@ -53,22 +54,25 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
         for positions in batch:
             _check(planner, positions)
         scores = score([planner.space.placement(positions) for positions in batch])
+        now = time.perf_counter() - began
+        for k, energy in enumerate(planner.energy(scores)):
+            # Of equals, the one with more cameras and more coverage is the safer answer.
+            rank = float(energy), -len(batch[k]), -float(scores.space_coverage[k])
+            if rank < best:
+                best, found = rank, (batch[k].copy(), float(scores.depth_error[k]),
+                                     float(scores.space_coverage[k]))
+                trace.append((count + k + 1, now, found[1]))
         count += len(batch)
-        leader = int(np.argmin(scores.depth_error))
-        if scores.depth_error[leader] < best[0]:
-            best = float(scores.depth_error[leader]), float(scores.space_coverage[leader])
-            found = batch[leader].copy()
-            trace.append((count, time.perf_counter() - began, best[0]))
         if progress is not None:
-            progress(count, best[0])
+            progress(count, found[1])
         if len(scores.depth_error) < len(planner.ask()):
             break
         planner.tell(scores)
     if found is None:
         raise ValueError(f'{type(planner).__name__}: found no placement in {count} evaluations; '
                          'expected at least one; give it a budget of 1 or more')
-    return Result(planner.space.placement(found), *best, count, time.perf_counter() - began,
-                  np.array(trace))
+    return Result(planner.space.placement(found[0]), *found[1:], count,
+                  time.perf_counter() - began, np.array(trace))
 
 
 def _check(planner: Planner, positions: np.ndarray) -> None:

@@ -108,6 +108,11 @@ def _quiet(axes: Axes) -> None:
     axes.set_axisbelow(True)
 
 
+def shown(number: float | None, digits: int) -> str:
+    """Write a number, or a dash where there is none."""
+    return '-' if number is None else f'{number:.{digits}f}'
+
+
 def page(summary: dict[str, Any]) -> str:
     """Write the comparison as Markdown."""
     lines = [
@@ -133,7 +138,8 @@ def page(summary: dict[str, Any]) -> str:
             low, high = run['interval']
             lines.append(
                 f'| {name.replace("_", " ")} | {run["sum"]:.2f} | {low:.2f} to {high:.2f} | '
-                f'{run["ratio_to_best_known"]:.2f} | {run["gap_closed"]:.4f} | {run["wins"]} | '
+                f'{shown(run["ratio_to_best_known"], 2)} | {shown(run["gap_closed"], 4)} | '
+                f'{run["wins"]} | '
                 f'{test["mean_rank"][name]:.1f} | {"" if p is None else f"{p:.3f}"} | '
                 f'{run["off_5_cm"]:.2f} | {run["off_10_cm"]:.2f} | {run["seconds"]:.2f} |')
         friedman = test['friedman_p']
@@ -148,7 +154,7 @@ def page(summary: dict[str, Any]) -> str:
     for room, known in summary['rooms'].items():
         lines.append(
             f'| {Path(room).stem} | {known["best_known"]:.3f} | {known["random_placement"]:.2f} | '
-            f'{known["best_known"] / known["random_placement"]:.3f} | '
+            f'{shown(known["share"], 3)} | '
             f'{known["lower_bound"]:.3f} |')
     lines += ['', 'The last column is what all places of the plane miss together: no placement '
               'can do better.', '', 'Versions: ' + ', '.join(

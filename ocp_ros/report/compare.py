@@ -22,7 +22,8 @@ from ocp_ros.benchmark.protocol import PRESETS, Protocol
 from ocp_ros.benchmark.rooms import make_room, rooms_in
 from ocp_ros.benchmark.runner import run, write_whole
 from ocp_ros.benchmark.summary import summarise
-from ocp_ros.report.benchmark import budgets_of, write_report
+from ocp_ros.configuration import ConfigurationError
+from ocp_ros.report.benchmark import budgets_of, shown, write_report
 from ocp_ros.report.page import write_page
 from ocp_ros.simulation.simulator import Simulator
 
@@ -50,6 +51,10 @@ def compare(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     :returns: the summary.
     """
     protocol = protocol_of(arguments)
+    for folder in filter(None, (arguments.out, arguments.report)):
+        if folder.exists() and not folder.is_dir():
+            raise ConfigurationError(f'{folder}: found a file; expected a folder for the results')
+        folder.mkdir(parents=True, exist_ok=True)
     columns = (TextColumn('comparing planners'), BarColumn(), MofNCompleteColumn(),
                TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as progress:
@@ -116,6 +121,6 @@ def show(summary: dict[str, Any]) -> None:
                   title=f'{len(summary["rooms"])} rooms, {int(budget):,} evaluations')
     runs = [(name, runs[budget]) for name, runs in summary['planners'].items() if budget in runs]
     for name, run_ in sorted(runs, key=lambda item: item[1]['sum']):
-        table.add_row(name, f'{run_["sum"]:.2f}', f'{run_["ratio_to_best_known"]:.2f}',
-                      f'{run_["gap_closed"]:.4f}', str(run_['wins']), f'{run_["seconds"]:.2f}')
+        table.add_row(name, f'{run_["sum"]:.2f}', shown(run_['ratio_to_best_known'], 2),
+                      shown(run_['gap_closed'], 4), str(run_['wins']), f'{run_["seconds"]:.2f}')
     Console(width=100).print(table)
