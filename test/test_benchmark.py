@@ -17,7 +17,7 @@ from ocp_ros.planners.planner import Space
 from ocp_ros.report.benchmark import page
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import SceneError, turned
-from ocp_ros.simulation.config import EngineConfig, RigConfig, SimulationConfig
+from ocp_ros.simulation.config import EngineConfig, EpisodeConfig, RigConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 
 SMALL = Protocol(rooms=('3',), rotations=(0.0,), planners=('random', 'annealing'), budgets=(5, 30),
@@ -92,6 +92,18 @@ def test_a_task_runs_every_budget_and_seed():
     control = run_task(SMALL, Task('3', 0.0, CONTROL))
     assert all(row['lower_bound'] <= row['depth_error'] for row in control)
     assert control[0]['lower_bound'] <= min(row['depth_error'] for row in rows)
+
+
+def test_an_online_planner_plays_an_episode_with_every_seed():
+    protocol = replace(SMALL, planners=('hand_rule',), simulation=replace(
+        SMALL.simulation, episode=EpisodeConfig(turns=3)))
+    rows = run_task(protocol, Task('3', 0.0, 'hand_rule'))
+    assert [(row['budget'], row['seed']) for row in rows] == [(0, 0), (0, 1)]
+    for row in rows:
+        trajectory = np.array(row['trajectory'])
+        assert trajectory.shape == (4, 4, 3) and row['placement'] == row['trajectory'][-1]
+        assert np.linalg.norm(np.diff(trajectory, axis=0), axis=2).max() <= 0.5 + 1e-9
+        assert 0.0 < row['seconds_per_turn'] <= row['seconds_at_most'] <= row['seconds']
 
 
 @pytest.mark.parametrize(('changes', 'words'), [
@@ -177,21 +189,23 @@ def test_intervals_and_ranks_tell_planners_apart():
 
 def test_the_command_compares_and_reports(tmp_path, capsys):
     np.save(tmp_path / 'small.npy', generate_room(1, 2500).points)
-    arguments = ['benchmark', '--rooms', str(tmp_path), '--planners', 'random,greedy_error',
-                 '--budgets', '8,20', '--seeds', '1', '--workers', '1', '--out',
-                 str(tmp_path / 'out'), '--report', str(tmp_path / 'report')]
+    arguments = ['benchmark', '--rooms', str(tmp_path), '--planners',
+                 'random,greedy_error,hand_rule', '--budgets', '8,20', '--seeds', '1',
+                 '--workers', '1', '--out', str(tmp_path / 'out'), '--report',
+                 str(tmp_path / 'report')]
     assert cli.main(arguments) == 0
     summary = json.loads((tmp_path / 'report' / 'summary.json').read_text())
     assert summary['command'].startswith('ocp benchmark --rooms')
-    assert set(summary['planners']) == {'random', 'greedy_error'}
+    assert set(summary['planners']) == {'random', 'greedy_error', 'hand_rule'}
     assert set(summary['planners']['random']) == {'8', '20'}
     text = (tmp_path / 'report' / 'README.md').read_text()
-    assert '| greedy error |' in text and summary['command'] in text
+    assert 'ms a turn at the median' in text and '| greedy error |' in text
+    assert summary['command'] in text
     html = (tmp_path / 'report' / 'placements.html').read_text()
     assert 'small: greedy_error, depth error' in html and 'src="http' not in html
     for picture in ('rooms.png', 'anytime.png'):
         assert (tmp_path / 'report' / picture).stat().st_size > 10000
-    assert len((tmp_path / 'out' / 'results.csv').read_text().splitlines()) == 1 + 32 + 4
+    assert len((tmp_path / 'out' / 'results.csv').read_text().splitlines()) == 1 + 32 + 4 + 1
     assert 'greedy_error' in capsys.readouterr().out
     assert cli.main([*arguments[:4], 'magic', *arguments[5:]]) == 2
     assert "planners: found 'magic'" in capsys.readouterr().err

@@ -71,9 +71,9 @@ def test_the_example_with_a_planner_runs(capsys):
 
 
 def test_every_planner_is_documented():
-    from ocp_ros.planners.offline import OFFLINE
+    from ocp_ros.planners.registry import OFFLINE, ONLINE
     text = (ROOT / 'docs' / 'planners.md').read_text()
-    assert re.findall(r'^\| `(\w+)` \|', text, re.M) == list(OFFLINE)
+    assert re.findall(r'^\| `(\w+)` \|', text, re.M) == [*OFFLINE, *ONLINE]
 
 
 def test_the_readmes_python_example_runs(tmp_path, monkeypatch, capsys):

@@ -10,8 +10,8 @@ from scipy import stats
 from ocp_ros.planners.annealing import TransDimensionalAnnealing
 from ocp_ros.planners.evolution import matched
 from ocp_ros.planners.greedy import fill
-from ocp_ros.planners.offline import OFFLINE
 from ocp_ros.planners.planner import Planner, Scores, Space
+from ocp_ros.planners.registry import OFFLINE
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
 from ocp_ros.planners.swarm import BinaryParticleSwarm

@@ -15,11 +15,13 @@ import numpy as np
 
 from ocp_ros.benchmark.rooms import make_room, ROTATIONS, space_of, TEST_ROOMS
 from ocp_ros.configuration import ConfigurationError
-from ocp_ros.planners.offline import OFFLINE
+from ocp_ros.planners.online import play
 from ocp_ros.planners.planner import Space
+from ocp_ros.planners.registry import OFFLINE, ONLINE
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
 from ocp_ros.simulation.config import EngineConfig, SimulationConfig
+from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.simulator import Simulator
 
 #: Metres that cameras are mounted off; the first is what counts.
@@ -28,6 +30,8 @@ MOUNTING = (0.02, 0.05, 0.10)
 MOUNTINGS = 8
 #: The control: placements drawn at random, this many of them, without any choice.
 CONTROL, CONTROLS = 'random_placement', 32
+#: What stands for a budget of evaluations where there are turns instead.
+TURNS = 0
 #: Places on the plane that together see whatever can be seen from it.
 POOL = 1500
 
@@ -39,15 +43,15 @@ class Protocol:
 
     :ivar rooms: seeds of generated rooms and paths of scans, as text.
     :ivar rotations: degrees about the vertical axis.
-    :ivar planners: names of offline planners.
-    :ivar budgets: evaluations.
+    :ivar planners: names of planners, offline and online.
+    :ivar budgets: evaluations of offline planners; online ones have the episode's turns.
     :ivar seeds: how many runs of each.
     :ivar simulation: the rig; its engine is the judge's.
     """
 
     rooms: tuple[str, ...] = tuple(str(seed) for seed in TEST_ROOMS)
     rotations: tuple[float, ...] = ROTATIONS
-    planners: tuple[str, ...] = tuple(OFFLINE)
+    planners: tuple[str, ...] = (*OFFLINE, *ONLINE)
     budgets: tuple[int, ...] = (100, 1000, 10000)
     seeds: int = 3
     simulation: SimulationConfig = SimulationConfig(engine=EngineConfig(preset='fine'))
@@ -55,9 +59,9 @@ class Protocol:
     def __post_init__(self) -> None:
         """Refuse what cannot be compared."""
         for name in self.planners:
-            if name not in OFFLINE:
-                raise ConfigurationError(
-                    f'planners: found {name!r}; expected some of {sorted(OFFLINE)}')
+            if name not in {**OFFLINE, **ONLINE}:
+                raise ConfigurationError(f'planners: found {name!r}; expected some of '
+                                         f'{sorted({**OFFLINE, **ONLINE})}')
         for figure in ('planners', 'rooms', 'rotations', 'budgets'):
             given = getattr(self, figure)
             if len(set(given)) < len(given):
@@ -150,6 +154,8 @@ def run_task(protocol: Protocol, task: Task) -> list[dict[str, Any]]:
     judge = Judge(Simulator(scene, protocol.simulation))
     if task.planner == CONTROL:
         return _control(judge, task)
+    if task.planner in ONLINE:
+        return _online(protocol, judge, task)
     engine = replace(protocol.simulation.engine, preset='fast')
     simulator = Simulator(scene, replace(protocol.simulation, engine=engine))
     space, rows = space_of(simulator), []
@@ -163,6 +169,22 @@ def run_task(protocol: Protocol, task: Task) -> list[dict[str, Any]]:
                          **judge(result.placement), 'searched': result.depth_error,
                          'evaluations': result.evaluations, 'seconds': result.seconds,
                          'placement': result.placement.tolist(), 'trace': result.trace.tolist()})
+    return rows
+
+
+def _online(protocol: Protocol, judge: Judge, task: Task) -> list[dict[str, Any]]:
+    """Play an episode with every seed; the last placement is what counts."""
+    rows = []
+    for seed in range(protocol.seeds):
+        online = ONLINE[task.planner](protocol.simulation, np.random.default_rng([seed, 1]))
+        outcome = play(online, Episode(judge.simulator, np.random.default_rng([seed, 0])))
+        placement = outcome.trajectory[-1]
+        rows.append({**asdict(task), 'budget': TURNS, 'seed': seed, **judge(placement),
+                     'evaluations': 0, 'seconds': float(outcome.seconds.sum()),
+                     'seconds_per_turn': float(np.median(outcome.seconds)),
+                     'seconds_at_most': float(outcome.seconds.max()),
+                     'placement': placement.tolist(), 'trace': [],
+                     'trajectory': outcome.trajectory.tolist()})
     return rows
 
 

@@ -12,8 +12,8 @@ import sys
 
 import numpy as np
 
-from ocp_ros.planners.offline import OFFLINE
 from ocp_ros.planners.planner import Space
+from ocp_ros.planners.registry import OFFLINE
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
 from ocp_ros.scenes.files import load_scene, READERS

@@ -56,8 +56,9 @@ def summarise(rows: Rows) -> dict[str, Any]:
     :param rows: of :func:`~ocp_ros.benchmark.protocol.run_task`.
     :returns: by planner and budget, as text: ``sum``, ``interval``, ``rooms``, ``wins``,
         ``ratio_to_best_known`` and ``gap_closed`` (None where nothing is ever missed),
-        ``seconds``, ``seeds``, ``off_5_cm``, ``off_10_cm``; the rank test of each budget; and
-        what is known of each room.
+        ``seconds``, ``seeds``, ``off_5_cm``, ``off_10_cm`` and, of online planners, whose budget
+        is 0, ``seconds_per_turn`` (median) and ``seconds_at_most``; the rank test of each budget;
+        and what is known of each room.
     """
     best = best_known(rows)
     rooms = list(dict.fromkeys(row['room'] for row in rows))
@@ -88,6 +89,11 @@ def summarise(rows: Rows) -> dict[str, Any]:
         for figure in ('seconds', 'evaluations'):
             figures[figure] = float(np.mean(list(
                 per_room(rows, planner, budget, figure).values())))
+        for figure in ('seconds_per_turn', 'seconds_at_most'):
+            values = [row[figure] for row in rows if row['planner'] == planner and figure in row]
+            if values:
+                figures[figure] = float(
+                    np.median(values) if figure == 'seconds_per_turn' else np.max(values))
         for figure in ('exact', 'off_5_cm', 'off_10_cm'):
             figures[figure] = sum(per_room(rows, planner, budget, figure).values())
         summary['planners'].setdefault(planner, {})[str(budget)] = figures

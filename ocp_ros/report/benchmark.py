@@ -38,20 +38,28 @@ def write_report(folder: Path, summary: dict[str, Any], rows: Rows) -> None:
 
 
 def budgets_of(summary: dict[str, Any]) -> list[str]:
-    """Return the budgets, least first."""
+    """Return the budgets, least first; 0 stands for the turns of online planners."""
     return sorted({budget for runs in summary['planners'].values() for budget in runs}, key=int)
+
+
+def last_runs(summary: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return each planner's figures at the largest budget, those of online planners as well."""
+    last = budgets_of(summary)[-1]
+    return {name: runs.get(last, runs.get('0')) for name, runs in summary['planners'].items()
+            if last in runs or '0' in runs}
 
 
 def draw_rooms(path: Path, summary: dict[str, Any]) -> None:
     """Draw a group of bars for each room: every planner at the largest budget."""
     budget, rooms = budgets_of(summary)[-1], list(summary['rooms'])
-    names = [name for name, runs in summary['planners'].items() if budget in runs]
+    runs = last_runs(summary)
+    names = list(runs)
     wide = max(11.0, 1.2 + 1.5 * len(rooms))
     figure = Figure(figsize=(wide, 5.5), dpi=100, facecolor='white')
     axes = figure.add_axes((0.07, 0.12, 0.91, 0.66))
     width = 0.85 / len(names)
     for k, name in enumerate(names):
-        values = [summary['planners'][name][budget]['rooms'][room] for room in rooms]
+        values = [runs[name]['rooms'][room] for room in rooms]
         axes.bar(np.arange(len(rooms)) + (k - 0.5 * (len(names) - 1)) * width, values, width,
                  color=style(k)['color'], hatch=('', '//', '..')[k // len(COLOURS) % 3],
                  edgecolor='white', linewidth=0.4, label=name.replace('_', ' '))
@@ -127,7 +135,9 @@ def page(summary: dict[str, Any]) -> str:
         '(random - method) / (random - best known), random being a placement drawn at random. '
         '*Wins* are rooms in which no other planner of the same budget was better.', '']
     for budget in budgets_of(summary):
-        lines += [f'## {int(budget):,} evaluations', '',
+        heading = f'{int(budget):,} evaluations' if int(budget) else \
+            'Online: turn by turn, knowing only what was seen'
+        lines += [f'## {heading}', '',
                   '| planner | sum (m) | 95 % | ratio | gap closed | wins | rank | p | 5 cm off | '
                   '10 cm off | seconds |', '|---|---|---|---|---|---|---|---|---|---|---|']
         test = summary['rank_tests'][budget]
@@ -142,6 +152,10 @@ def page(summary: dict[str, Any]) -> str:
                 f'{run["wins"]} | '
                 f'{test["mean_rank"][name]:.1f} | {"" if p is None else f"{p:.3f}"} | '
                 f'{run["off_5_cm"]:.2f} | {run["off_10_cm"]:.2f} | {run["seconds"]:.2f} |')
+        for name, run in runs:
+            if 'seconds_per_turn' in run:
+                lines += ['', f'{name.replace("_", " ")}: {1e3 * run["seconds_per_turn"]:.0f} ms '
+                          f'a turn at the median, {1e3 * run["seconds_at_most"]:.0f} at most.']
         friedman = test['friedman_p']
         lines += ['', f"Rank is the mean over rooms; p is Wilcoxon's signed-rank test against "
                   f'{test["leader"].replace("_", " ")}, corrected after Holm'

@@ -23,7 +23,7 @@ from ocp_ros.benchmark.rooms import make_room, rooms_in
 from ocp_ros.benchmark.runner import run, write_whole
 from ocp_ros.benchmark.summary import summarise
 from ocp_ros.configuration import ConfigurationError
-from ocp_ros.report.benchmark import budgets_of, shown, write_report
+from ocp_ros.report.benchmark import budgets_of, last_runs, shown, write_report
 from ocp_ros.report.page import write_page
 from ocp_ros.simulation.simulator import Simulator
 
@@ -105,7 +105,8 @@ def command_of(argv: list[str]) -> str:
 
 def _write(folder: Path, rows: list[dict[str, Any]], summary: dict[str, Any]) -> None:
     """Keep the runs as a table and whole, and their summary."""
-    names = [name for name in rows[-1] if name not in ('placement', 'trace')]
+    names = list(dict.fromkeys(name for row in rows for name in row
+                               if name not in ('placement', 'trace', 'trajectory')))
     with (folder / 'results.csv').open('w', newline='') as file:
         table = csv.DictWriter(file, names, extrasaction='ignore')
         table.writeheader()
@@ -115,12 +116,11 @@ def _write(folder: Path, rows: list[dict[str, Any]], summary: dict[str, Any]) ->
 
 
 def show(summary: dict[str, Any]) -> None:
-    """Print the sums, ratios and times of the largest budget."""
+    """Print the sums, ratios and times of the largest budget and of online planners."""
     budget = budgets_of(summary)[-1]
     table = Table('planner', 'sum (m)', 'ratio to best known', 'gap closed', 'wins', 'seconds',
                   title=f'{len(summary["rooms"])} rooms, {int(budget):,} evaluations')
-    runs = [(name, runs[budget]) for name, runs in summary['planners'].items() if budget in runs]
-    for name, run_ in sorted(runs, key=lambda item: item[1]['sum']):
+    for name, run_ in sorted(last_runs(summary).items(), key=lambda item: item[1]['sum']):
         table.add_row(name, f'{run_["sum"]:.2f}', shown(run_['ratio_to_best_known'], 2),
                       shown(run_['gap_closed'], 4), str(run_['wins']), f'{run_["seconds"]:.2f}')
     Console(width=100).print(table)

@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Planners without a scan: they keep the rules, know only what was seen, and get somewhere."""
+
+import numpy as np
+import pytest
+
+from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.agent.policy import Policy
+from ocp_ros.planners.lookahead import Lookahead
+from ocp_ros.planners.online import (
+    cells_of_the_air,
+    HandRule,
+    Learned,
+    Memory,
+    Observed,
+    Online,
+    play,
+    ThenLookahead,
+    thinned,
+)
+from ocp_ros.resources import find_model
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.simulation.config import EpisodeConfig, RigConfig, SimulationConfig
+from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.simulator import Simulator
+
+MAX_STEP, MAX_RANGE, MARGIN = 0.5, 4.0, 0.1
+#: Three cameras cannot see all of the small room: where they stand makes a difference.
+CONFIG = SimulationConfig(rig=RigConfig(cameras=3, max_range=MAX_RANGE),
+                          episode=EpisodeConfig(turns=12, max_step=MAX_STEP))
+
+
+class Wanderer(Online):
+    """Random moves: the control."""
+
+    def move(self, cloud, positions, turn, turns):
+        """Move at random."""
+        return self.wander(cloud, positions)
+
+
+def settings(seed=0):
+    """Return what every online planner is made with."""
+    return np.random.default_rng(seed), MAX_STEP, MAX_RANGE, MARGIN
+
+
+def learned(seed=0):
+    """Return the model that comes with the package as a planner."""
+    return Learned(Policy(Checkpoint.load(find_model('default'))), *settings(seed))
+
+
+def then_lookahead(seed=0):
+    """Return the hand rule with lookahead in the last turns."""
+    return ThenLookahead(HandRule(*settings(seed)), Lookahead(*settings(seed)), 4)
+
+
+MADE = {
+    'wanderer': lambda seed=0: Wanderer(*settings(seed)),
+    'learned': learned,
+    'hand rule': lambda seed=0: HandRule(*settings(seed)),
+    'lookahead': lambda seed=0: Lookahead(*settings(seed)),
+    'then lookahead': then_lookahead}
+
+
+@pytest.fixture(scope='module')
+def engine(room):
+    """Return the engine of the small room."""
+    return Simulator(room, CONFIG)
+
+
+@pytest.fixture(scope='module')
+def outcomes(engine):
+    """Return what each planner's episode came to; all start alike."""
+    return {name: play(make(), Episode(engine, np.random.default_rng(5)))
+            for name, make in MADE.items()}
+
+
+@pytest.mark.parametrize('name', MADE)
+def test_an_episode_is_played_to_its_end_by_the_rules(name, outcomes, engine):
+    outcome = outcomes[name]
+    assert outcome.trajectory.shape == (13, 3, 3)
+    assert outcome.depth_error.shape == (13,) and outcome.seconds.shape == (12,)
+    assert (outcome.seconds > 0.0).all()
+    steps = np.linalg.norm(np.diff(outcome.trajectory, axis=0), axis=2)
+    assert steps.max() <= MAX_STEP + 1e-9
+    np.testing.assert_allclose(outcome.trajectory[..., 2], engine.height)
+    for at in (0, -1):
+        assert engine.evaluate(outcome.trajectory[at]).depth_error == outcome.depth_error[at]
+
+
+@pytest.mark.parametrize('name', ['wanderer', 'hand rule', 'lookahead', 'then lookahead'])
+def test_no_move_is_too_long_or_leads_out_of_what_has_been_seen(name, engine):
+    online, episode = MADE[name](), Episode(engine, np.random.default_rng(6))
+    while not episode.turn.truncated:
+        cloud, positions = episode.observed_cloud, episode.turn.positions
+        moves = online.move(cloud, positions, episode.turn.step, CONFIG.episode.turns)
+        assert moves.shape == (3, 2)
+        assert np.linalg.norm(moves, axis=1).max() <= MAX_STEP + 1e-9
+        places = positions[:, :2] + moves
+        assert (places >= cloud.min(axis=0)[:2] + MARGIN - 1e-6).all()
+        assert (places <= cloud.max(axis=0)[:2] - MARGIN + 1e-6).all()
+        episode.move(moves)
+
+
+@pytest.mark.parametrize('name', ['wanderer', 'lookahead', 'then lookahead'])
+def test_a_seed_and_a_reset_give_the_same_episode(name, engine, outcomes):
+    # A new planner with the same seed; and the second episode of one is that of another.
+    one, other = MADE[name](), MADE[name]()
+    first = play(one, Episode(engine, np.random.default_rng(5)))
+    np.testing.assert_array_equal(first.trajectory, outcomes[name].trajectory)
+    play(other, Episode(engine, np.random.default_rng(5)))
+    second = [play(online, Episode(engine, np.random.default_rng(9))).trajectory
+              for online in (one, other)]
+    np.testing.assert_array_equal(*second)
+
+
+def test_lookahead_ends_far_better_than_random_moves(outcomes, engine):
+    final = {name: outcome.depth_error[-1] for name, outcome in outcomes.items()}
+    rng = np.random.default_rng(1)
+    placements = np.empty((300, 3, 3))
+    placements[..., :2] = rng.uniform(engine.scene.bounds[0, :2] + MARGIN,
+                                      engine.scene.bounds[1, :2] - MARGIN, (300, 3, 2))
+    placements[..., 2] = engine.height
+    best = engine.evaluate_many(placements)[:, 1].min()
+    assert final['lookahead'] < 0.5 * final['wanderer']
+    # Without a scan, it does better than the best of 300 placements that were judged with one.
+    assert final['lookahead'] < best
+
+
+def test_the_hand_rule_improves_on_its_start(outcomes):
+    error = outcomes['hand rule'].depth_error
+    assert error[-1] < 0.7 * error[0]
+
+
+def test_lookahead_in_the_last_turns_helps(outcomes):
+    hand = outcomes['hand rule'].depth_error
+    both = outcomes['then lookahead'].depth_error
+    # The first planner's turns are its own, and what comes then does better than where it stood.
+    np.testing.assert_array_equal(both[:9], hand[:9])
+    assert both[-1] < both[8]
+
+
+def test_lookahead_alone_in_the_last_turn_stays_within_reach(room):
+    online, positions = Lookahead(*settings()), np.array([[1.0, 1.0, 1.9], [2.0, 2.0, 1.9]])
+    moves = online.move(room.points, positions, 29, 30)
+    assert np.linalg.norm(moves, axis=1).max() <= MAX_STEP + 1e-9
+    model = Observed(room.points, MAX_RANGE, 25000, 64)
+    moved = positions + np.pad(moves, ((0, 0), (0, 1)))
+    before, after = (model.error([model.look(position) for position in placed])
+                     for placed in (positions, moved))
+    assert after < before
+
+
+@pytest.mark.parametrize('name', ['hand rule', 'lookahead', 'then lookahead'])
+def test_what_nobody_has_seen_changes_no_move(name, engine, room):
+    episode = Episode(engine, np.random.default_rng(2))
+    # Disturb what is out of every camera's range, but not the bounds.
+    way = room.points[:, None] - episode.turn.positions
+    far = np.linalg.norm(way, axis=2).min(axis=1) > MAX_RANGE + 0.8
+    far[np.concatenate([room.points.argmin(axis=0), room.points.argmax(axis=0)])] = False
+    noise = np.random.default_rng(0).normal(0.0, 0.05, room.points.shape)
+    points = room.points.copy()
+    points[far] = np.clip(points + noise, *room.bounds)[far]
+    disturbed = Scene(points, normals=room.normals_or_estimate)
+    other = Episode(Simulator(disturbed, CONFIG), np.random.default_rng(2))
+    assert far.sum() > 50 and other.turn.depth_error != episode.turn.depth_error
+    np.testing.assert_array_equal(other.observed_cloud, episode.observed_cloud)
+    one, two = (MADE[name]().move(either.observed_cloud, either.turn.positions, 0, 12)
+                for either in (episode, other))
+    np.testing.assert_array_equal(one, two)
+    assert np.abs(one).max() > 0.0
+
+
+def harmless_clouds():
+    """Return clouds that are no room."""
+    rng = np.random.default_rng(0)
+    wall = rng.uniform(0.0, 3.0, (500, 3))
+    wall[:, 0] = 2.0
+    return {'empty': np.empty((0, 3)), 'one point': np.ones((1, 3)),
+            'few points': rng.uniform(0.0, 3.0, (20, 3)), 'all alike': np.ones((300, 3)),
+            'one wall': wall, 'a crumb': rng.uniform(0.0, 0.1, (300, 3))}
+
+
+@pytest.mark.parametrize('kind', harmless_clouds())
+@pytest.mark.parametrize('name', MADE)
+def test_clouds_that_are_no_room_do_no_harm(name, kind):
+    online, cloud = MADE[name](), harmless_clouds()[kind].astype(np.float32)
+    positions = np.array([[1.0, 1.0, 1.9], [1.5, 1.0, 1.9], [1.0, 1.5, 1.9], [2.0, 2.0, 1.9]])
+    for turn in (0, 1, 11):
+        moves = online.move(cloud, positions, turn, 12)
+        assert moves.shape == (4, 2) and np.isfinite(moves).all()
+        assert np.linalg.norm(moves, axis=1).max() <= MAX_STEP + 1e-9
+
+
+@pytest.mark.parametrize('turns', [1, 2, 3])
+def test_lookahead_plays_short_episodes_of_one_camera(turns, room):
+    config = SimulationConfig(rig=RigConfig(cameras=1), episode=EpisodeConfig(turns=turns))
+    outcome = play(Lookahead(*settings()), Episode(Simulator(room, config),
+                                                   np.random.default_rng(0)))
+    assert outcome.trajectory.shape == (turns + 1, 1, 3)
+    assert np.isfinite(outcome.depth_error).all()
+
+
+def test_learned_gives_the_actions_of_its_policy_in_metres(engine):
+    online, episode = learned(), Episode(engine, np.random.default_rng(3))
+    cloud, positions = episode.observed_cloud, episode.turn.positions
+    actions = online.policy.act(cloud, positions)
+    moves = online.move(cloud, positions, 0, 12)
+    # An action is at most as long as the longest step; in metres it points where it pointed.
+    np.testing.assert_allclose(
+        moves, MAX_STEP * actions / np.maximum(np.linalg.norm(actions, axis=1)[:, None], 1.0),
+        rtol=1e-6)
+
+
+def test_cells_keep_their_numbers_while_the_bounds_grow():
+    small = np.array([[-1.2, 0.3, 0.0], [2.1, 3.0, 2.5]])
+    large = small + [[-1.7, -0.4, -0.1], [3.3, 0.2, 0.6]]
+    centres, numbers = cells_of_the_air(small)
+    more, more_numbers = cells_of_the_air(large)
+    assert len(set(more_numbers)) == len(more_numbers) > len(numbers)
+    place = {number: tuple(centre) for number, centre in zip(more_numbers, more)}
+    assert all(place[number] == tuple(centre) for number, centre in zip(numbers, centres))
+    assert (centres >= small[0]).all() and (centres <= small[1]).all()
+
+
+def test_a_huge_cloud_has_no_more_cells_than_it_may():
+    centres, numbers = cells_of_the_air(np.array([[0.0, 0.0, 0.0], [200.0, 150.0, 4.0]]))
+    assert 1000 < len(numbers) <= 20_000 and len(centres) == len(numbers)
+
+
+def test_what_was_covered_stays_covered(room):
+    model, memory = Observed(room.points, MAX_RANGE, 6000, 32), Memory()
+    corner = room.bounds[0] + [0.6, 0.6, 1.9]
+    left = []
+    for position in (corner, room.bounds[1] - [0.6, 0.6, 0.8], corner):
+        memory.visit(position[None])
+        left.append(memory.unseen(model))
+    assert not (left[1] & ~left[0]).any() and (left[1] != left[0]).any()
+    np.testing.assert_array_equal(left[2], left[1])
+
+
+def test_thinned_clouds_stay_where_they_were():
+    cloud = np.random.default_rng(0).uniform(0.0, 5.0, (9000, 3)).astype(np.float32)
+    few = thinned(cloud, 500)
+    assert 250 < len(few) <= 500
+    # No corner of the cube is left without points.
+    for corner in np.stack(np.meshgrid([0, 5], [0, 5], [0, 5]), axis=-1).reshape(-1, 3):
+        assert np.linalg.norm(few - corner, axis=1).min() < 1.5
+    assert thinned(few, 500) is few
