@@ -37,7 +37,7 @@ OFFLINE: dict[str, type[Planner]] = {
 }
 
 #: Turns of lookahead after those of the policy.
-REFINING_TURNS = 12
+REFINING_TURNS = 18
 
 
 def _settings(config: SimulationConfig, rng: np.random.Generator) -> tuple:
