@@ -91,21 +91,24 @@ def fill(cameras: int, candidates: np.ndarray, energy: Callable[[Scores], np.nda
     return placed, error
 
 
+def best_place(placed: np.ndarray, camera: int, places: np.ndarray) -> Answer:
+    """Put one camera to the best of some places (M, 2), even if it stood better before."""
+    trials = np.repeat(placed[None], len(places), axis=0)
+    trials[:, camera] = places
+    scores = yield list(trials)
+    choice = int(np.argmin(scores.depth_error))
+    return trials[choice], scores.depth_error[choice]
+
+
 def exchange(placed: np.ndarray, candidates: np.ndarray) -> Answer:
     """Exchange one camera for the best candidate until no exchange helps any more."""
     scores = yield [placed]
     error, unchanged, camera = scores.depth_error[0], 0, 0
     while unchanged < len(placed):
-        trials = []
-        for place in candidates:
-            trial = placed.copy()
-            trial[camera] = place
-            trials.append(trial)
-        scores = yield trials
-        choice = int(np.argmin(scores.depth_error))
+        trial, trial_error = yield from best_place(placed, camera, candidates)
         unchanged += 1
-        if scores.depth_error[choice] < error:
-            placed, error, unchanged = trials[choice], scores.depth_error[choice], 1
+        if trial_error < error:
+            placed, error, unchanged = trial, trial_error, 1
         camera = (camera + 1) % len(placed)
     return placed, error
 
@@ -116,16 +119,11 @@ def descend(planner: Planner, placed: np.ndarray, error: float) -> Answer:
     while step >= LAST_STEP:
         angle = planner.rng.uniform(0.0, 2.0 * np.pi)
         angles = angle + np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
-        trials = []
-        for direction in np.stack([np.cos(angles), np.sin(angles)], axis=1):
-            trial = placed.copy()
-            trial[camera] = planner.space.inside(trial[camera] + step * direction)
-            trials.append(trial)
-        scores = yield trials
-        choice = int(np.argmin(scores.depth_error))
+        ring = placed[camera] + step * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        trial, trial_error = yield from best_place(placed, camera, planner.space.inside(ring))
         unchanged += 1
-        if scores.depth_error[choice] < error:
-            placed, error, unchanged = trials[choice], scores.depth_error[choice], 0
+        if trial_error < error:
+            placed, error, unchanged = trial, trial_error, 0
         camera = (camera + 1) % len(placed)
         if unchanged >= len(placed):
             step, unchanged = 0.5 * step, 0

@@ -16,7 +16,7 @@ from scipy.optimize import linear_sum_assignment
 
 from ocp_ros.geometry.blocks import count_bits
 from ocp_ros.geometry.visibility import FINE
-from ocp_ros.planners.online import curiosity, Memory, Observed, Online, QUICK_POINTS, QUICK_ROWS
+from ocp_ros.planners.online import cell_weight, Memory, Observed, Online, QUICK_POINTS, QUICK_ROWS
 from ocp_ros.planners.planner import Space
 from ocp_ros.scenes.scene import SceneError
 
@@ -149,8 +149,7 @@ class Lookahead(Online):
         """Compute what would be seen from where; the plan so far is among the candidates."""
         model = Observed(cloud, self.max_range, QUICK_POINTS, QUICK_ROWS)
         space, unseen = self.space(cloud, positions), self._memory.unseen(model)
-        weight = (curiosity(turn, turns) * model.depth_error.worst
-                  / max(int(count_bits(unseen)), 1))
+        weight = cell_weight(model, unseen, turn, turns)
         count = int(np.clip(np.prod(space.size) / SPACING ** 2, 4, CANDIDATES))
         places = space.grid(count)
         if self._plan is not None:

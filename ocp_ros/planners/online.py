@@ -213,6 +213,11 @@ def curiosity(turn: int, turns: int) -> float:
     return CURIOSITY * max(1.0 - turn / (EXPLORING * turns), 0.0)
 
 
+def cell_weight(model: Observed, unseen: np.ndarray, turn: int, turns: int) -> float:
+    """Return what covering one of a model's unseen cells is worth, metres of depth error."""
+    return curiosity(turn, turns) * model.depth_error.worst / max(int(count_bits(unseen)), 1)
+
+
 def cells_of_the_air(bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     List the cells of a grid whose centres are inside a bounding box.
@@ -275,8 +280,7 @@ class HandRule(Online):
         except SceneError:
             return self.wander(cloud, positions)
         unseen, space = self._memory.unseen(model), self.space(cloud, positions)
-        weight = (curiosity(turn, turns) * model.depth_error.worst
-                  / max(int(count_bits(unseen)), 1))
+        weight = cell_weight(model, unseen, turn, turns)
         placed = positions[:, :2].copy()
         views = [model.look(position) for position in space.placement(placed)]
         for camera in range(len(placed)):
