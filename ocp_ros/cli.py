@@ -62,6 +62,8 @@ def parser() -> argparse.ArgumentParser:
                          help='smoke: two rooms, under two minutes; full: ten rooms, three '
                          'rotations, up to 10,000 evaluations')
     compare.add_argument('--rooms', type=Path, help='folder of scans to take instead')
+    compare.add_argument('--scale', type=float, help='metres per unit of the scans')
+    compare.add_argument('--up', choices=('x', 'y', 'z'), help='axis of the scans that points up')
     compare.add_argument('--planners', type=lambda text: tuple(text.split(',')),
                          help='names with commas between; all unless named')
     compare.add_argument('--budgets', type=_whole_numbers, help='evaluations, with commas between')

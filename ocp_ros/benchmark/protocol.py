@@ -46,6 +46,8 @@ class Protocol:
     :ivar planners: names of planners, offline and online.
     :ivar budgets: evaluations of offline planners; online ones have the episode's turns.
     :ivar seeds: how many runs of each.
+    :ivar scale: metres per unit of the scans.
+    :ivar up: the axis of the scans that points up.
     :ivar simulation: the rig; its engine is the judge's.
     """
 
@@ -54,6 +56,8 @@ class Protocol:
     planners: tuple[str, ...] = (*OFFLINE, *ONLINE)
     budgets: tuple[int, ...] = (100, 1000, 10000)
     seeds: int = 3
+    scale: float = 1.0
+    up: str = 'z'
     simulation: SimulationConfig = SimulationConfig(engine=EngineConfig(preset='fine'))
 
     def __post_init__(self) -> None:
@@ -150,7 +154,7 @@ def run_task(protocol: Protocol, task: Task) -> list[dict[str, Any]]:
     :returns: one row for each run: what was run, ``Judge``'s figures, evaluations, seconds, the
         placement and the trace of the search.
     """
-    scene = make_room(task.room, task.rotation)
+    scene = make_room(task.room, task.rotation, protocol.scale, protocol.up)
     judge = Judge(Simulator(scene, protocol.simulation))
     if task.planner == CONTROL:
         return _control(judge, task)

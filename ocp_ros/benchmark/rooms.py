@@ -50,25 +50,29 @@ def space_of(simulator: Simulator) -> Space:
                     config.episode.wall_margin)
 
 
-def make_room(name: str, rotation: float) -> Scene:
+def make_room(name: str, rotation: float, scale: float = 1.0, up: str = 'z') -> Scene:
     """
     Make one room of a comparison.
 
     :param name: the seed of a generated room, or the path of a scan.
     :param rotation: degrees about the vertical axis.
+    :param scale: metres per unit of a scan.
+    :param up: the axis of a scan that points up.
     :raises SceneError: if the scan cannot be used.
     """
     if name.isdigit():
         scene = generate_room(int(name), POINTS)
     else:
-        scene = load_scene(name, max_points=POINTS)
+        scene = load_scene(name, max_points=POINTS, scale=scale, up=up)
     return turned(scene, rotation) if rotation else scene
 
 
-def rooms_in(folder: Path) -> list[str]:
+def rooms_in(folder: Path, scale: float = 1.0, up: str = 'z') -> list[str]:
     """
     Return the scans of a folder.
 
+    :param scale: metres per unit of the scans.
+    :param up: the axis of the scans that points up.
     :raises SceneError: if there are none, or one that cannot be used.
     """
     found = sorted(str(path.resolve()) for path in Path(folder).glob('*')
@@ -77,7 +81,7 @@ def rooms_in(folder: Path) -> list[str]:
         raise SceneError(f'{folder}: found no scans; expected files of {", ".join(READERS)}')
     for path in found:
         try:
-            make_room(path, 0.0)
+            make_room(path, 0.0, scale, up)
         except SceneError as error:
             raise SceneError(f'{error}; every scan in {folder} is compared: convert this file '
                              'first, or move it out') from error

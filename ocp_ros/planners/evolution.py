@@ -13,7 +13,9 @@ import cma
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from ocp_ros.planners.planner import Planner, Search
+from ocp_ros.planners.online import Online
+from ocp_ros.planners.planner import nothing_seen, Planner, Search
+from ocp_ros.simulation.config import EpisodeConfig
 
 #: Placements of a generation, how many of the best may lead, and the chance to take a camera over.
 POPULATION, LEADERS, CROSSOVER = 24, 0.2, 0.5
@@ -21,6 +23,8 @@ POPULATION, LEADERS, CROSSOVER = 24, 0.2, 0.5
 ALIKE = 1e-3
 #: Standard deviation that CMA-ES starts with, as a share of the rectangle's edges.
 SIGMA = 0.25
+#: The same where an online planner has been before, and how many turns it had.
+WARM_SIGMA, TURNS = 0.1, EpisodeConfig().turns
 
 
 def matched(base: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -70,13 +74,23 @@ class CmaEs(Planner):
 
     def search(self) -> Search:
         """Run and restart until the budget ends."""
+        yield from self.evolve(self.space.random(self.rng), SIGMA)
+
+    def evolve(self, first: np.ndarray, sigma: float) -> Search:
+        """
+        Run and restart until the budget ends.
+
+        :param first: (K, 2) metres, where the first run begins; the others begin anywhere.
+        :param sigma: standard deviation that the first run starts with, as a share of the
+            rectangle's edges.
+        """
         logging.getLogger('cma').setLevel(logging.ERROR)
         space, restarts = self.space, 0
         scale = np.maximum(space.size, 1e-9)
         while True:
-            first = ((space.random(self.rng) - space.low) / scale).ravel()
-            size = int(4 + 3 * np.log(len(first))) * 2 ** min(restarts, 3)
-            strategy = cma.CMAEvolutionStrategy(first, SIGMA, {
+            mean = ((first - space.low) / scale).ravel()
+            size = int(4 + 3 * np.log(len(mean))) * 2 ** min(restarts, 3)
+            strategy = cma.CMAEvolutionStrategy(mean, sigma, {
                 'bounds': [0.0, 1.0], 'verbose': -9, 'popsize': size, 'tolfun': 1e-4,
                 'tolx': 1e-4, 'seed': np.nan, 'randn': self._normal})
             while not strategy.stop():
@@ -85,7 +99,37 @@ class CmaEs(Planner):
                                 for row in shares]
                 strategy.tell(shares, list(scores.depth_error))
             restarts += 1
+            first, sigma = space.random(self.rng), SIGMA
 
     def _normal(self, *shape: int) -> np.ndarray:
         """Draw for pycma, which would otherwise draw from NumPy's global generator."""
         return self.rng.standard_normal(shape)
+
+
+class WarmCmaEs(CmaEs):
+    """
+    CMA-ES that begins where an online planner has gone.
+
+    :param online: plays an episode from the middle of the space; a turn costs an evaluation.
+    :param settings: of :class:`~ocp_ros.planners.planner.Planner`.
+    """
+
+    def __init__(self, online: Online, *settings) -> None:
+        self.online = online
+        super().__init__(*settings)
+
+    def search(self) -> Search:
+        """Play, then evolve from the best of the turns."""
+        space, near = self.space, EpisodeConfig().start_radius
+        positions = space.inside(0.5 * (space.low + space.high)
+                                 + self.rng.uniform(-near, near, (space.cameras, 2)))
+        best, error, seen = positions, np.inf, nothing_seen(0)
+        self.online.reset()
+        for turn in range(TURNS):
+            scores = yield [positions]
+            if scores.depth_error[0] < error:
+                best, error = positions, scores.depth_error[0]
+            seen = np.unique(np.concatenate([seen, scores.cloud(0)]), axis=0)
+            moves = self.online.move(seen, space.placement(positions), turn, TURNS)
+            positions = space.inside(positions + moves)
+        yield from self.evolve(best, WARM_SIGMA)

@@ -2,7 +2,7 @@
 """What a planner is: asked for placements, told what they are worth."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -76,16 +76,24 @@ class Space:
         return np.column_stack([positions, np.full(len(positions), self.height)])
 
 
+def nothing_seen(number: int) -> np.ndarray:
+    """Return the cloud of cameras that see nothing: (0, 3)."""
+    return np.empty((0, 3), dtype=np.float32)
+
+
 class Scores(NamedTuple):
     """
     What placements are worth.
 
     :ivar depth_error: (B,) metres; a planner minimises it.
     :ivar space_coverage: (B,) cubic metres.
+    :ivar cloud: returns what the placement of a number sees, (M, 3) float32, metres, map frame;
+        for the few planners that look rather than count.
     """
 
     depth_error: np.ndarray
     space_coverage: np.ndarray
+    cloud: Callable[[int], np.ndarray] = nothing_seen
 
 
 #: What a search hands out and gets back: positions (n, 2) each, and their scores.

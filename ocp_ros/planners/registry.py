@@ -12,29 +12,15 @@ import numpy as np
 
 from ocp_ros.planners.annealing import FixedAnnealing, TransDimensionalAnnealing
 from ocp_ros.planners.bees import BeeColony
-from ocp_ros.planners.evolution import CmaEs, DifferentialEvolution
+from ocp_ros.planners.evolution import CmaEs, DifferentialEvolution, WarmCmaEs
 from ocp_ros.planners.greedy import GreedyCoverage, GreedyError, GreedySwap
 from ocp_ros.planners.lookahead import Lookahead
 from ocp_ros.planners.online import HandRule, Learned, Online, ThenLookahead
-from ocp_ros.planners.planner import Planner
+from ocp_ros.planners.planner import Planner, Space
 from ocp_ros.planners.simple import Random, RegularGrid
 from ocp_ros.planners.swarm import BinaryParticleSwarm
 from ocp_ros.resources import find_model
 from ocp_ros.simulation.config import SimulationConfig
-
-OFFLINE: dict[str, type[Planner]] = {
-    'random': Random,
-    'regular_grid': RegularGrid,
-    'greedy_coverage': GreedyCoverage,
-    'greedy_error': GreedyError,
-    'greedy_swap': GreedySwap,
-    'tdsa': TransDimensionalAnnealing,
-    'annealing': FixedAnnealing,
-    'bpso': BinaryParticleSwarm,
-    'bee_colony': BeeColony,
-    'differential_evolution': DifferentialEvolution,
-    'cma_es': CmaEs,
-}
 
 #: Turns of lookahead after those of the policy.
 REFINING_TURNS = 18
@@ -59,6 +45,26 @@ def _learned_lookahead(config: SimulationConfig, rng: np.random.Generator) -> Th
     return ThenLookahead(_learned(config, rng), Lookahead(*_settings(config, rng)),
                          REFINING_TURNS)
 
+
+def _learned_cma_es(space: Space, rng: np.random.Generator, budget: int) -> WarmCmaEs:
+    """Return CMA-ES that begins where the policy has gone."""
+    return WarmCmaEs(_learned(SimulationConfig(), rng), space, rng, budget)
+
+
+OFFLINE: dict[str, Callable[[Space, np.random.Generator, int], Planner]] = {
+    'random': Random,
+    'regular_grid': RegularGrid,
+    'greedy_coverage': GreedyCoverage,
+    'greedy_error': GreedyError,
+    'greedy_swap': GreedySwap,
+    'tdsa': TransDimensionalAnnealing,
+    'annealing': FixedAnnealing,
+    'bpso': BinaryParticleSwarm,
+    'bee_colony': BeeColony,
+    'differential_evolution': DifferentialEvolution,
+    'cma_es': CmaEs,
+    'learned_cma_es': _learned_cma_es,
+}
 
 ONLINE: dict[str, Callable[[SimulationConfig, np.random.Generator], Online]] = {
     'hand_rule': lambda config, rng: HandRule(*_settings(config, rng)),

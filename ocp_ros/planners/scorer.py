@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from ocp_ros.planners.planner import Scores
+from ocp_ros.planners.planner import nothing_seen, Scores
 from ocp_ros.simulation.simulator import Simulator, View
 
 #: Bytes of views that are kept: 16,000 of them in a room of 25,000 points.
@@ -52,14 +52,22 @@ class Scorer:
         while len(self._views) > self._most:
             self._views.popitem(last=False)
 
+        def views_of(placement: np.ndarray) -> list[View]:
+            return [views[self._key(camera, pose)] for camera, pose in enumerate(placement)]
+
         def judge(placement: np.ndarray) -> tuple[float, float]:
             if len(placement) == 0:
                 return self.simulator.depth_error.worst, 0.0
-            result = self.simulator.judge([views[self._key(camera, pose)]
-                                           for camera, pose in enumerate(placement)])
+            result = self.simulator.judge(views_of(placement))
             return result.depth_error, result.space_coverage
 
-        return Scores(*np.array(self._map(judge, placements)).reshape(-1, 2).T)
+        def cloud(number: int) -> np.ndarray:
+            if len(placements[number]) == 0:
+                return nothing_seen(number)
+            result = self.simulator.judge(views_of(placements[number]))
+            return self.simulator.scene.points[result.visible]
+
+        return Scores(*np.array(self._map(judge, placements)).reshape(-1, 2).T, cloud)
 
     def _key(self, camera: int, pose: np.ndarray) -> tuple[int, bytes]:
         """Return what a view is remembered by."""

@@ -35,11 +35,13 @@ PACKAGES = ('ocp_ros', 'numpy', 'numba', 'scipy', 'cma')
 def protocol_of(arguments: argparse.Namespace) -> Protocol:
     """Return what a command line asks to compare."""
     changes: dict[str, Any] = {
-        name: value for name in ('planners', 'budgets', 'seeds')
+        name: value for name in ('planners', 'budgets', 'seeds', 'scale', 'up')
         if (value := getattr(arguments, name)) is not None}
+    protocol = replace(PRESETS[arguments.preset], **changes)
     if arguments.rooms is not None:
-        changes['rooms'] = tuple(rooms_in(arguments.rooms))
-    return replace(PRESETS[arguments.preset], **changes)
+        rooms = rooms_in(arguments.rooms, protocol.scale, protocol.up)
+        protocol = replace(protocol, rooms=tuple(rooms))
+    return protocol
 
 
 def compare(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
@@ -91,7 +93,8 @@ def _shown(protocol: Protocol, rows: list[dict[str, Any]],
                 rival = best.setdefault(row['planner'], row)
                 if row['depth_error'] < rival['depth_error']:
                     best[row['planner']] = row
-        simulator = Simulator(make_room(room, rotation), protocol.simulation)
+        simulator = Simulator(make_room(room, rotation, protocol.scale, protocol.up),
+                              protocol.simulation)
         shown[simulator.scene.name] = simulator, {
             planner: np.array(row['placement'])
             for planner, row in sorted(best.items(), key=lambda item: item[1]['depth_error'])}
