@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parent.parent
 @pytest.fixture(scope='session')
 def room():
     """Return a generated room of about 2,000 points."""
-    return generate_room(7, 2000)
+    return generate_room(8, 2000)
 
 
 @pytest.fixture(scope='session')

@@ -13,7 +13,7 @@ from ocp_ros.benchmark.protocol import CONTROL, Judge, mounted, MOUNTING, Protoc
 from ocp_ros.benchmark.rooms import make_room, rooms_in, space_of, TEST_ROOMS
 from ocp_ros.benchmark.summary import interval, ranks, summarise
 from ocp_ros.configuration import ConfigurationError
-from ocp_ros.planners.planner import Space
+from ocp_ros.planners.space import Space
 from ocp_ros.report.benchmark import page
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import SceneError, turned

@@ -39,7 +39,7 @@ def test_the_demo_places_cameras_in_the_default_room(tmp_path, capsys):
     result = check(tmp_path, 30, 4)
     assert result['depth_error_end'] < 0.8 * result['depth_error_start']
     assert 'depth error' in capsys.readouterr().out
-    room = generate_room(7)
+    room = generate_room(1)
     low, high = room.bounds
     assert ((result['positions'] >= low) & (result['positions'] <= high)).all()
 

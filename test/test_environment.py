@@ -40,7 +40,7 @@ def simulator(room):
 @pytest.fixture
 def env(room):
     """Return an environment of two small rooms."""
-    return CameraPlacementEnv([room, generate_room(8, 2000)], SMALL, observation_points=128)
+    return CameraPlacementEnv([room, generate_room(12, 2000)], SMALL, observation_points=128)
 
 
 def play(env, seed, turns=6):
@@ -68,7 +68,7 @@ def test_stable_baselines3s_checker_has_nothing_to_say(env):
 
 
 def test_the_same_seed_is_the_same_episode(env, room):
-    other = CameraPlacementEnv([room, generate_room(8, 2000)], SMALL, observation_points=128)
+    other = CameraPlacementEnv([room, generate_room(12, 2000)], SMALL, observation_points=128)
     for one, two in zip(play(env, 11), play(other, 11), strict=True):
         assert all(np.array_equal(one[0][key], two[0][key]) for key in one[0])
         assert one[1:] == two[1:]
@@ -95,7 +95,7 @@ def test_all_terms_of_the_reward_are_in_info(env):
 
 
 def test_the_room_can_be_chosen(env):
-    assert env.reset(options={'scene': 1})[1]['scene'] == 'room-8'
+    assert env.reset(options={'scene': 1})[1]['scene'] == 'room-12'
 
 
 def test_no_rooms_are_an_error():

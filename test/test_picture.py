@@ -10,7 +10,7 @@ from ocp_ros.report.room import _ceiling, _surface
 from ocp_ros.report.visibility import main
 from ocp_ros.scenes.rooms import generate_room
 
-POINTS = generate_room(7, 3000).points
+POINTS = generate_room(1, 3000).points
 CENTRE = np.append(POINTS.mean(axis=0)[:2], 1.9)
 
 
@@ -32,13 +32,13 @@ def _colours(path) -> int:
 def test_picture_is_written_with_its_folder(tmp_path):
     path = tmp_path / 'new' / 'folder' / 'room.png'
     observed = np.arange(len(POINTS)) % 3 > 0
-    draw_placement(path, POINTS, observed, _paths(5, 4), 4.0, 'room-7', '4 cameras')
+    draw_placement(path, POINTS, observed, _paths(5, 4), 4.0, 'room-1', '4 cameras')
     assert _colours(path) > 1000
 
 
 @pytest.mark.parametrize('turns, cameras', [(1, 1), (3, 16)])
 def test_any_number_of_turns_and_cameras(tmp_path, turns, cameras):
-    draw_placement(tmp_path / 'a.png', POINTS, None, _paths(turns, cameras), 2.0, 'room-7')
+    draw_placement(tmp_path / 'a.png', POINTS, None, _paths(turns, cameras), 2.0, 'room-1')
     assert _colours(tmp_path / 'a.png') > 1000
 
 
@@ -66,7 +66,7 @@ def test_wrong_input_is_refused(tmp_path, change, message):
 
 
 def test_only_the_ceiling_is_taken_off():
-    points = generate_room(7, 8000).points.astype(np.float64)
+    points = generate_room(1, 8000).points.astype(np.float64)
     normals, radius = _surface(points)
     height = points[:, 2].max()
     hidden = _ceiling(points, normals, 2.5 * np.median(radius))
@@ -75,7 +75,7 @@ def test_only_the_ceiling_is_taken_off():
 
 
 def test_a_room_without_ceiling_keeps_its_furniture():
-    points = generate_room(7, 8000).points.astype(np.float64)
+    points = generate_room(1, 8000).points.astype(np.float64)
     points = points[points[:, 2] < points[:, 2].max() - 0.1]
     normals, radius = _surface(points)
     assert not _ceiling(points, normals, 2.5 * np.median(radius)).any()

@@ -10,10 +10,11 @@ from scipy import stats
 from ocp_ros.planners.annealing import TransDimensionalAnnealing
 from ocp_ros.planners.evolution import matched
 from ocp_ros.planners.greedy import fill
-from ocp_ros.planners.planner import Planner, Scores, Space
+from ocp_ros.planners.planner import Planner, Scores
 from ocp_ros.planners.registry import OFFLINE
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
+from ocp_ros.planners.space import Space
 from ocp_ros.planners.swarm import BinaryParticleSwarm
 from ocp_ros.simulation.config import EngineConfig, RigConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator

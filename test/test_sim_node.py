@@ -199,7 +199,7 @@ def test_who_comes_late_gets_the_scene_and_the_markers(graph, probe):
     graph.add(SimNode, **SMALL)
     probe.listen(PointCloud2, topics.SCENE, qos.LATCHED)
     probe.listen(MarkerArray, topics.MARKERS, qos.LATCHED)
-    assert np.array_equal(msg_to_cloud(probe.last(topics.SCENE)), generate_room(7, 2000).points)
+    assert np.array_equal(msg_to_cloud(probe.last(topics.SCENE)), generate_room(1, 2000).points)
     markers = probe.last(topics.MARKERS).markers
     ranges = [m for m in markers if m.ns == 'ranges']
     assert len(markers) == 12 and len(ranges) == 4
@@ -243,7 +243,7 @@ def test_every_parameter_has_a_description(graph):
 
 
 def test_cameras_above_the_ceiling_are_refused(graph):
-    with pytest.raises(SceneError, match=r'room-7: found a room .* m high; .*rig.height'):
+    with pytest.raises(SceneError, match=r'room-1: found a room .* m high; .*rig.height'):
         graph.add(SimNode, rig__height=5.0, **SMALL)
 
 

@@ -6,8 +6,8 @@ import open3d as o3d
 
 from ocp_ros.scenes.scene import Mesh
 
-#: A ray that ends this near to a point has reached it, metres.
-TOLERANCE = 0.01
+#: A ray that ends this near to a point has reached it, metres: three times the noise of a scan.
+TOLERANCE = 0.03
 
 
 class RayCaster:

@@ -32,7 +32,7 @@ def parser() -> argparse.ArgumentParser:
     """Build the parser."""
     top = argparse.ArgumentParser(prog='train_demo', description=__doc__)
     top.add_argument('--turns', type=int, default=400, help='turns to play in all')
-    top.add_argument('--seed', type=int, default=7, help='of the generated room')
+    top.add_argument('--seed', type=int, default=1, help='of the generated room')
     top.add_argument('--model', default='default', help='weights to start from: path or name')
     top.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
     return top

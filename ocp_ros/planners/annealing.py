@@ -72,8 +72,9 @@ class FixedAnnealing(Planner):
         trial = placed.copy()
         if count:
             camera = self.rng.integers(count)
-            trial[camera] = self.space.reflected(
-                trial[camera] + self.rng.normal(0.0, sigma, 2))
+            moved = self.space.folded(trial[camera] + self.rng.normal(0.0, sigma, 2))
+            # Where no camera may be the density is 0.
+            trial[camera] = moved if self.space.contains(moved) else trial[camera]
         return trial, 1.0
 
     @property

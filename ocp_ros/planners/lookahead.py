@@ -17,7 +17,7 @@ from scipy.optimize import linear_sum_assignment
 from ocp_ros.geometry.blocks import count_bits
 from ocp_ros.geometry.visibility import FINE
 from ocp_ros.planners.online import cell_weight, Memory, Observed, Online, QUICK_POINTS, QUICK_ROWS
-from ocp_ros.planners.planner import Space
+from ocp_ros.planners.space import Space
 from ocp_ros.scenes.scene import SceneError
 
 #: Metres between candidates, and the most there are: in a larger room they are farther apart.
@@ -150,7 +150,7 @@ class Lookahead(Online):
         model = Observed(cloud, self.max_range, QUICK_POINTS, QUICK_ROWS)
         space, unseen = self.space(cloud, positions), self._memory.unseen(model)
         weight = cell_weight(model, unseen, turn, turns)
-        count = int(np.clip(np.prod(space.size) / SPACING ** 2, 4, CANDIDATES))
+        count = int(np.clip(space.area / SPACING ** 2, 4, CANDIDATES))
         places = space.grid(count)
         if self._plan is not None:
             places = np.vstack([space.inside(self._plan), places])

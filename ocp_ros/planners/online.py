@@ -6,6 +6,7 @@ What they know of the room is the observed cloud; :class:`Observed` makes an eng
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 import time
 from typing import TYPE_CHECKING
@@ -18,7 +19,7 @@ from ocp_ros.geometry.clouds import fixed_size
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.surfels import SurfelSettings
 from ocp_ros.geometry.visibility import FAST, SurfelVisibility
-from ocp_ros.planners.planner import Space
+from ocp_ros.planners.space import Space
 from ocp_ros.scenes.scene import Scene, SceneError, voxel_downsample, voxel_size_for
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.moves import bounded_moves
@@ -41,7 +42,7 @@ DENSE = 4
 QUICK_POINTS, QUICK_ROWS = 6000, 32
 #: What covering all unseen cells is worth at first, as a share of the error of seeing nothing, and
 #: the share of the turns after which it is worth nothing.
-CURIOSITY, EXPLORING = 1.0, 0.4
+CURIOSITY, EXPLORING = 2.0, 0.55
 #: The hand rule's moves: how many directions, and how far, metres.
 DIRECTIONS, LENGTHS = 8, (0.12, 0.5)
 
@@ -78,8 +79,7 @@ class Online(ABC):
 
     def space(self, cloud: np.ndarray, positions: np.ndarray) -> Space:
         """Return where the cameras may be as far as is known; the cloud is not empty."""
-        bounds = np.stack([cloud.min(axis=0), cloud.max(axis=0)])
-        return Space.of(bounds, float(positions[0, 2]), len(positions), self.wall_margin)
+        return Space.of(cloud, float(positions[0, 2]), len(positions), self.wall_margin)
 
     def towards(self, positions: np.ndarray, targets: np.ndarray, steps: int = 1) -> np.ndarray:
         """
@@ -119,21 +119,23 @@ class Outcome:
     seconds: np.ndarray
 
 
-def play(online: Online, episode: Episode) -> Outcome:
+def play(online: Online, episode: Episode,
+         clock: Callable[[], float] = time.perf_counter) -> Outcome:
     """
     Play an episode to its end.
 
     :param online: moves the cameras; it is reset first.
     :param episode: a new one.
+    :param clock: tells the seconds.
     """
     online.reset()
     states, seconds = [episode.turn], []
     while not episode.turn.truncated:
         cloud = episode.observed_cloud
-        began = time.perf_counter()
+        began = clock()
         moves = online.move(cloud, episode.turn.positions, episode.turn.step,
                             episode.config.turns)
-        seconds.append(time.perf_counter() - began)
+        seconds.append(clock() - began)
         states.append(episode.move(moves))
     return Outcome(np.array([state.positions for state in states]),
                    np.array([state.depth_error for state in states]), np.array(seconds))

@@ -3,77 +3,11 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from ocp_ros.simulation.moves import kept_inside
-
-
-@dataclass(frozen=True)
-class Space:
-    """
-    Where cameras may be: a rectangle at a height.
-
-    :ivar low: (2,) lowest x and y, metres, map frame.
-    :ivar high: (2,) highest x and y, metres.
-    :ivar height: z, metres.
-    :ivar cameras: K, how many there are.
-    """
-
-    low: np.ndarray
-    high: np.ndarray
-    height: float
-    cameras: int
-
-    @classmethod
-    def of(cls, bounds: np.ndarray, height: float, cameras: int, margin: float) -> 'Space':
-        """
-        Build the space of a room.
-
-        :param bounds: (2, 3) bounding box, metres.
-        :param height: z of the cameras, metres.
-        :param cameras: K.
-        :param margin: cameras stay this far inside the bounding box, metres.
-        """
-        corners, _ = kept_inside(np.asarray(bounds, dtype=np.float64), bounds, margin)
-        return cls(corners[0, :2], corners[1, :2], height, cameras)
-
-    @property
-    def size(self) -> np.ndarray:
-        """Return the edges of the rectangle: (2,) metres."""
-        return self.high - self.low
-
-    def random(self, rng: np.random.Generator, cameras: int | None = None) -> np.ndarray:
-        """Draw a placement, (cameras, 2), uniformly; K cameras unless told otherwise."""
-        return rng.uniform(self.low, self.high, (self.cameras if cameras is None else cameras, 2))
-
-    def inside(self, positions: np.ndarray) -> np.ndarray:
-        """Move positions (..., 2) to the nearest place in the rectangle."""
-        return np.clip(positions, self.low, self.high)
-
-    def reflected(self, positions: np.ndarray) -> np.ndarray:
-        """Fold positions (..., 2) back at the edges, which keeps a symmetric step symmetric."""
-        size = np.maximum(self.size, 1e-12)
-        folded = np.mod(positions - self.low, 2.0 * size)
-        return self.low + np.minimum(folded, 2.0 * size - folded)
-
-    def grid(self, most: int) -> np.ndarray:
-        """
-        Return a regular grid of at most so many places: (M, 2).
-
-        The cells that the places are the middles of are as square as can be.
-        """
-        size = np.maximum(self.size, 1e-9)
-        across = max(1, min(most, int(np.sqrt(most * size[0] / size[1]))))
-        counts = across, max(1, most // across)
-        axes = [self.low[k] + (np.arange(counts[k]) + 0.5) * size[k] / counts[k] for k in (0, 1)]
-        return np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 2)
-
-    def placement(self, positions: np.ndarray) -> np.ndarray:
-        """Return positions (n, 2) as a placement (n, 3) at the cameras' height."""
-        return np.column_stack([positions, np.full(len(positions), self.height)])
+from ocp_ros.planners.space import Space
 
 
 def nothing_seen(number: int) -> np.ndarray:

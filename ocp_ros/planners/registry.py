@@ -16,8 +16,9 @@ from ocp_ros.planners.evolution import CmaEs, DifferentialEvolution, WarmCmaEs
 from ocp_ros.planners.greedy import GreedyCoverage, GreedyError, GreedySwap
 from ocp_ros.planners.lookahead import Lookahead
 from ocp_ros.planners.online import HandRule, Learned, Online, ThenLookahead
-from ocp_ros.planners.planner import Planner, Space
+from ocp_ros.planners.planner import Planner
 from ocp_ros.planners.simple import Random, RegularGrid
+from ocp_ros.planners.space import Space
 from ocp_ros.planners.swarm import BinaryParticleSwarm
 from ocp_ros.resources import find_model
 from ocp_ros.simulation.config import SimulationConfig
@@ -64,6 +65,15 @@ OFFLINE: dict[str, Callable[[Space, np.random.Generator, int], Planner]] = {
     'differential_evolution': DifferentialEvolution,
     'cma_es': CmaEs,
     'learned_cma_es': _learned_cma_es,
+}
+
+#: What planners know of a room; what is not named here knows the scores of its placements.
+KNOWS = {
+    **dict.fromkeys(('greedy_coverage', 'greedy_error'), 'scores of places on a grid'),
+    'greedy_swap': 'scores, at first of places on a grid',
+    'tdsa': 'scores, also of fewer cameras',
+    'bpso': 'scores of places on a grid',
+    'learned_cma_es': 'scores, and what its placements see',
 }
 
 ONLINE: dict[str, Callable[[SimulationConfig, np.random.Generator], Online]] = {

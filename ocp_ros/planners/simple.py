@@ -31,5 +31,5 @@ class RegularGrid(Planner):
             cells = np.stack([x, y], axis=-1).reshape(-1, 2)
             # Where there are more cells than cameras, those in the middle are left out.
             keep = np.argsort(-np.abs(cells - 0.5).max(axis=1), kind='stable')[:cameras]
-            arrangements.append(low + cells[np.sort(keep)] * size)
+            arrangements.append(self.space.inside(low + cells[np.sort(keep)] * size))
         yield arrangements

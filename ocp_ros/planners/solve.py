@@ -33,7 +33,8 @@ class Result:
 
 
 def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], evaluations: int,
-          seconds: float = np.inf, progress: Callable[[int, float], None] | None = None) -> Result:
+          seconds: float = np.inf, progress: Callable[[int, float], None] | None = None,
+          clock: Callable[[], float] = time.perf_counter) -> Result:
     """
     Run a planner until its budget is used up or it has nothing more to ask.
 
@@ -42,19 +43,20 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
     :param evaluations: the most placements to judge.
     :param seconds: the most time to take; the batch that is being judged is finished.
     :param progress: called after each batch with the evaluations so far and the best error.
+    :param clock: tells the seconds.
     :raises ValueError: if a planner places cameras outside its space or too many of them, or
         never judged a placement.
     """
-    began, count = time.perf_counter(), 0
+    began, count = clock(), 0
     best, found, trace = (np.inf, 0, 0.0), None, []
     while (batch := planner.ask()) is not None and count < evaluations:
-        if count and time.perf_counter() - began >= seconds:
+        if count and clock() - began >= seconds:
             break
         batch = batch[:evaluations - count]
         for positions in batch:
             _check(planner, positions)
         scores = score([planner.space.placement(positions) for positions in batch])
-        now = time.perf_counter() - began
+        now = clock() - began
         for k, energy in enumerate(planner.energy(scores)):
             # Of equals, the one with more cameras and more coverage is the safer answer.
             rank = float(energy), -len(batch[k]), -float(scores.space_coverage[k])
@@ -72,14 +74,14 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
         raise ValueError(f'{type(planner).__name__}: found no placement in {count} evaluations; '
                          'expected at least one; give it a budget of 1 or more')
     return Result(planner.space.placement(found[0]), *found[1:], count,
-                  time.perf_counter() - began, np.array(trace))
+                  clock() - began, np.array(trace))
 
 
 def _check(planner: Planner, positions: np.ndarray) -> None:
     """Refuse positions that the planner's own space does not allow."""
     space = planner.space
-    if len(positions) > space.cameras or (positions < space.low - 1e-9).any() \
-            or (positions > space.high + 1e-9).any():
+    if len(positions) > space.cameras or not space.contains(positions).all():
         raise ValueError(
             f'{type(planner).__name__}: found the positions {positions.tolist()}; expected at '
-            f'most {space.cameras}, from {space.low.tolist()} to {space.high.tolist()}')
+            f'most {space.cameras}, from {space.low.tolist()} to {space.high.tolist()}, over the '
+            'floor')

@@ -8,11 +8,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 
+from ocp_ros.planners.registry import KNOWS, ONLINE
 from ocp_ros.report.room import INK, PALE_INK
 
 #: Told apart with any kind of colour vision, repeated with another line where there are more.
 COLOURS = ('#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '#d55e00', '#8c6d31')
 LINES = ('-', '--', ':')
+#: Searches that given time should all find what is best, and how far apart they may be.
+SEARCHES = ('greedy_swap', 'tdsa', 'annealing', 'bpso', 'bee_colony', 'differential_evolution',
+            'cma_es', 'learned_cma_es')
+ALIKE = 1.10
 Rows = list[dict[str, Any]]
 
 
@@ -62,7 +67,7 @@ def draw_rooms(path: Path, summary: dict[str, Any]) -> None:
         values = [runs[name]['rooms'][room] for room in rooms]
         axes.bar(np.arange(len(rooms)) + (k - 0.5 * (len(names) - 1)) * width, values, width,
                  color=style(k)['color'], hatch=('', '//', '..')[k // len(COLOURS) % 3],
-                 edgecolor='white', linewidth=0.4, label=name.replace('_', ' '))
+                 edgecolor='white', linewidth=0.4, label=spaced(name))
     for k, room in enumerate(rooms):
         known = summary['rooms'][room]['best_known']
         axes.plot([k - 0.45, k + 0.45], [known, known], color=INK, linewidth=1.2,
@@ -94,7 +99,7 @@ def draw_anytime(path: Path, summary: dict[str, Any], rows: Rows) -> None:
             # Before its first answer a run is worth what that answer is.
             curves = [run[np.maximum(np.searchsorted(run[:, column], at, 'right') - 1, 0), 2]
                       for run in runs]
-            axes.plot(at, np.mean(curves, axis=0), linewidth=1.8, label=name.replace('_', ' '),
+            axes.plot(at, np.mean(curves, axis=0), linewidth=1.8, label=spaced(name),
                       **style(k))
         axes.set_xscale('log')
         axes.set_yscale('log')
@@ -116,9 +121,19 @@ def _quiet(axes: Axes) -> None:
     axes.set_axisbelow(True)
 
 
+def spaced(name: str) -> str:
+    """Write a planner's name as words."""
+    return name.replace('_', ' ')
+
+
 def shown(number: float | None, digits: int) -> str:
     """Write a number, or a dash where there is none."""
     return '-' if number is None else f'{number:.{digits}f}'
+
+
+def knows(name: str) -> str:
+    """Say what a planner knows of a room."""
+    return 'what was seen' if name in ONLINE else KNOWS.get(name, 'scores')
 
 
 def page(summary: dict[str, Any]) -> str:
@@ -138,8 +153,8 @@ def page(summary: dict[str, Any]) -> str:
         heading = f'{int(budget):,} evaluations' if int(budget) else \
             'Online: turn by turn, knowing only what was seen'
         lines += [f'## {heading}', '',
-                  '| planner | sum (m) | 95 % | ratio | gap closed | wins | rank | p | 5 cm off | '
-                  '10 cm off | seconds |', '|---|---|---|---|---|---|---|---|---|---|---|']
+                  '| planner | knows | sum (m) | 95 % | ratio | gap closed | wins | rank | p | '
+                  '5 cm off | 10 cm off |', '|---|---|---|---|---|---|---|---|---|---|---|']
         test = summary['rank_tests'][budget]
         runs = [(name, runs[budget]) for name, runs in summary['planners'].items()
                 if budget in runs]
@@ -147,22 +162,24 @@ def page(summary: dict[str, Any]) -> str:
             p = test['against_leader'].get(name)
             low, high = run['interval']
             lines.append(
-                f'| {name.replace("_", " ")} | {run["sum"]:.2f} | {low:.2f} to {high:.2f} | '
+                f'| {spaced(name)} | {knows(name)} | {run["sum"]:.2f} | {low:.2f} to {high:.2f} | '
                 f'{shown(run["ratio_to_best_known"], 2)} | {shown(run["gap_closed"], 4)} | '
                 f'{run["wins"]} | '
                 f'{test["mean_rank"][name]:.1f} | {"" if p is None else f"{p:.3f}"} | '
-                f'{run["off_5_cm"]:.2f} | {run["off_10_cm"]:.2f} | {run["seconds"]:.2f} |')
+                f'{run["off_5_cm"]:.2f} | {run["off_10_cm"]:.2f} |')
         for name, run in runs:
             if 'seconds_per_turn' in run:
-                lines += ['', f'{name.replace("_", " ")}: {1e3 * run["seconds_per_turn"]:.0f} ms '
+                lines += ['', f'{spaced(name)}: {1e3 * run["seconds_per_turn"]:.0f} ms '
                           f'a turn at the median, {1e3 * run["seconds_at_most"]:.0f} at most.']
         friedman = test['friedman_p']
         lines += ['', f"Rank is the mean over rooms; p is Wilcoxon's signed-rank test against "
-                  f'{test["leader"].replace("_", " ")}, corrected after Holm'
+                  f'{spaced(test["leader"])}, corrected after Holm'
                   + ('.' if friedman is None else
                      f'; that all are alike has p = {friedman:.2g} (Friedman).'), '']
+    lines += _agreement(summary) + _duels(summary) + _times(summary)
     lines += ['![Depth error of every planner in every room](rooms.png)', '',
-              '![Depth error during the search](anytime.png)', '', '## Rooms', '',
+              '![Depth error during the search](anytime.png)', '',
+              '![Where the best planners put the cameras](placements.png)', '', '## Rooms', '',
               '| room | best known (m) | random placement (m) | share | from everywhere (m) |',
               '|---|---|---|---|---|']
     for room, known in summary['rooms'].items():
@@ -174,3 +191,63 @@ def page(summary: dict[str, Any]) -> str:
               'can do better.', '', 'Versions: ' + ', '.join(
                   f'{name} {version}' for name, version in summary['versions'].items()) + '.', '']
     return '\n'.join(lines)
+
+
+def _agreement(summary: dict[str, Any]) -> list[str]:
+    """Say how far apart the searches are that had the most evaluations."""
+    last = budgets_of(summary)[-1]
+    sums = {name: runs[last]['sum'] for name, runs in summary['planners'].items()
+            if name in SEARCHES and last in runs}
+    if len(sums) < 2 or not min(sums.values()):
+        return []
+    ratios = {name: total / min(sums.values()) for name, total in sums.items()}
+    near = [name for name, ratio in ratios.items() if ratio <= ALIKE]
+    far = [f'{spaced(name)} {ratio:.2f}' for name, ratio in ratios.items() if ratio > ALIKE]
+    text = f'With {int(last):,} evaluations, {", ".join(map(spaced, near))} are within ' \
+        f'{100 * (ALIKE - 1):.0f} % of the least sum among the searches'
+    if far:
+        text += f'; not so, as multiples of it: {", ".join(far)}. ' \
+            '[Planners](../planners.md) says why'
+    return ['## Do the searches agree?', '', text + '.', '']
+
+
+def _duels(summary: dict[str, Any]) -> list[str]:
+    """Set each online planner against each offline one and budget."""
+    planners = summary['planners']
+    online = [name for name, runs in planners.items() if '0' in runs]
+    offline = [(name, budget) for name, runs in planners.items() for budget in runs
+               if budget != '0']
+    if not online or not offline:
+        return []
+    lines = ['## Online against offline', '',
+             "The online planner's sum as a share of the offline one's, and in how many of the "
+             f'{len(summary["rooms"])} rooms it is better.', '',
+             '| against | evaluations | ' + ' | '.join(map(spaced, online)) + ' |',
+             '|---|---|' + '---|' * len(online)]
+    for name, budget in offline:
+        rival = planners[name][budget]
+        cells = []
+        for one in online:
+            run = planners[one]['0']
+            won = sum(run['rooms'][room] < rival['rooms'][room] for room in summary['rooms'])
+            ratio = run['sum'] / rival['sum'] if rival['sum'] else None
+            cells.append(f'{shown(ratio, 2)} ({won})')
+        lines.append(f'| {spaced(name)} | {int(budget):,} | {" | ".join(cells)} |')
+    return [*lines, '']
+
+
+def _times(summary: dict[str, Any]) -> list[str]:
+    """Tell how long each planner takes on one core."""
+    budgets = budgets_of(summary)
+    lines = ['## Time', '', 'Seconds for one placement on one core; the last column is all rooms '
+             'and rotations once, at the most evaluations. Training the policy is not in it: '
+             '[its card](../../models/README.md) says how long that took.', '',
+             '| planner | ' + ' | '.join(
+                 f'{int(budget):,}' if int(budget) else 'turns' for budget in budgets)
+             + ' | all |', '|---|' + '---|' * (len(budgets) + 1)]
+    places = len(summary['rooms']) * summary['rotations']
+    for name, runs in summary['planners'].items():
+        cells = [f'{runs[budget]["seconds"]:.2f}' if budget in runs else '' for budget in budgets]
+        longest = list(runs.values())[-1]['seconds']
+        lines.append(f'| {spaced(name)} | {" | ".join(cells)} | {places * longest:.0f} |')
+    return [*lines, '']

@@ -23,12 +23,17 @@ from ocp_ros.benchmark.rooms import make_room, rooms_in
 from ocp_ros.benchmark.runner import run, write_whole
 from ocp_ros.benchmark.summary import summarise
 from ocp_ros.configuration import ConfigurationError
+from ocp_ros.planners.registry import OFFLINE, ONLINE
 from ocp_ros.report.benchmark import budgets_of, last_runs, shown, write_report
 from ocp_ros.report.page import write_page
+from ocp_ros.report.picture import draw_examples, Example
 from ocp_ros.simulation.simulator import Simulator
 
 #: Rooms on the page that can be turned around.
 PAGE_ROOMS = 3
+Rows = list[dict[str, Any]]
+#: By name, the engine of a room and the best run of each planner in it.
+Shown = dict[str, tuple[Simulator, dict[str, dict[str, Any]]]]
 PACKAGES = ('ocp_ros', 'numpy', 'numba', 'scipy', 'cma')
 
 
@@ -73,8 +78,12 @@ def compare(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     _write(arguments.out, rows, summary)
     if arguments.report:
         write_report(arguments.report, summary, rows)
-        write_page(arguments.report / 'placements.html', 'Planners compared',
-                   _shown(protocol, rows))
+        shown = _shown(protocol, rows)
+        write_page(arguments.report / 'placements.html', 'Planners compared', {
+            name: (simulator, {planner: np.array(row['placement'])
+                               for planner, row in best.items()})
+            for name, (simulator, best) in shown.items()})
+        _draw(arguments.report / 'placements.png', summary, shown)
         write_whole(arguments.report / 'summary.json', json.dumps(summary, indent=1) + '\n')
     show(summary)
     print(f'wrote {arguments.out / "summary.json"}'
@@ -82,9 +91,8 @@ def compare(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     return summary
 
 
-def _shown(protocol: Protocol, rows: list[dict[str, Any]],
-           ) -> dict[str, tuple[Simulator, dict[str, np.ndarray]]]:
-    """Return the rooms of the page, and each planner's best placement in them."""
+def _shown(protocol: Protocol, rows: Rows) -> Shown:
+    """Return some rooms, and each planner's best run in them, the best first."""
     shown, rotation = {}, protocol.rotations[0]
     for room in protocol.rooms[:PAGE_ROOMS]:
         best: dict[str, dict[str, Any]] = {}
@@ -95,10 +103,31 @@ def _shown(protocol: Protocol, rows: list[dict[str, Any]],
                     best[row['planner']] = row
         simulator = Simulator(make_room(room, rotation, protocol.scale, protocol.up),
                               protocol.simulation)
-        shown[simulator.scene.name] = simulator, {
-            planner: np.array(row['placement'])
-            for planner, row in sorted(best.items(), key=lambda item: item[1]['depth_error'])}
+        name = simulator.scene.name
+        # Scans of several folders may have one name.
+        name = f'{name} ({len(shown) + 1})' if name in shown else name
+        shown[name] = simulator, dict(
+            sorted(best.items(), key=lambda item: item[1]['depth_error']))
     return shown
+
+
+def _draw(path: Path, summary: dict[str, Any], shown: Shown) -> None:
+    """Draw what the best planner made of some rooms, and below it the best online one."""
+    ranked = sorted(last_runs(summary).items(), key=lambda item: item[1]['sum'])
+    offline = [name for name, _ in ranked if name in OFFLINE][:1]
+    online = [name for name, _ in ranked if name in ONLINE][:1]
+    examples = []
+    for planner in offline + online:
+        examples.append([])
+        for name, (simulator, best) in shown.items():
+            row = best[planner]
+            paths = np.array(row.get('trajectory', [row['placement']]))
+            result = simulator.evaluate(paths[-1])
+            examples[-1].append(Example(
+                f'{name}: {planner.replace("_", " ")}, depth error {result.depth_error:.2f} m',
+                simulator.scene.points, result.visible, paths))
+    reach = float(next(iter(shown.values()))[0].config.rig.ranges.max())
+    draw_examples(path, examples, reach, 'Where the best planners put the cameras')
 
 
 def command_of(argv: list[str]) -> str:
@@ -106,7 +135,7 @@ def command_of(argv: list[str]) -> str:
     return shlex.join(['ocp', *argv])
 
 
-def _write(folder: Path, rows: list[dict[str, Any]], summary: dict[str, Any]) -> None:
+def _write(folder: Path, rows: Rows, summary: dict[str, Any]) -> None:
     """Keep the runs as a table and whole, and their summary."""
     names = list(dict.fromkeys(name for row in rows for name in row
                                if name not in ('placement', 'trace', 'trajectory')))

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A picture of a placement: the room from above and cut open, with cameras, paths and ranges."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from matplotlib import patheffects
 from matplotlib.axes import Axes
@@ -52,9 +54,53 @@ def draw_placement(path: str | Path, points: np.ndarray, observed: np.ndarray | 
     figure.text(0.03, 0.9, subtitle, fontsize=14, color=PALE_INK, va='center')
     _draw_plan(figure.add_axes((0.045, 0.13, 0.44, 0.73)), room, paths, max_range)
     _draw_cutaway(figure.add_axes((0.505, 0.1, 0.485, 0.77)), room, paths, max_range)
-    _draw_legend(figure, observed, max_range, len(paths) > 1)
+    unseen = None if observed is None else f' ({100.0 * np.mean(~observed):.1f} % of the points)'
+    _draw_legend(figure, max_range, len(paths) > 1, unseen)
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, format='png', dpi=100)
+
+
+class Example(NamedTuple):
+    """
+    A placement in a room, for :func:`draw_examples`.
+
+    :ivar title: what it is.
+    :ivar points: (N, 3) the whole room, metres, map frame.
+    :ivar observed: (N,) bool, points that the final placement sees.
+    :ivar trajectories: (T, K, 3) metres; of a placement that was not reached by moving, T is 1.
+    """
+
+    title: str
+    points: np.ndarray
+    observed: np.ndarray
+    trajectories: np.ndarray
+
+
+def draw_examples(path: Path, examples: Sequence[Sequence[Example]], max_range: float,
+                  title: str) -> None:
+    """
+    Write a PNG of plans in rows and columns.
+
+    :param path: file to write.
+    :param examples: rows of equally many.
+    :param max_range: range of every camera, metres.
+    :param title: headline.
+    """
+    rows, columns = len(examples), len(examples[0])
+    high = 0.9 + 5.4 * rows + 0.6
+    figure = Figure(figsize=(6.0 * columns, high), dpi=100, facecolor='white')
+    figure.text(0.03, 1.0 - 0.45 / high, title, fontsize=19, fontweight='bold', color=INK,
+                va='center')
+    for k, row in enumerate(examples):
+        for column, example in enumerate(row):
+            bottom = 0.6 + 5.4 * (rows - 1 - k)
+            axes = figure.add_axes(((column + 0.1) / columns, (bottom + 0.6) / high,
+                                    0.87 / columns, 4.2 / high))
+            room = room_of(example.points, _colours(example.points, example.observed))
+            _draw_plan(axes, room, example.trajectories, max_range)
+            axes.set_title(example.title, fontsize=13, color=INK, loc='left')
+    _draw_legend(figure, max_range, True, '')
+    figure.savefig(path)
 
 
 def _checked(points, observed, trajectories, max_range: float):
@@ -179,9 +225,8 @@ def _draw_triad(axes: Axes, view: np.ndarray) -> None:
                   textcoords='offset points', color=PALE_INK, fontsize=11, va='top')
 
 
-def _draw_legend(figure: Figure, observed: np.ndarray | None, max_range: float,
-                 moved: bool) -> None:
-    """Explain the marks in one line below the panels."""
+def _draw_legend(figure: Figure, max_range: float, moved: bool, unseen: str | None) -> None:
+    """Explain the marks in one line below the panels; None where all colours are of heights."""
     ladder = np.arange(4.0)[:, None] * (0.0, 0.0, 1.0)
     dot = {'color': PALE_INK, 'linestyle': 'none', 'marker': 'o'}
     entries = {
@@ -191,9 +236,8 @@ def _draw_legend(figure: Figure, observed: np.ndarray | None, max_range: float,
         'final position': Line2D([], [], markersize=15, **dot),
         f'range {max_range:g} m': Line2D([], [], markersize=17, markerfacecolor='#eceef0', **dot),
         'darker is higher': tuple(Patch(color=c) for c in _colours(ladder, None))}
-    if observed is not None:
-        share = 100.0 * np.mean(~observed)
-        entries[f'not observed ({share:.1f} % of the points)'] = tuple(
+    if unseen is not None:
+        entries[f'not observed{unseen}'] = tuple(
             Patch(color=c) for c in _colours(ladder, np.zeros(4, dtype=bool)))
     figure.legend(entries.values(), entries.keys(), loc='lower center', ncols=len(entries),
                   frameon=False, fontsize=13, labelcolor=INK, bbox_to_anchor=(0.5, 0.012),

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Generated rooms: furnished like offices, scanned like rooms, and the same for the same seed."""
+
+from hypothesis import given, settings, strategies
+import numpy as np
+import pytest
+
+from ocp_ros.scenes.furniture import KINDS, placed, solid
+from ocp_ros.scenes.plans import draw_plan, mirrored, Plan, ROOMS
+from ocp_ros.scenes.rooms import generate_room, mesh_of
+from ocp_ros.scenes.scanning import boxes_of, densities, exposed, free, scan, surface_of
+
+SEEDS = strategies.integers(0, 1 << 31)
+
+
+def plan_of(seed):
+    """Return the plan behind a generated room."""
+    return draw_plan(np.random.default_rng(seed))
+
+
+def depth_in(points, part):
+    """Return how deep points (N, 3) are inside a solid, metres; negative outside."""
+    c, s = np.cos(part.yaw), np.sin(part.yaw)
+    local = (points - part.centre) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return (0.5 * part.size - np.abs(local)).min(axis=1)
+
+
+def box_plan(*solids, size=(6.0, 5.0, 3.0)):
+    """Return a room with given solids."""
+    return Plan('office', np.array(size), np.random.default_rng(0), list(solids))
+
+
+def test_the_same_seed_gives_the_same_room():
+    first, again = generate_room(5, 3000), generate_room(5, 3000)
+    np.testing.assert_array_equal(first.points, again.points)
+    np.testing.assert_array_equal(first.mesh.vertices, again.mesh.vertices)
+    np.testing.assert_array_equal(first.mesh.triangles, again.mesh.triangles)
+    assert first.name == 'room-5'
+
+
+def test_other_seeds_give_other_rooms_of_all_kinds():
+    plans = [plan_of(seed) for seed in range(60)]
+    assert len({tuple(plan.size) for plan in plans}) == 60
+    assert {plan.kind for plan in plans} == set(ROOMS)
+
+
+def test_more_points_are_of_the_same_room():
+    few, many = generate_room(8, 2000), generate_room(8, 8000)
+    np.testing.assert_array_equal(few.mesh.vertices, many.mesh.vertices)
+    assert len(few) < len(many)
+
+
+@settings(deadline=None, max_examples=15)
+@given(seed=SEEDS)
+def test_a_generated_room_is_a_furnished_room(seed):
+    plan, scene = plan_of(seed), generate_room(seed, 6000)
+    assert (plan.size >= [1.8, 3.5, 2.5]).all() and (plan.size <= [15.0, 15.0, 3.5]).all()
+    assert abs(len(scene) / 6000 - 1.0) < 0.1
+    assert len(plan.solids) >= 3 and {part.kind for part in plan.solids} <= set(KINDS)
+    corners = mesh_of(plan).vertices
+    assert (corners >= -0.5).all() and (corners <= plan.size + 0.5).all()
+    # Nothing was scanned inside of anything, beyond the noise.
+    for part in plan.solids:
+        assert depth_in(scene.points, part).max() < 0.06
+
+
+@pytest.mark.parametrize('seed', range(6))
+def test_points_lie_on_the_mesh_exactly_or_with_the_noise_of_a_scan(seed):
+    open3d = pytest.importorskip('open3d')
+    exact, scanned = generate_room(seed, 4000, scanned=False), generate_room(seed, 4000)
+    rays = open3d.t.geometry.RaycastingScene()
+    rays.add_triangles(exact.mesh.vertices, exact.mesh.triangles.astype(np.uint32))
+    assert rays.compute_distance(exact.points).numpy().max() < 1e-3
+    off = rays.compute_distance(scanned.points).numpy()
+    assert 0.0005 < off.mean() < 0.01 and off.max() < 0.06
+
+
+def test_exact_points_are_evenly_spread():
+    spacing = generate_room(1, 8000, scanned=False).spacing
+    assert np.percentile(spacing, 99) < 3.0 * np.median(spacing)
+    assert np.percentile(spacing, 5) > 0.2 * np.median(spacing)
+
+
+def test_scans_are_thinner_where_they_look_askance_and_have_holes():
+    plan = plan_of(1)
+    surface = surface_of(plan, 0.1, np.random.default_rng(0))
+    points, _ = scan(plan, len(surface.points), np.random.default_rng(0))
+    # Columns of the floor, all of which have as many points before the scan.
+    counts = np.histogram2d(*points[points[:, 2] < 0.05, :2].T, bins=(20, 12))[0]
+    assert (counts == 0).sum() > 5
+    assert np.percentile(counts[counts > 0], 90) > 1.5 * np.percentile(counts[counts > 0], 20)
+
+
+def test_what_no_tripod_sees_is_not_scanned():
+    """A wall across the room hides what is behind it from a tripod, and nothing else."""
+    wall = solid('wall', (3.0, 0.0, 0.0), (3.1, 4.0, 3.0))
+    plan = box_plan(wall)
+    points = np.array([[5.9, 1.0, 1.0], [5.9, 4.9, 1.0], [1.0, 1.0, 0.0], [3.0, 2.0, 1.0],
+                       [3.1, 2.0, 1.0]])
+    normals = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [1.0, 0, 0], [1.0, 0, 0]])
+    owner = np.array([-1, -1, -1, 0, 0])
+    tripod = np.array([[2.0, 4.5, 1.5]])
+    seen = densities(points, normals, owner, tripod, *boxes_of(plan)) > 0.0
+    np.testing.assert_array_equal(seen, [False, True, True, True, False])
+    # A second one beyond the wall sees the rest, and the near one denser.
+    both = densities(points, normals, owner, np.vstack([tripod, [[5.0, 2.0, 1.5]]]),
+                     *boxes_of(plan))
+    assert (both[[0, 4]] > 0.0).all() and both[4] > 0.1
+
+
+@settings(deadline=None, max_examples=40)
+@given(seed=SEEDS)
+def test_rays_are_blocked_as_sampled_ones_are(seed):
+    """A twin that walks along each ray in small steps."""
+    rng = np.random.default_rng(seed)
+    box = solid('clutter', (-0.5, -0.3, 0.0), (0.5, 0.3, 1.2))
+    plan = box_plan(*placed([box], rng.uniform(1.5, 3.5, 2), rng.uniform(0.0, np.pi)))
+    points = rng.uniform(0.0, [6.0, 5.0, 3.0], (60, 3))
+    tripod = rng.uniform(0.0, [6.0, 5.0, 3.0], (1, 3))
+    normals = points - tripod
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    seen = densities(points, normals, np.full(60, -1), tripod, *boxes_of(plan)) > 0.0
+    steps = np.linspace(0.0, 1.0, 2000)[:, None]
+    deepest = np.array([depth_in(tripod + steps * (point - tripod), plan.solids[0]).max()
+                        for point in points])
+    # Where a ray only grazes an edge the two may differ.
+    clear = np.abs(deepest) > 0.02
+    np.testing.assert_array_equal(seen[clear], deepest[clear] < 0.0)
+
+
+def test_what_touches_is_not_exposed():
+    table = solid('table', (1, 1, 0.7), (2, 2, 0.74))
+    lying = solid('clutter', (1.2, 1.2, 0.74), (1.5, 1.5, 0.9))
+    plan = box_plan(table, lying)
+    points = np.array([[1.3, 1.3, 0.74], [1.8, 1.8, 0.74], [1.3, 1.3, 0.9], [3.0, 3.0, 0.0]])
+    owner = np.array([0, 0, 1, -1])
+    keep = exposed(points, owner, plan.size, *boxes_of(plan), 0.03)
+    np.testing.assert_array_equal(keep, [False, True, True, True])
+    assert free(np.array([3.0, 3.0, 1.5]), 0.3, *boxes_of(plan))
+    assert not free(np.array([2.1, 1.5, 0.72]), 0.3, *boxes_of(plan))
+
+
+def test_windows_return_nothing():
+    plan = box_plan(solid('clutter', (2, 2, 0), (3, 3, 1)))
+    plan.windows.append(np.array([[-0.01, 1.0, 1.0], [0.01, 3.0, 2.0]]))
+    points, kinds = scan(plan, 12000, np.random.default_rng(0))
+    in_glass = (np.abs(points[:, 0]) < 0.05) & (points[:, 1] > 1.1) & (points[:, 1] < 2.9) \
+        & (points[:, 2] > 1.1) & (points[:, 2] < 1.9)
+    assert not in_glass.any()
+    assert {KINDS[k] for k in np.unique(kinds)} == {'ceiling', 'floor', 'wall', 'clutter'}
+
+
+@settings(deadline=None, max_examples=10)
+@given(seed=SEEDS, flip=strategies.tuples(strategies.booleans(), strategies.booleans()))
+def test_a_mirrored_room_is_the_room_in_a_mirror(seed, flip):
+    plan = plan_of(seed)
+    there = mesh_of(plan).vertices.reshape(-1, 8, 3)
+    back = mesh_of(mirrored(plan, np.array(flip))).vertices.reshape(-1, 8, 3)
+    back[..., :2] = np.where(flip, plan.size[:2] - back[..., :2], back[..., :2])
+    # Corners come in another order.
+    np.testing.assert_allclose(np.sort(there, axis=1), np.sort(back, axis=1), atol=1e-4)
