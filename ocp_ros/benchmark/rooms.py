@@ -16,8 +16,10 @@ from ocp_ros.planners.registry import OFFLINE
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
 from ocp_ros.planners.space import Space
-from ocp_ros.scenes.files import load_scene, READERS
+from ocp_ros.scenes.cached import load_cached
+from ocp_ros.scenes.files import READERS
 from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.scenes.s3dis import chosen_rooms, s3dis_folder, TEST_AREAS
 from ocp_ros.scenes.scene import Scene, SceneError, turned
 from ocp_ros.simulation.config import EngineConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
@@ -63,8 +65,19 @@ def make_room(name: str, rotation: float, scale: float = 1.0, up: str = 'z') -> 
     if name.isdigit():
         scene = generate_room(int(name), POINTS)
     else:
-        scene = load_scene(name, max_points=POINTS, scale=scale, up=up)
+        scene = load_cached(name, max_points=POINTS, scale=scale, up=up)
     return turned(scene, rotation) if rotation else scene
+
+
+def rooms_of_s3dis() -> list[str]:
+    """
+    Return the test rooms of S3DIS, none where ``S3DIS_DIR`` is not set.
+
+    :raises SceneError: if the folder it names is not that of S3DIS.
+    """
+    folder = s3dis_folder()
+    return [] if folder is None else [str(path.resolve()) for area in TEST_AREAS
+                                      for path in chosen_rooms(folder, area)]
 
 
 def rooms_in(folder: Path, scale: float = 1.0, up: str = 'z') -> list[str]:

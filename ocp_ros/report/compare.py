@@ -19,7 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from ocp_ros.benchmark.protocol import PRESETS, Protocol
-from ocp_ros.benchmark.rooms import make_room, rooms_in
+from ocp_ros.benchmark.rooms import make_room, rooms_in, rooms_of_s3dis
 from ocp_ros.benchmark.runner import run, write_whole
 from ocp_ros.benchmark.summary import summarise
 from ocp_ros.configuration import ConfigurationError
@@ -45,7 +45,9 @@ def protocol_of(arguments: argparse.Namespace) -> Protocol:
     protocol = replace(PRESETS[arguments.preset], **changes)
     if arguments.rooms is not None:
         rooms = rooms_in(arguments.rooms, protocol.scale, protocol.up)
-        protocol = replace(protocol, rooms=tuple(rooms))
+        return replace(protocol, rooms=tuple(rooms))
+    if arguments.preset == 'full':
+        return replace(protocol, rooms=(*protocol.rooms, *rooms_of_s3dis()))
     return protocol
 
 

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The rooms of S3DIS (Armeni et al., 2016) where a user has them, chosen by the rules of the paper.
+
+The data set's terms forbid passing it on: ``S3DIS_DIR`` names the folder that it was unpacked to,
+``Stanford3dDataset_v1.2`` with ``Area_1`` to ``Area_6`` in it.
+"""
+
+import os
+from pathlib import Path
+import re
+
+import numpy as np
+
+from ocp_ros.scenes.cached import load_cached
+from ocp_ros.scenes.scene import Scene, SceneError
+
+#: Areas to learn from and to be judged by, and how many rooms of each.
+TRAINING_AREAS, TEST_AREAS, PER_AREA = (1, 2, 3, 4, 5), (6,), 10
+#: Rooms whose floor is not flat.
+NOT_FLAT = ('stairs', 'auditorium')
+#: Square metres of bounding box that four cameras cover roughly.
+FLOOR = (20.0, 130.0)
+#: The share of a closed room's floor that has a ceiling above it, over cells of this edge, metres.
+CLOSED, CELL = 0.9, 0.25
+#: Points that a room is thinned to.
+POINTS = 15000
+
+
+def s3dis_folder() -> Path | None:
+    """Return the folder that ``S3DIS_DIR`` names, None where it is not set."""
+    named = os.environ.get('S3DIS_DIR')
+    return Path(named) if named else None
+
+
+def rooms_of_area(folder: Path, area: int) -> list[Path]:
+    """
+    List the rooms of an area.
+
+    :param folder: with ``Area_1`` to ``Area_6``.
+    :returns: their files, ``Area_1/office_2/office_2.txt`` before ``office_10``.
+    :raises SceneError: if there are none.
+    """
+    rooms = [path for path in (folder / f'Area_{area}').glob('*/*.txt')
+             if path.stem == path.parent.name]
+    if not rooms:
+        raise SceneError(
+            f'{folder}: found no rooms such as Area_{area}/office_1/office_1.txt; expected the '
+            'folder that S3DIS was unpacked to; set S3DIS_DIR to Stanford3dDataset_v1.2')
+    return sorted(rooms, key=lambda path: [int(part) if part.isdigit() else part
+                                           for part in re.split(r'(\d+)', path.stem)])
+
+
+def chosen_rooms(folder: Path, area: int) -> list[Path]:
+    """
+    Choose the rooms of an area that cameras on a plane can be compared in.
+
+    Their floor is flat and neither too small nor too large; those to learn from are closed as
+    well. Of these, the ten of the largest bounding boxes.
+
+    :raises SceneError: if the area is not there or a room cannot be read.
+    """
+    fitting = []
+    for path in rooms_of_area(folder, area):
+        if path.stem.rpartition('_')[0] in NOT_FLAT:
+            continue
+        scene = load_cached(path, max_points=POINTS)
+        floor = float(np.prod(scene.size[:2]))
+        if FLOOR[0] <= floor <= FLOOR[1] and (area in TEST_AREAS or is_closed(scene)):
+            fitting.append((-floor, path))
+    return [path for _, path in sorted(fitting)[:PER_AREA]]
+
+
+def is_closed(scene: Scene) -> bool:
+    """Tell whether a room has a ceiling above nearly all of its floor."""
+    points, (low, high) = scene.points, scene.bounds
+    cells = np.floor((points[:, :2] - low[:2]) / CELL).astype(np.int64)
+    below = {tuple(cell) for cell in cells[points[:, 2] < low[2] + 0.3]}
+    above = {tuple(cell) for cell in cells[points[:, 2] > 0.5 * (low[2] + high[2]) + 0.5]}
+    return len(below & above) >= CLOSED * max(len(below), 1)
