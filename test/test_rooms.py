@@ -2,9 +2,14 @@
 """Generated rooms: furnished like offices, scanned like rooms, and the same for the same seed."""
 
 from hypothesis import given, settings, strategies
+from matplotlib.image import imread
 import numpy as np
+from plyfile import PlyData
 import pytest
 
+from ocp_ros import cli
+from ocp_ros.benchmark.likeness import generated, shares_of_kinds, summary
+from ocp_ros.scenes.files import load_scene
 from ocp_ros.scenes.furniture import KINDS, placed, solid
 from ocp_ros.scenes.plans import draw_plan, mirrored, Plan, ROOMS
 from ocp_ros.scenes.rooms import generate_room, mesh_of
@@ -159,3 +164,32 @@ def test_a_mirrored_room_is_the_room_in_a_mirror(seed, flip):
     back[..., :2] = np.where(flip, plan.size[:2] - back[..., :2], back[..., :2])
     # Corners come in another order.
     np.testing.assert_allclose(np.sort(there, axis=1), np.sort(back, axis=1), atol=1e-4)
+
+
+def test_rooms_are_listed_made_and_drawn(tmp_path, capsys):
+    assert cli.main(['rooms', 'list', '--first', '4', '--count', '2']) == 0
+    assert 'open office' in capsys.readouterr().out
+    assert cli.main(['rooms', 'make', '30', '--points', '3000', '--out', str(tmp_path)]) == 0
+    scene = load_scene(tmp_path / 'room-30.ply')
+    np.testing.assert_array_equal(scene.points, generate_room(30, 3000).points)
+    mesh = PlyData.read(tmp_path / 'room-30_mesh.ply')
+    assert len(mesh['face']) == len(generate_room(30, 3000).mesh.triangles)
+    picture = tmp_path / 'sheet.png'
+    assert cli.main(['rooms', 'preview', '30', str(tmp_path / 'room-30.ply'), '--points', '3000',
+                     '--out', str(picture)]) == 0
+    assert imread(picture).shape == (315, 750, 4)
+    assert cli.main(['rooms', 'preview', 'none.ply', '--out', str(picture)]) == 2
+    assert 'found no such file' in capsys.readouterr().err
+
+
+def test_generated_rooms_are_as_full_as_real_ones():
+    """The figures of the sheet, on a few rooms: walls, furniture and clutter all have a share."""
+    shares = dict(zip(KINDS, shares_of_kinds(range(24), 3000)))
+    assert sum(shares.values()) == pytest.approx(1.0)
+    assert shares['floor'] + shares['ceiling'] + shares['wall'] < 0.85
+    assert shares['bookcase'] > 0.02 and shares['clutter'] > 0.05
+    figures = summary(generated(range(6), 4000))
+    assert 10.0 < figures['floor (m²)'][1] < 120.0
+    assert figures['directions that hit something (%)'][1] > 90.0
+    heights = [figures[name][1] for name in figures if name.startswith('points')]
+    assert 80.0 < sum(heights) < 120.0

@@ -7,7 +7,7 @@ from pathlib import Path
 import warnings
 
 import numpy as np
-from plyfile import PlyData
+from plyfile import PlyData, PlyElement
 
 from ocp_ros.scenes.pcd import read_pcd_fields
 from ocp_ros.scenes.scene import (
@@ -67,6 +67,35 @@ def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: flo
         _warn_if_not_z_up(points, path.name)
     merged = _merge(points, voxel_size, max_points, path.name)
     return Scene(merged, _scene_name(path), normals if merged is points else None)
+
+
+def save_scene(scene: Scene, path: str | Path) -> None:
+    """
+    Write the points of a room as .ply, and its mesh, where it has one, as ``<stem>_mesh.ply``.
+
+    :raises SceneError: if the files cannot be written.
+    """
+    path = Path(path)
+    named = [('x', 'f4'), ('y', 'f4'), ('z', 'f4')]
+    elements = {path: [PlyElement.describe(_rows(scene.points, named), 'vertex')]}
+    if scene.mesh is not None:
+        faces = np.empty(len(scene.mesh.triangles), dtype=[('vertex_indices', 'i4', (3,))])
+        faces['vertex_indices'] = scene.mesh.triangles
+        elements[path.with_name(f'{path.stem}_mesh.ply')] = [
+            PlyElement.describe(_rows(scene.mesh.vertices, named), 'vertex'),
+            PlyElement.describe(faces, 'face')]
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        for name, parts in elements.items():
+            PlyData(parts).write(str(name))
+    except OSError as error:
+        raise SceneError(f'{path}: found no way to write it ({error.strerror}); expected a folder '
+                         'that may be written to; name another one') from error
+
+
+def _rows(values: np.ndarray, named: list[tuple[str, str]]) -> np.ndarray:
+    """Return an array (N, C) as records."""
+    return np.rec.fromarrays(values.T, dtype=named)
 
 
 def _check_options(name: str, voxel_size: float, max_points: int, scale: float, up: str) -> None:

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sheet of generated rooms: pictures of twelve, their figures beside those of real ones."""
+
+import argparse
+from collections.abc import Sequence
+from datetime import date
+from pathlib import Path
+import sys
+
+from matplotlib.figure import Figure
+import numpy as np
+
+from ocp_ros.benchmark.likeness import (
+    generated,
+    likeness,
+    S3DIS_FLOOR,
+    S3DIS_POINTS,
+    S3DIS_ROOMS,
+    shares_of_kinds,
+    summary,
+)
+from ocp_ros.benchmark.rooms import rooms_in, rooms_of_s3dis
+from ocp_ros.report.room import draw_discs, HEIGHTS, heights_of, INK, open_view, room_of
+from ocp_ros.scenes.cached import load_cached
+from ocp_ros.scenes.furniture import KINDS
+from ocp_ros.scenes.plans import draw_plan
+from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.scenes.scene import Scene
+
+#: Two of each kind, as they come.
+SHOWN = (3, 11, 8, 12, 1, 19, 0, 7, 21, 40, 5, 17)
+#: Seeds that are measured, and points of each room.
+MEASURED, POINTS = range(4000, 4200), 15000
+
+
+def draw_sheet(path: Path, scenes: Sequence[tuple[str, Scene]], columns: int = 4) -> None:
+    """
+    Write a PNG of rooms cut open.
+
+    :param path: file to write; its folder is made.
+    :param scenes: titles and rooms.
+    :param columns: how many beside each other.
+    """
+    columns = min(columns, len(scenes))
+    rows = -(-len(scenes) // columns)
+    figure = Figure(figsize=(5.0 * columns, 4.2 * rows), dpi=75, facecolor='white')
+    for k, (title, scene) in enumerate(scenes):
+        axes = figure.add_axes(((k % columns + 0.02) / columns,
+                                (rows - 1 - k // columns + 0.02) / rows,
+                                0.96 / columns, 0.86 / rows))
+        room = room_of(scene.points, HEIGHTS(heights_of(scene.points))[:, :3])
+        view, part = open_view(room)
+        outline = draw_discs(axes, part, view).get_xy()
+        low, high = outline.min(axis=0), outline.max(axis=0)
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect='equal')
+        axes.set_axis_off()
+        axes.set_title(title, fontsize=12, color=INK)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, format='png', dpi=75)
+
+
+def titled(seed: int, points: int) -> tuple[str, Scene]:
+    """Return a generated room with its kind and size."""
+    plan = draw_plan(np.random.default_rng(seed))
+    width, depth, height = plan.size
+    return (f'{seed}: {plan.kind.replace("_", " ")}, {width:.1f} x {depth:.1f} x {height:.1f} m',
+            generate_room(seed, points))
+
+
+def page(scans: Sequence[str], command: str) -> str:
+    """Measure the rooms and write the sheet as Markdown."""
+    made = summary(generated(MEASURED, POINTS))
+    real = {Path(name).stem: likeness(load_cached(name, max_points=POINTS)) for name in scans}
+    columns = {name: summary([figures]) for name, figures in real.items()}
+    lines = [
+        '# Generated rooms', '', '`generate_room(seed)` makes offices, conference rooms, lounges, '
+        'hallways, storage rooms and open offices:', 'L-shapes, niches, columns, beams, '
+        'partitions, doors, windows, furniture and what lies about, always with the mesh. Tripods '
+        'are', 'stood in the room and what they see is sampled: more densely where it is near and '
+        'seen from the front, with noise along the ray,', 'with shadows, and with holes where '
+        'there is glass or something dark. The same seed gives the same room.', '',
+        '    ocp rooms list --count 20           # kinds and sizes',
+        '    ocp rooms preview 5 17 scan.ply --out out/rooms.png',
+        '    ocp rooms make 5 17 --out rooms     # scans and meshes as PLY', '',
+        '![Twelve generated rooms](rooms.png)', '', '## Are they like real ones?', '',
+        f'Measured on {date.today().isoformat()} by', '', f'    {command}', '',
+        f'Seeds {MEASURED[0]} to {MEASURED[-1]}, {POINTS:,} points each, and real scans at hand. '
+        'Of generated rooms the 10th percentile, the',
+        'median and the 90th. *Floor* is where a camera may hang.', '',
+        '| figure | generated | ' + ' | '.join(real) + ' |', '|---|---|' + '---|' * len(real)]
+    for figure, (low, middle, high) in made.items():
+        cells = [f'{columns[name][figure][1]:.1f}' for name in real]
+        lines.append(f'| {figure} | {low:.1f}, **{middle:.1f}**, {high:.1f} | '
+                     + ' | '.join(cells) + ' |')
+    lines += ['', f'S3DIS has {S3DIS_ROOMS} rooms with over {S3DIS_FLOOR:,.0f} m² of floor, '
+              f'{S3DIS_FLOOR / S3DIS_ROOMS:.0f} m² each: most are small offices, which one or two '
+              'cameras', 'cover. Generated rooms are larger, as those that the paper chose. '
+              'Points by class, in per cent; those of S3DIS are', "Open3D-ML's class weights:",
+              '', '| class | S3DIS | generated |', '|---|---|---|']
+    published = 100.0 * np.array(S3DIS_POINTS) / sum(S3DIS_POINTS)
+    shares = 100.0 * shares_of_kinds(MEASURED, POINTS)
+    lines += [f'| {kind} | {theirs:.1f} | {ours:.1f} |'
+              for kind, theirs, ours in zip(KINDS, published, shares)]
+    return '\n'.join([*lines, ''])
+
+
+def main(args: list[str] | None = None) -> int:
+    """Write the sheet of the documentation."""
+    parser = argparse.ArgumentParser(prog='rooms', description=__doc__)
+    parser.add_argument('--out', type=Path, default=Path('out/rooms'), help='folder to write')
+    parser.add_argument('--scans', type=Path, help='folder of real scans to compare with')
+    options = parser.parse_args(args)
+    draw_sheet(options.out / 'rooms.png', [titled(seed, 40000) for seed in SHOWN])
+    scans = rooms_in(options.scans) if options.scans else []
+    command = 'python -m ocp_ros.report.rooms --out docs' + (
+        ' --scans FOLDER' if options.scans else '')
+    (options.out / 'rooms.md').write_text(page([*scans, *rooms_of_s3dis()], command))
+    print(f'wrote {options.out / "rooms.md"}')
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
