@@ -5,7 +5,7 @@ RUN := $(VENV)/bin/python
 READY := $(VENV)/.ready
 OUT ?= out
 
-.PHONY: help demo train-demo train test lint format bench colcon clean
+.PHONY: help demo train-demo train test lint format bench benchmark rooms colcon clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 14
@@ -35,6 +35,12 @@ format: $(READY)  ## mend what ruff can mend
 bench: $(READY)  ## measure fidelity and speed of the engine
 	$(RUN) -m ocp_ros.benchmark.engine --out "$(OUT)/bench.json" --page docs/bench.md
 	$(RUN) -m ocp_ros.report.visibility --out docs/visibility.png
+
+benchmark: $(READY)  ## compare all planners in all test rooms: two hours on two cores; goes on where it stopped
+	$(RUN) -m ocp_ros.cli benchmark --preset full --out "$(OUT)/benchmark" --report docs/benchmark
+
+rooms: $(READY)  ## draw and measure generated rooms: make rooms [SCANS=folder]
+	$(RUN) -m ocp_ros.report.rooms --out docs $(if $(SCANS),--scans "$(SCANS)")
 
 colcon: $(READY)  ## build with colcon and start the installed nodes once
 	tools/check_install $(VENV)

@@ -38,7 +38,7 @@ def test_every_topic_and_field_is_documented():
 
 
 @pytest.mark.parametrize('page', ['README.md', 'CONTRIBUTING.md', 'docs/ros.md', 'docs/engine.md',
-                                  'docs/sensors.md', 'docs/planners.md'])
+                                  'docs/sensors.md', 'docs/planners.md', 'docs/rooms.md'])
 def test_links_and_folders_exist(page):
     path = ROOT / page
     text = path.read_text()

@@ -18,6 +18,8 @@ LINES = ('-', '--', ':')
 SEARCHES = ('greedy_swap', 'tdsa', 'annealing', 'bpso', 'bee_colony', 'differential_evolution',
             'cma_es', 'learned_cma_es')
 ALIKE = 1.10
+TITLES = {'tdsa': 'TDSA', 'bpso': 'BPSO', 'cma_es': 'CMA-ES',
+          'learned_cma_es': 'learned + CMA-ES', 'learned_lookahead': 'learned + lookahead'}
 Rows = list[dict[str, Any]]
 
 
@@ -122,8 +124,8 @@ def _quiet(axes: Axes) -> None:
 
 
 def spaced(name: str) -> str:
-    """Write a planner's name as words."""
-    return name.replace('_', ' ')
+    """Write a planner's name as one says it."""
+    return TITLES.get(name, name.replace('_', ' '))
 
 
 def shown(number: float | None, digits: int) -> str:

@@ -24,7 +24,7 @@ from ocp_ros.benchmark.runner import run, write_whole
 from ocp_ros.benchmark.summary import summarise
 from ocp_ros.configuration import ConfigurationError
 from ocp_ros.planners.registry import OFFLINE, ONLINE
-from ocp_ros.report.benchmark import budgets_of, last_runs, shown, write_report
+from ocp_ros.report.benchmark import budgets_of, last_runs, shown, spaced, write_report
 from ocp_ros.report.page import write_page
 from ocp_ros.report.picture import draw_examples, Example
 from ocp_ros.simulation.simulator import Simulator
@@ -126,7 +126,7 @@ def _draw(path: Path, summary: dict[str, Any], shown: Shown) -> None:
             paths = np.array(row.get('trajectory', [row['placement']]))
             result = simulator.evaluate(paths[-1])
             examples[-1].append(Example(
-                f'{name}: {planner.replace("_", " ")}, depth error {result.depth_error:.2f} m',
+                f'{name}: {spaced(planner)}, depth error {result.depth_error:.2f} m',
                 simulator.scene.points, result.visible, paths))
     reach = float(next(iter(shown.values()))[0].config.rig.ranges.max())
     draw_examples(path, examples, reach, 'Where the best planners put the cameras')

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cameras stay over the floor of a room, whatever its shape and however it stands."""
+
+from dataclasses import replace
+
+from hypothesis import given, settings, strategies
+import numpy as np
+import pytest
+from scipy import stats
+
+from ocp_ros.planners.annealing import TransDimensionalAnnealing
+from ocp_ros.planners.planner import Scores
+from ocp_ros.planners.registry import OFFLINE
+from ocp_ros.planners.solve import solve
+from ocp_ros.planners.space import EDGE, floor_of, Space
+from ocp_ros.scenes.scene import Scene, turned
+
+
+def l_shaped(pitch=0.1):
+    """Return the floor, ceiling and walls of 6 x 4 m without the corner beyond 3 and 2 m."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 6, pitch), np.arange(0, 4, pitch)))
+    inside = (x < 3.0) | (y < 2.0)
+    level = [np.stack([x[inside], y[inside], np.full(inside.sum(), z)], axis=1) for z in (0, 2.8)]
+    corners = np.array([[0, 0], [6, 0], [6, 2], [3, 2], [3, 4], [0, 4]], dtype=float)
+    walls = []
+    for start, end in zip(corners, np.roll(corners, -1, axis=0)):
+        share = np.arange(0.0, 1.0, pitch / np.linalg.norm(end - start))
+        along = start + share[:, None] * (end - start)
+        for z in np.arange(0.0, 2.8, pitch):
+            walls.append(np.column_stack([along, np.full(len(along), z)]))
+    return Scene(np.concatenate([*level, *walls]).astype(np.float32), 'L')
+
+
+#: Metres by which the floor may reach round an inner corner: two cells.
+CORNER = 2.0 * EDGE
+
+
+def in_room(positions, margin=-CORNER):
+    """Tell whether positions (..., 2) are in the room of l_shaped, or nearly."""
+    x, y = positions[..., 0], positions[..., 1]
+    return ((x > margin) & (y > margin)
+            & (((x < 3.0 - margin) & (y < 4.0 - margin))
+               | ((x < 6.0 - margin) & (y < 2.0 - margin))))
+
+
+@pytest.fixture(scope='module')
+def space():
+    """Return where three cameras may be in the L-shaped room."""
+    return Space.of(l_shaped().points, 1.9, 3, 0.1)
+
+
+def test_the_floor_is_the_room_and_not_its_bounding_box(space):
+    assert space.floor is not None
+    # 18 square metres, less a strip along 20 m of walls.
+    assert 18.0 - 20.0 * 1.5 * EDGE < space.area < 18.0
+    places = np.random.default_rng(0).uniform(0.0, [6.0, 4.0], (2000, 2))
+    allowed = space.contains(places)
+    assert in_room(places[allowed]).all()
+    assert in_room(places[allowed], 0.05).mean() > 0.97
+    assert allowed[in_room(places, 2.5 * EDGE)].all()
+
+
+@settings(deadline=None, max_examples=25)
+@given(x=strategies.floats(-0.7, 6.7), y=strategies.floats(-0.7, 4.7))
+def test_what_is_outside_moves_to_the_nearest_place_inside(space, x, y):
+    position = np.array([x, y])
+    inside = space.inside(position)
+    assert space.contains(inside) and in_room(inside)
+    np.testing.assert_array_equal(space.inside(inside), inside)
+    if space.contains(position):
+        np.testing.assert_allclose(inside, position, atol=1e-5)
+    others = space.grid(400)
+    nearest = np.linalg.norm(others - position, axis=1).min()
+    assert np.linalg.norm(inside - position) < nearest + 2.0 * EDGE
+
+
+def test_placements_are_drawn_uniformly_over_the_floor(space):
+    drawn = np.concatenate([space.random(np.random.default_rng(k)) for k in range(1000)])
+    assert space.contains(drawn).all()
+    cells = np.floor((drawn - space.floor.low) / EDGE).astype(int)
+    counts = np.array([np.count_nonzero((cells == cell).all(axis=1))
+                       for cell in np.argwhere(space.floor.open)])
+    assert stats.chisquare(counts).pvalue > 1e-3
+
+
+@pytest.mark.parametrize('most', [1, 2, 5, 40, 300])
+def test_a_grid_is_no_larger_than_asked_and_over_the_floor(space, most):
+    grid = space.grid(most)
+    assert 1 <= len(grid) <= most and space.contains(grid).all()
+    assert most < 40 or len(grid) > 0.7 * most
+
+
+def cover(placements):
+    """Score by the distance of targets, one of which is where no camera may be."""
+    targets = np.array([[0.5, 3.5], [5.5, 0.5], [5.0, 3.5]])
+    errors = [np.linalg.norm(targets[:, None] - placement[None, :, :2], axis=2).min(axis=1).sum()
+              if len(placement) else 20.0 for placement in placements]
+    return Scores(np.array(errors), -np.array(errors))
+
+
+@pytest.mark.parametrize('name', OFFLINE)
+def test_every_planner_stays_over_the_floor(space, name):
+    asked = []
+
+    def score(placements):
+        asked.extend(placements)
+        return cover(placements)
+
+    solve(OFFLINE[name](space, np.random.default_rng(0), 300), score, 300)
+    for placement in asked:
+        assert space.contains(placement[:, :2]).all() and in_room(placement[:, :2]).all()
+
+
+def test_without_energy_annealing_is_uniform_over_the_floor(space):
+    """Moves that lead off the floor are refused; projected ones would heap up at its edge."""
+    planner = TransDimensionalAnnealing(replace(space, cameras=1), np.random.default_rng(1), 100)
+    placed, seen = planner.space.random(planner.rng), []
+    for step in range(40000):
+        trial, ratio = planner.propose(placed, 1.0)
+        if planner.rng.random() < ratio:
+            placed = trial
+        if step % 10 == 0 and len(placed):
+            seen.append(placed[0])
+    # The two arms and the corner between them, by their areas.
+    counts = [np.count_nonzero([part(place) for place in seen]) for part in (
+        lambda p: p[0] > 3.0, lambda p: p[1] > 2.0, lambda p: p[0] <= 3.0 and p[1] <= 2.0)]
+    cells = EDGE * (np.argwhere(space.floor.open) + 0.5) + space.floor.low
+    areas = [np.count_nonzero([part(cell) for cell in cells]) for part in (
+        lambda p: p[0] > 3.0, lambda p: p[1] > 2.0, lambda p: p[0] <= 3.0 and p[1] <= 2.0)]
+    np.testing.assert_allclose(np.array(counts) / sum(counts), np.array(areas) / sum(areas),
+                               atol=0.05)
+
+
+@pytest.mark.parametrize('degrees', [30.0, 60.0, 120.0])
+def test_a_room_that_stands_askew_has_as_much_floor(space, degrees):
+    scene = turned(l_shaped(), degrees)
+    askew = Space.of(scene.points, 1.9, 3, 0.1)
+    assert askew.area == pytest.approx(space.area, rel=0.12)
+    back = np.deg2rad(-degrees)
+    turn = np.array([[np.cos(back), -np.sin(back)], [np.sin(back), np.cos(back)]])
+    drawn = np.concatenate([askew.random(np.random.default_rng(k)) for k in range(200)])
+    assert in_room(drawn @ turn.T).all()
+
+
+def test_gaps_behind_furniture_count_and_other_rooms_do_not():
+    points = l_shaped().points
+    hole = (np.abs(points[:, :2] - [1.5, 1.5]) < 0.4).all(axis=1) & (points[:, 2] < 1.0)
+    beyond = np.stack(np.meshgrid(np.arange(8, 9.2, 0.1), np.arange(0, 1.2, 0.1), [0.0]),
+                      axis=-1).reshape(-1, 3).astype(np.float32)
+    space = Space.of(np.concatenate([points[~hole], beyond]), 1.9, 3, 0.1)
+    assert space.contains(np.array([1.5, 1.5]))
+    assert not space.contains(np.array([8.5, 0.5]))
+
+
+def test_where_no_floor_is_seen_the_rectangle_is_all_there_is():
+    ceiling = l_shaped().points
+    ceiling = ceiling[ceiling[:, 2] > 1.7]
+    assert floor_of(ceiling, 1.9) is None
+    space = Space.of(ceiling, 1.9, 3, 0.1)
+    assert space.floor is None and space.area == pytest.approx(np.prod(space.size))
