@@ -62,8 +62,16 @@ def _preview_rooms(arguments: argparse.Namespace) -> None:
     from ocp_ros.report.rooms import draw_sheet, titled
     from ocp_ros.scenes.cached import load_cached
     scenes = []
+    try:
+        arguments.out.parent.mkdir(parents=True, exist_ok=True)
+        if arguments.out.is_dir():
+            raise IsADirectoryError(0, 'it is a folder')
+    except OSError as error:
+        raise ConfigurationError(f'--out: found {arguments.out}, which cannot be written '
+                                 f'({error.strerror}); expected a file to write a picture to'
+                                 ) from error
     for name in arguments.rooms:
-        if name.isdigit():
+        if name.isdecimal():
             scenes.append(titled(int(name), arguments.points))
         else:
             scene = load_cached(name, max_points=arguments.points)
@@ -88,12 +96,12 @@ def _add_rooms(commands) -> None:
     listed.set_defaults(run=_list_rooms)
     made = actions.add_parser('make', help='write scans and meshes as PLY')
     made.add_argument('seeds', type=_seed, nargs='+', metavar='SEED')
-    made.add_argument('--points', type=_positive, default=15000, help='of each scan')
+    made.add_argument('--points', type=_points, default=15000, help='of each scan')
     made.add_argument('--out', type=Path, default=Path('out/rooms'), help='folder to write to')
     made.set_defaults(run=_make_rooms)
     seen = actions.add_parser('preview', help='draw rooms cut open')
     seen.add_argument('rooms', nargs='+', metavar='ROOM', help='a seed or a scan')
-    seen.add_argument('--points', type=_positive, default=40000, help='of each room')
+    seen.add_argument('--points', type=_points, default=40000, help='of each room')
     seen.add_argument('--out', type=Path, default=Path('out/rooms.png'), help='picture to write')
     seen.set_defaults(run=_preview_rooms)
 
@@ -109,14 +117,21 @@ def _whole_numbers(text: str) -> tuple[int, ...]:
 
 def _seed(text: str) -> int:
     """Read the seed of a room."""
-    if not text.isdigit():
+    if not text.isdecimal():
         raise argparse.ArgumentTypeError(f'found {text!r}; expected 0 or more')
+    return int(text)
+
+
+def _points(text: str) -> int:
+    """Read how many points a room has."""
+    if not text.isdecimal() or int(text) < 1000:
+        raise argparse.ArgumentTypeError(f'found {text!r}; expected 1000 or more')
     return int(text)
 
 
 def _positive(text: str) -> int:
     """Read how many there are of something."""
-    if not text.isdigit() or int(text) < 1:
+    if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f'found {text!r}; expected 1 or more')
     return int(text)
 

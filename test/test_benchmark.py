@@ -110,6 +110,8 @@ def test_an_online_planner_plays_an_episode_with_every_seed():
     ({'planners': ('tdsa', 'magic')}, "planners: found 'magic'; expected some of"),
     ({'rooms': ()}, 'found 0 rooms'), ({'budgets': (0,)}, r'budgets \[0\]'),
     ({'seeds': 0}, '0 seeds; expected at least one'),
+    ({'scale': -1.0}, 'scale=-1.0 and .*expected a number above 0'),
+    ({'up': 'w'}, "up='w'; expected .* one of"),
     ({'budgets': (5, 5)}, r'budgets: found \[5, 5\]; expected each once'),
     ({'simulation': SimulationConfig(rig=RigConfig(sensors='kinect_v2'))},
      "rig.sensors: found 'kinect_v2'; expected omnidirectional")])
@@ -203,7 +205,7 @@ def test_the_command_compares_and_reports(tmp_path, capsys):
     assert summary['command'] in text
     html = (tmp_path / 'report' / 'placements.html').read_text()
     assert 'small: greedy_error, depth error' in html and 'src="http' not in html
-    for picture in ('rooms.png', 'anytime.png'):
+    for picture in ('rooms.png', 'anytime.png', 'placements.png'):
         assert (tmp_path / 'report' / picture).stat().st_size > 10000
     assert len((tmp_path / 'out' / 'results.csv').read_text().splitlines()) == 1 + 32 + 4 + 1
     assert 'greedy_error' in capsys.readouterr().out
@@ -230,8 +232,31 @@ def test_rooms_that_are_seen_completely_have_no_ratios():
                                 'versions': {}})
 
 
+def test_the_page_says_who_agrees_who_is_better_and_how_long_it_takes():
+    cases = {('a', 0): [2.0], ('b', 0): [2.0]}
+    rows = rows_of({'tdsa': cases, 'cma_es': {('a', 0): [2.0], ('b', 0): [2.3]},
+                    'bpso': {('a', 0): [3.0], ('b', 0): [3.0]}}, 1000)
+    rows += [{**row, 'budget': 100, 'seconds': 0.1} for row in rows if row['planner'] == 'tdsa']
+    online = rows_of({'lookahead': {('a', 0): [1.0], ('b', 0): [2.0]}}, 0)
+    rows += [row for row in online if row['planner'] != CONTROL]
+    text = page({**summarise(rows), 'date': '', 'command': '', 'rotations': 1, 'cameras': 4,
+                 'versions': {}})
+    assert 'With 1,000 evaluations, TDSA, CMA-ES are within 10 %' in text
+    assert 'not so, as multiples of it: BPSO 1.50.' in text
+    # 3 / 6, better in both; 3 / 4, better in one of two.
+    assert '| BPSO | 1,000 | 0.50 (2) |' in text and '| TDSA | 1,000 | 0.75 (1) |' in text
+    # Two rooms, 1 s each at the most evaluations, in whatever order they ran.
+    assert '| TDSA |  | 0.10 | 1.00 | 2 |' in text and '| lookahead | 1.00 |  |  | 2 |' in text
+
+
+def test_units_of_scans_need_scans(capsys):
+    assert cli.main(['benchmark', '--scale', '0.001']) == 2
+    assert '--scale and --up: found no --rooms; expected a folder' in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(('arguments', 'words'), [
     (['--workers', '0'], "found '0'; expected 1 or more"),
+    (['--workers', '²'], "found '²'; expected 1 or more"),
     (['--budgets', 'many'], "found 'many'; expected whole numbers")])
 def test_numbers_that_are_none_are_refused(capsys, arguments, words):
     with pytest.raises(SystemExit) as end:

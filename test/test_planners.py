@@ -7,16 +7,18 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from ocp_ros.benchmark.rooms import space_of
 from ocp_ros.planners.annealing import TransDimensionalAnnealing
-from ocp_ros.planners.evolution import matched
+from ocp_ros.planners.evolution import matched, WARM_SIGMA, WarmCmaEs
 from ocp_ros.planners.greedy import fill
+from ocp_ros.planners.online import Online
 from ocp_ros.planners.planner import Planner, Scores
 from ocp_ros.planners.registry import OFFLINE
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
 from ocp_ros.planners.space import Space
 from ocp_ros.planners.swarm import BinaryParticleSwarm
-from ocp_ros.simulation.config import EngineConfig, RigConfig, SimulationConfig
+from ocp_ros.simulation.config import EngineConfig, EpisodeConfig, RigConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 
 SPACE = Space(np.array([-1.0, 2.0]), np.array([5.0, 6.0]), 1.9, 3)
@@ -109,6 +111,44 @@ def test_bpso_solves_a_small_maximum_cover_exactly(seed):
 
     planner = Small(SPACE, np.random.default_rng(seed), 3000)
     assert solve(planner, score, 3000).space_coverage == best
+
+
+class Eastward(Online):
+    """Walks along x and remembers what it was shown."""
+
+    def __init__(self):
+        super().__init__(np.random.default_rng(0), 0.5, 4.0, 0.1)
+        self.clouds = []
+
+    def move(self, cloud, positions, turn, turns):
+        """Walk."""
+        self.clouds.append(cloud)
+        return np.tile([0.5, 0.0], (len(positions), 1))
+
+
+def test_a_warm_start_begins_at_the_best_turn_of_what_was_played(room):
+    simulator = Simulator(room, SimulationConfig(
+        rig=RigConfig(cameras=2), engine=EngineConfig(preset='fast', error_rows=32)))
+    space, online, asked = space_of(simulator), Eastward(), []
+    score = Scorer(simulator)
+
+    def noted(placements):
+        scores = score(placements)
+        asked.extend(zip(placements, scores.depth_error))
+        return scores
+
+    planner = WarmCmaEs(online, EpisodeConfig(turns=6), space, np.random.default_rng(0), 60)
+    solve(planner, noted, 60)
+    played = asked[:6]
+    # Each turn shows what was seen until then, and no point twice.
+    for turn, cloud in enumerate(online.clouds):
+        seen = np.logical_or.reduce([simulator.evaluate(placement).visible
+                                     for placement, _ in played[:turn + 1]])
+        np.testing.assert_array_equal(cloud, np.unique(room.points[seen], axis=0))
+    best = min(played, key=lambda item: item[1])[0]
+    first = np.mean([placement for placement, _ in asked[6:14]], axis=0)
+    spread = WARM_SIGMA * space.size
+    assert (np.abs(first - best)[:, :2] < 2.5 * spread).all()
 
 
 def test_greedy_coverage_answers_with_what_it_covers():

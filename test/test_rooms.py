@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Generated rooms: furnished like offices, scanned like rooms, and the same for the same seed."""
 
+import re
+
 from hypothesis import given, settings, strategies
 from matplotlib.image import imread
 import numpy as np
@@ -163,7 +165,9 @@ def test_a_mirrored_room_is_the_room_in_a_mirror(seed, flip):
     back = mesh_of(mirrored(plan, np.array(flip))).vertices.reshape(-1, 8, 3)
     back[..., :2] = np.where(flip, plan.size[:2] - back[..., :2], back[..., :2])
     # Corners come in another order.
-    np.testing.assert_allclose(np.sort(there, axis=1), np.sort(back, axis=1), atol=1e-4)
+    for one, other in zip(there, back):
+        apart = np.linalg.norm(one[:, None] - other[None], axis=2)
+        assert apart.min(axis=0).max() < 1e-3 and apart.min(axis=1).max() < 1e-3
 
 
 def test_rooms_are_listed_made_and_drawn(tmp_path, capsys):
@@ -185,11 +189,36 @@ def test_rooms_are_listed_made_and_drawn(tmp_path, capsys):
 def test_generated_rooms_are_as_full_as_real_ones():
     """The figures of the sheet, on a few rooms: walls, furniture and clutter all have a share."""
     shares = dict(zip(KINDS, shares_of_kinds(range(24), 3000)))
-    assert sum(shares.values()) == pytest.approx(1.0)
     assert shares['floor'] + shares['ceiling'] + shares['wall'] < 0.85
     assert shares['bookcase'] > 0.02 and shares['clutter'] > 0.05
     figures = summary(generated(range(6), 4000))
     assert 10.0 < figures['floor (m²)'][1] < 120.0
     assert figures['directions that hit something (%)'][1] > 90.0
-    heights = [figures[name][1] for name in figures if name.startswith('points')]
-    assert 80.0 < sum(heights) < 120.0
+    floor, ceiling = (figures[f'points from {part} % of the height (%)'][1]
+                      for part in ('0 to 10', '90 to 100'))
+    assert 15.0 < floor < 35.0 and 15.0 < ceiling < 40.0
+
+
+@pytest.mark.parametrize(('arguments', 'words'), [
+    (['preview', '²', '--out', 'a.png'], 'found no such file'),
+    (['preview', '5', '--out', 'folder'], '--out: found .*folder, which cannot be written'),
+    (['preview', '5', '--out', 'file/a.png'], 'cannot be written.*expected a file to write'),
+    (['make', '5', '--points', '1000', '--out', 'file'], 'found a place that cannot be written'),
+])
+def test_what_cannot_be_drawn_or_written_is_refused(tmp_path, monkeypatch, capsys, arguments,
+                                                    words):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'folder').mkdir()
+    (tmp_path / 'file').write_text('')
+    assert cli.main(['rooms', *arguments]) == 2
+    error = capsys.readouterr().err
+    assert re.search(words, error) and 'Traceback' not in error
+
+
+@pytest.mark.parametrize(('arguments', 'words'), [
+    (['list', '--count', '0'], 'expected 1 or more'), (['make', '-3'], "found '-3'; expected 0 or more"),
+    (['make', '5', '--points', '10'], "found '10'; expected 1000 or more")])
+def test_numbers_that_make_no_room_are_refused(capsys, arguments, words):
+    with pytest.raises(SystemExit) as end:
+        cli.main(['rooms', *arguments])
+    assert end.value.code == 2 and words in capsys.readouterr().err

@@ -59,6 +59,14 @@ def test_rooms_to_learn_from_are_flat_of_some_size_and_closed(folder):
     assert names(chosen_rooms(folder, 6)) == ['office_10', 'hallway_1', 'office_2']
 
 
+def test_the_misspelt_room_is_found(folder):
+    (folder / 'Area_6' / 'office_2').rename(folder / 'Area_6' / 'copyRoom_1')
+    there = folder / 'Area_6' / 'copyRoom_1'
+    (there / 'office_2.txt').rename(there / 'copy_Room_1.txt')
+    assert names(chosen_rooms(folder, 6)) == ['office_10', 'hallway_1', 'copy_Room_1']
+    assert load_scene(there / 'copy_Room_1.txt').name == 'Area_6_copyRoom_1'
+
+
 def test_the_folder_is_named_by_the_environment(folder, monkeypatch):
     monkeypatch.delenv('S3DIS_DIR', raising=False)
     arguments = parser().parse_args(['benchmark', '--preset', 'full'])

@@ -13,6 +13,7 @@ from ocp_ros.planners.planner import Scores
 from ocp_ros.planners.registry import OFFLINE
 from ocp_ros.planners.solve import solve
 from ocp_ros.planners.space import EDGE, floor_of, Space
+from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import Scene, turned
 
 
@@ -150,6 +151,32 @@ def test_gaps_behind_furniture_count_and_other_rooms_do_not():
     space = Space.of(np.concatenate([points[~hole], beyond]), 1.9, 3, 0.1)
     assert space.contains(np.array([1.5, 1.5]))
     assert not space.contains(np.array([8.5, 0.5]))
+
+
+@pytest.mark.parametrize(('wide', 'bridged'), [(0.5, True), (1.0, False)])
+def test_a_slot_across_the_floor_is_bridged_if_it_is_narrow(wide, bridged):
+    points = l_shaped().points
+    slot = (points[:, 0] > 4.0) & (points[:, 0] < 4.0 + wide) & (points[:, 2] < 1.6)
+    space = Space.of(points[~slot], 1.9, 3, 0.1)
+    assert space.contains(np.array([2.0, 1.0]))
+    assert space.contains(np.array([5.5, 1.0])) == bridged
+
+
+def test_a_courtyard_is_no_floor():
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 10, 0.1), np.arange(0, 10, 0.1)))
+    around = (np.abs(x - 5.0) > 3.0) | (np.abs(y - 5.0) > 3.0)
+    points = np.stack([x, y, np.zeros(len(x))], axis=1)[around].astype(np.float32)
+    space = Space.of(points, 1.9, 3, 0.1)
+    assert not space.contains(np.array([5.0, 5.0])) and space.contains(np.array([1.0, 5.0]))
+
+
+@pytest.mark.parametrize('count', [1000, 1500, 2000, 3000])
+def test_few_points_still_make_a_floor(count):
+    """Where points are sparse, gaps between them are no gaps of the floor."""
+    full, few = (Space.of(generate_room(3001, n).points, 1.9, 4, 0.1) for n in (15000, count))
+    assert few.area > 0.6 * full.area
+    ends = few.random(np.random.default_rng(0), 200)
+    assert full.contains(ends).mean() > 0.95
 
 
 def test_where_no_floor_is_seen_the_rectangle_is_all_there_is():

@@ -14,6 +14,7 @@ from ocp_ros.scenes.plans import draw_plan
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scanning import scan
 from ocp_ros.scenes.scene import Scene
+from ocp_ros.simulation.config import RigConfig
 from ocp_ros.simulation.simulator import ERROR_CUBE
 
 #: Points of S3DIS by class, in the order of ``KINDS``: the class weights of Open3D-ML.
@@ -27,8 +28,8 @@ CELL = 0.25
 HEIGHTS = (0.0, 0.1, 0.4, 0.7, 0.9, 1.0)
 #: Rows of the map of directions from the centre.
 ROWS = 32
-#: Metres above the floor that count as the cameras' height.
-HEIGHT = 1.9
+#: Metres above the floor: where cameras hang unless told otherwise.
+HEIGHT = RigConfig().height
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ def likeness(scene: Scene) -> Likeness:
     error = DepthError(points, scene.spacing, scene.bounds, ROWS, ERROR_CUBE)
     hit = float((error.depth_map(0) < np.float32(error.far)).mean())
     floor = floor_of(points, low[2] + HEIGHT)
-    area = 0.0 if floor is None else float(floor.open.sum()) * 0.04
+    area = 0.0 if floor is None else floor.area
     size = np.append(np.sort(scene.size[:2])[::-1], scene.size[2])
     return Likeness(area, size, float(occupied), share, hit)
 

@@ -23,6 +23,7 @@ from ocp_ros.planners.registry import OFFLINE, ONLINE
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
 from ocp_ros.planners.space import Space
+from ocp_ros.scenes.files import UP_AXES
 from ocp_ros.simulation.config import EngineConfig, SimulationConfig
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.simulator import Simulator
@@ -73,6 +74,10 @@ class Protocol:
             given = getattr(self, figure)
             if len(set(given)) < len(given):
                 raise ConfigurationError(f'{figure}: found {list(given)}; expected each once')
+        if not 0.0 < self.scale < np.inf or self.up not in UP_AXES:
+            raise ConfigurationError(
+                f'protocol: found scale={self.scale!r} and up={self.up!r}; expected a number '
+                f'above 0 and one of {sorted(UP_AXES)}')
         if any(not model.omnidirectional for model in self.simulation.rig.models):
             raise ConfigurationError(
                 f'rig.sensors: found {self.simulation.rig.sensors!r}; expected omnidirectional: '

@@ -62,7 +62,7 @@ def make_room(name: str, rotation: float, scale: float = 1.0, up: str = 'z') -> 
     :param up: the axis of a scan that points up.
     :raises SceneError: if the scan cannot be used.
     """
-    if name.isdigit():
+    if name.isdecimal():
         scene = generate_room(int(name), POINTS)
     else:
         scene = load_cached(name, max_points=POINTS, scale=scale, up=up)

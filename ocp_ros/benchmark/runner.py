@@ -51,7 +51,7 @@ def run(protocol: Protocol, folder: Path, workers: int, ray_address: str | None 
 def name_of(task: Task) -> str:
     """Return a name for the file of a task."""
     stem = Path(task.room).stem
-    if not task.room.isdigit():
+    if not task.room.isdecimal():
         # Another scan under the same name is another room.
         state = Path(task.room).stat()
         known = f'{Path(task.room).resolve()} {state.st_size} {state.st_mtime_ns}'

@@ -23,8 +23,8 @@ POPULATION, LEADERS, CROSSOVER = 24, 0.2, 0.5
 ALIKE = 1e-3
 #: Standard deviation that CMA-ES starts with, as a share of the rectangle's edges.
 SIGMA = 0.25
-#: The same where an online planner has been before, and how many turns it had.
-WARM_SIGMA, TURNS = 0.1, EpisodeConfig().turns
+#: The same where an online planner has been before.
+WARM_SIGMA = 0.1
 
 
 def matched(base: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -111,25 +111,26 @@ class WarmCmaEs(CmaEs):
     CMA-ES that begins where an online planner has gone.
 
     :param online: plays an episode from the middle of the space; a turn costs an evaluation.
+    :param episode: how long that is and how near the middle it begins.
     :param settings: of :class:`~ocp_ros.planners.planner.Planner`.
     """
 
-    def __init__(self, online: Online, *settings) -> None:
-        self.online = online
+    def __init__(self, online: Online, episode: EpisodeConfig, *settings) -> None:
+        self.online, self.episode = online, episode
         super().__init__(*settings)
 
     def search(self) -> Search:
         """Play, then evolve from the best of the turns."""
-        space, near = self.space, EpisodeConfig().start_radius
+        space, near, turns = self.space, self.episode.start_radius, self.episode.turns
         positions = space.inside(0.5 * (space.low + space.high)
                                  + self.rng.uniform(-near, near, (space.cameras, 2)))
         best, error, seen = positions, np.inf, nothing_seen(0)
         self.online.reset()
-        for turn in range(TURNS):
+        for turn in range(turns):
             scores = yield [positions]
             if scores.depth_error[0] < error:
                 best, error = positions, scores.depth_error[0]
             seen = np.unique(np.concatenate([seen, scores.cloud(0)]), axis=0)
-            moves = self.online.move(seen, space.placement(positions), turn, TURNS)
+            moves = self.online.move(seen, space.placement(positions), turn, turns)
             positions = space.inside(positions + moves)
         yield from self.evolve(best, WARM_SIGMA)

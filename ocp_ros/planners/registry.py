@@ -48,8 +48,9 @@ def _learned_lookahead(config: SimulationConfig, rng: np.random.Generator) -> Th
 
 
 def _learned_cma_es(space: Space, rng: np.random.Generator, budget: int) -> WarmCmaEs:
-    """Return CMA-ES that begins where the policy has gone."""
-    return WarmCmaEs(_learned(SimulationConfig(), rng), space, rng, budget)
+    """Return CMA-ES that begins where the policy has gone, in the turns it was trained for."""
+    config = SimulationConfig()
+    return WarmCmaEs(_learned(config, rng), config.episode, space, rng, budget)
 
 
 OFFLINE: dict[str, Callable[[Space, np.random.Generator, int], Planner]] = {

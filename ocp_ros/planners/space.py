@@ -9,10 +9,14 @@ from scipy import ndimage
 
 from ocp_ros.simulation.moves import kept_inside
 
-#: Metres: edge of a cell of the floor; gaps between points that are closed, furniture's shadows
-#: among them; how far below the cameras things are that count as floor; and how much floor there
-#: must be before it is believed, square metres.
-EDGE, GAP, BELOW, LEAST = 0.2, 0.6, 0.3, 1.0
+#: Metres: edge of a cell of the floor, and how far below the cameras things are that count as it.
+EDGE, BELOW = 0.2, 0.3
+#: Radii, in cells, of the gaps between points that are closed: furniture's shadows, and where
+#: points are few all that lies between them. The least is taken whose floor is worth such a share
+#: of that of the largest.
+RADII, LEAST_SHARE = (1, 2, 3, 5), 0.6
+#: Square metres: larger holes are no shadows, and the least floor that is believed.
+HOLE, LEAST = 10.0, 1.0
 
 
 @dataclass(frozen=True)
@@ -26,6 +30,11 @@ class Floor:
 
     low: np.ndarray
     open: np.ndarray
+
+    @property
+    def area(self) -> float:
+        """Return the area of the open cells, square metres."""
+        return float(np.count_nonzero(self.open) * EDGE ** 2)
 
     @cached_property
     def _nearest(self) -> np.ndarray:
@@ -43,33 +52,50 @@ class Floor:
 
 def floor_of(points: np.ndarray, height: float) -> Floor | None:
     """
-    Find where a room is: things lie below, or in gaps between them, and walls are a cell away.
+    Find where a room is: things lie below, or in small gaps between them; walls are a cell away.
 
     Rooms fill their bounding boxes badly where they are L-shaped or stand askew, and a camera
     outside would look through the back of a wall.
 
     :param points: (N, 3) metres, z up.
     :param height: of the cameras, metres.
-    :returns: the largest connected part; None if there is hardly any floor to be seen.
+    :returns: the largest connected part; None if there is hardly any floor to be seen, or only
+        scraps of it.
     """
     below = points[points[:, 2] < height - BELOW, :2]
     if len(below) == 0:
         return None
-    margin = int(np.ceil(GAP / EDGE)) + 1
-    low = below.min(axis=0) - margin * EDGE
+    low = below.min(axis=0) - 4.0 * EDGE
     cell = np.floor((below - low) / EDGE).astype(np.int64)
-    seen = np.zeros(cell.max(axis=0) + margin + 1, dtype=bool)
+    # Cells at the edge of the grid would not be closed.
+    cell, low = cell + max(RADII), low - max(RADII) * EDGE
+    seen = np.zeros(cell.max(axis=0) + max(RADII) + 5, dtype=bool)
     seen[cell[:, 0], cell[:, 1]] = True
-    radius = int(GAP / (2.0 * EDGE) + 0.5)
+    parts = (_largest_part(ndimage.binary_erosion(_closed(seen, radius))) for radius in RADII)
+    most = np.count_nonzero(_largest_part(ndimage.binary_erosion(_closed(seen, RADII[-1]))))
+    enough = max(LEAST_SHARE * most, LEAST / EDGE ** 2)
+    for part in parts:
+        if np.count_nonzero(part) >= enough:
+            return Floor(low.astype(np.float64), part)
+    return None
+
+
+def _closed(seen: np.ndarray, radius: int) -> np.ndarray:
+    """Close gaps up to a radius, and what holes are then left but for large ones."""
     x, y = np.ogrid[-radius:radius + 1, -radius:radius + 1]
-    filled = ndimage.binary_fill_holes(ndimage.binary_closing(seen, x * x + y * y <= radius ** 2))
-    parts, count = ndimage.label(ndimage.binary_erosion(filled))
-    if count == 0:
-        return None
-    sizes = np.bincount(parts.ravel())[1:]
-    if sizes.max() * EDGE ** 2 < LEAST:
-        return None
-    return Floor(low.astype(np.float64), parts == 1 + int(np.argmax(sizes)))
+    closed = ndimage.binary_closing(seen, x * x + y * y <= radius ** 2)
+    holes, _ = ndimage.label(ndimage.binary_fill_holes(closed) & ~closed)
+    small = np.bincount(holes.ravel()) * EDGE ** 2 <= HOLE
+    small[0] = False
+    return closed | small[holes]
+
+
+def _largest_part(cells: np.ndarray) -> np.ndarray:
+    """Return the largest connected part of some cells, none where there are none."""
+    parts, _ = ndimage.label(cells)
+    sizes = np.bincount(parts.ravel())
+    sizes[0] = 0
+    return (parts == np.argmax(sizes)) & cells
 
 
 @dataclass(frozen=True)
@@ -122,9 +148,7 @@ class Space:
     @property
     def area(self) -> float:
         """Return how much floor there is to be over, square metres."""
-        if self.floor is None:
-            return float(np.prod(self.size))
-        return float(np.count_nonzero(self.floor.open) * EDGE ** 2)
+        return float(np.prod(self.size)) if self.floor is None else self.floor.area
 
     def random(self, rng: np.random.Generator, cameras: int | None = None) -> np.ndarray:
         """Draw a placement, (cameras, 2), uniformly; K cameras unless told otherwise."""

@@ -208,8 +208,7 @@ def _agreement(summary: dict[str, Any]) -> list[str]:
     text = f'With {int(last):,} evaluations, {", ".join(map(spaced, near))} are within ' \
         f'{100 * (ALIKE - 1):.0f} % of the least sum among the searches'
     if far:
-        text += f'; not so, as multiples of it: {", ".join(far)}. ' \
-            '[Planners](../planners.md) says why'
+        text += f'; not so, as multiples of it: {", ".join(far)}'
     return ['## Do the searches agree?', '', text + '.', '']
 
 
@@ -250,6 +249,6 @@ def _times(summary: dict[str, Any]) -> list[str]:
     places = len(summary['rooms']) * summary['rotations']
     for name, runs in summary['planners'].items():
         cells = [f'{runs[budget]["seconds"]:.2f}' if budget in runs else '' for budget in budgets]
-        longest = list(runs.values())[-1]['seconds']
+        longest = runs[max(runs, key=int)]['seconds']
         lines.append(f'| {spaced(name)} | {" | ".join(cells)} | {places * longest:.0f} |')
     return [*lines, '']

@@ -42,6 +42,9 @@ def protocol_of(arguments: argparse.Namespace) -> Protocol:
     changes: dict[str, Any] = {
         name: value for name in ('planners', 'budgets', 'seeds', 'scale', 'up')
         if (value := getattr(arguments, name)) is not None}
+    if arguments.rooms is None and changes.keys() & {'scale', 'up'}:
+        raise ConfigurationError('--scale and --up: found no --rooms; expected a folder of scans '
+                                 'that they are about; generated rooms are in metres, z up')
     protocol = replace(PRESETS[arguments.preset], **changes)
     if arguments.rooms is not None:
         rooms = rooms_in(arguments.rooms, protocol.scale, protocol.up)
@@ -80,12 +83,12 @@ def compare(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     _write(arguments.out, rows, summary)
     if arguments.report:
         write_report(arguments.report, summary, rows)
-        shown = _shown(protocol, rows)
+        chosen = _shown(protocol, rows)
         write_page(arguments.report / 'placements.html', 'Planners compared', {
             name: (simulator, {planner: np.array(row['placement'])
                                for planner, row in best.items()})
-            for name, (simulator, best) in shown.items()})
-        _draw(arguments.report / 'placements.png', summary, shown)
+            for name, (simulator, best) in chosen.items()})
+        _draw(arguments.report / 'placements.png', summary, chosen)
         write_whole(arguments.report / 'summary.json', json.dumps(summary, indent=1) + '\n')
     show(summary)
     print(f'wrote {arguments.out / "summary.json"}'
@@ -95,7 +98,7 @@ def compare(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
 
 def _shown(protocol: Protocol, rows: Rows) -> Shown:
     """Return some rooms, and each planner's best run in them, the best first."""
-    shown, rotation = {}, protocol.rotations[0]
+    found, rotation = {}, protocol.rotations[0]
     for room in protocol.rooms[:PAGE_ROOMS]:
         best: dict[str, dict[str, Any]] = {}
         for row in rows:
@@ -107,13 +110,13 @@ def _shown(protocol: Protocol, rows: Rows) -> Shown:
                               protocol.simulation)
         name = simulator.scene.name
         # Scans of several folders may have one name.
-        name = f'{name} ({len(shown) + 1})' if name in shown else name
-        shown[name] = simulator, dict(
+        name = f'{name} ({len(found) + 1})' if name in found else name
+        found[name] = simulator, dict(
             sorted(best.items(), key=lambda item: item[1]['depth_error']))
-    return shown
+    return found
 
 
-def _draw(path: Path, summary: dict[str, Any], shown: Shown) -> None:
+def _draw(path: Path, summary: dict[str, Any], chosen: Shown) -> None:
     """Draw what the best planner made of some rooms, and below it the best online one."""
     ranked = sorted(last_runs(summary).items(), key=lambda item: item[1]['sum'])
     offline = [name for name, _ in ranked if name in OFFLINE][:1]
@@ -121,14 +124,14 @@ def _draw(path: Path, summary: dict[str, Any], shown: Shown) -> None:
     examples = []
     for planner in offline + online:
         examples.append([])
-        for name, (simulator, best) in shown.items():
+        for name, (simulator, best) in chosen.items():
             row = best[planner]
-            paths = np.array(row.get('trajectory', [row['placement']]))
-            result = simulator.evaluate(paths[-1])
+            # What counts is where the cameras are hung up, which may be a step from the last turn.
+            paths = np.array([*row.get('trajectory', []), row['placement']])
             examples[-1].append(Example(
-                f'{name}: {spaced(planner)}, depth error {result.depth_error:.2f} m',
-                simulator.scene.points, result.visible, paths))
-    reach = float(next(iter(shown.values()))[0].config.rig.ranges.max())
+                f'{name}: {spaced(planner)}, depth error {row["depth_error"]:.2f} m',
+                simulator.scene.points, simulator.evaluate(paths[-1]).visible, paths))
+    reach = float(next(iter(chosen.values()))[0].config.rig.ranges.max())
     draw_examples(path, examples, reach, 'Where the best planners put the cameras')
 
 

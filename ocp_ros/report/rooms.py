@@ -25,7 +25,7 @@ from ocp_ros.scenes.cached import load_cached
 from ocp_ros.scenes.furniture import KINDS
 from ocp_ros.scenes.plans import draw_plan
 from ocp_ros.scenes.rooms import generate_room
-from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.scene import Scene, SceneError
 
 #: Two of each kind, as they come.
 SHOWN = (3, 11, 8, 12, 1, 19, 0, 7, 21, 40, 5, 17)
@@ -70,7 +70,8 @@ def titled(seed: int, points: int) -> tuple[str, Scene]:
 def page(scans: Sequence[str], command: str) -> str:
     """Measure the rooms and write the sheet as Markdown."""
     made = summary(generated(MEASURED, POINTS))
-    real = {Path(name).stem: likeness(load_cached(name, max_points=POINTS)) for name in scans}
+    scenes = [load_cached(name, max_points=POINTS) for name in scans]
+    real = {scene.name: likeness(scene) for scene in scenes}
     columns = {name: summary([figures]) for name, figures in real.items()}
     lines = [
         '# Generated rooms', '', '`generate_room(seed)` makes offices, conference rooms, lounges, '
@@ -110,11 +111,16 @@ def main(args: list[str] | None = None) -> int:
     parser.add_argument('--out', type=Path, default=Path('out/rooms'), help='folder to write')
     parser.add_argument('--scans', type=Path, help='folder of real scans to compare with')
     options = parser.parse_args(args)
-    draw_sheet(options.out / 'rooms.png', [titled(seed, 40000) for seed in SHOWN])
-    scans = rooms_in(options.scans) if options.scans else []
-    command = 'python -m ocp_ros.report.rooms --out docs' + (
+    command = f'python -m ocp_ros.report.rooms --out {options.out}' + (
         ' --scans FOLDER' if options.scans else '')
-    (options.out / 'rooms.md').write_text(page([*scans, *rooms_of_s3dis()], command))
+    try:
+        scans = rooms_in(options.scans) if options.scans else []
+        text = page([*scans, *rooms_of_s3dis()], command)
+        draw_sheet(options.out / 'rooms.png', [titled(seed, 40000) for seed in SHOWN])
+        (options.out / 'rooms.md').write_text(text)
+    except (SceneError, OSError) as error:
+        print(f'rooms: {error}', file=sys.stderr)
+        return 2
     print(f'wrote {options.out / "rooms.md"}')
     return 0
 

@@ -9,6 +9,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from ocp_ros import __version__
 from ocp_ros.scenes.files import load_scene
 from ocp_ros.scenes.scene import Scene
 
@@ -26,7 +27,8 @@ def load_cached(path: str | Path, **options) -> Scene:
     """
     Read a room from a file as :func:`~ocp_ros.scenes.files.load_scene` does, the second time fast.
 
-    A file that has changed, or other options, are read anew.
+    A file that has changed, other options and another version of the package are read anew. What
+    is to be warned of is only said the first time.
 
     :param options: of ``load_scene``.
     :raises SceneError: if the file or an option cannot be used.
@@ -38,13 +40,14 @@ def load_cached(path: str | Path, **options) -> Scene:
         return load_scene(path, **options)
     if state.st_size < LARGE:
         return load_scene(path, **options)
-    known = f'{path.resolve()} {state.st_size} {state.st_mtime_ns} {sorted(options.items())}'
-    kept = cache_folder() / f'{hashlib.sha256(known.encode()).hexdigest()[:24]}.npz'
+    known = [__version__, path.absolute(), state.st_size, state.st_mtime_ns,
+             sorted(options.items())]
+    kept = cache_folder() / f'{hashlib.sha256(str(known).encode()).hexdigest()[:24]}.npz'
     try:
         with kept.open('rb') as file, np.load(file, allow_pickle=False) as arrays:
             normals = arrays.get('normals')
             return Scene(arrays['points'], str(arrays['name']), normals)
-    except (OSError, ValueError, KeyError, BadZipFile):
+    except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile):
         # Not there, or not whole.
         scene = load_scene(path, **options)
     _keep(kept, scene)
@@ -58,8 +61,9 @@ def _keep(path: Path, scene: Scene) -> None:
         arrays['normals'] = scene.normals
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix='.draft', delete=False) as draft:
+        with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+            draft = Path(folder) / path.name
             np.savez(draft, **arrays)
-        os.replace(draft.name, path)
+            os.replace(draft, path)
     except OSError:
         pass

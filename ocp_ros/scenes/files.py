@@ -89,8 +89,8 @@ def save_scene(scene: Scene, path: str | Path) -> None:
         for name, parts in elements.items():
             PlyData(parts).write(str(name))
     except OSError as error:
-        raise SceneError(f'{path}: found no way to write it ({error.strerror}); expected a folder '
-                         'that may be written to; name another one') from error
+        raise SceneError(f'{path}: found a place that cannot be written to ({error.strerror}); '
+                         'expected a folder that may be; name another one') from error
 
 
 def _rows(values: np.ndarray, named: list[tuple[str, str]]) -> np.ndarray:
@@ -114,7 +114,8 @@ def _check_options(name: str, voxel_size: float, max_points: int, scale: float, 
 def _scene_name(path: Path) -> str:
     """Call a room by its file's stem, or by area and room where the folders are those of S3DIS."""
     room, area = path.absolute().parent.name, path.absolute().parent.parent.name
-    s3dis = path.suffix == '.txt' and room == path.stem and area.startswith('Area_')
+    alike = room.replace('_', '') == path.stem.replace('_', '')
+    s3dis = path.suffix == '.txt' and alike and area.startswith('Area_')
     return f'{area}_{room}' if s3dis else path.stem
 
 

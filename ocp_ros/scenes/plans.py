@@ -26,7 +26,7 @@ from ocp_ros.scenes.furniture import (
     things,
 )
 
-#: Free floor around a piece of furniture, and air between it and the wall behind it.
+#: Free floor around what stands in the room, and air between furniture and the wall behind it.
 CLEARANCE, WALL_GAP = 0.12, 0.03
 #: How often a place is sought before a piece is left out.
 TRIES = 25
@@ -60,8 +60,10 @@ class Plan:
 
     :ivar kind: one of ``ROOMS``.
     :ivar size: (3,) metres.
+    :ivar rng: draws what is put into it.
     :ivar solids: what is built and stands in it.
     :ivar windows: (2, 3) boxes around parts of walls that return no light.
+    :ivar walls: inner sides to lean things against.
     """
 
     kind: str
@@ -480,7 +482,7 @@ def draw_plan(rng: np.random.Generator) -> Plan:
 
 
 def mirrored(plan: Plan, flip: np.ndarray) -> Plan:
-    """Return a room mirrored along x, y or both: (2,) bool."""
+    """Return a finished room mirrored along x, y or both, (2,) bool; nothing can be added."""
     size, sign = plan.size[:2], np.where(flip, -1.0, 1.0)
     solids = []
     for part in plan.solids:

@@ -15,8 +15,8 @@ import numpy as np
 from ocp_ros.scenes.cached import load_cached
 from ocp_ros.scenes.scene import Scene, SceneError
 
-#: Areas to learn from and to be judged by, and how many rooms of each.
-TRAINING_AREAS, TEST_AREAS, PER_AREA = (1, 2, 3, 4, 5), (6,), 10
+#: Areas to be judged by, the others being to learn from, and how many rooms of each.
+TEST_AREAS, PER_AREA = (6,), 10
 #: Rooms whose floor is not flat.
 NOT_FLAT = ('stairs', 'auditorium')
 #: Square metres of bounding box that four cameras cover roughly.
@@ -41,14 +41,15 @@ def rooms_of_area(folder: Path, area: int) -> list[Path]:
     :returns: their files, ``Area_1/office_2/office_2.txt`` before ``office_10``.
     :raises SceneError: if there are none.
     """
+    # One of them is called Area_6/copyRoom_1/copy_Room_1.txt.
     rooms = [path for path in (folder / f'Area_{area}').glob('*/*.txt')
-             if path.stem == path.parent.name]
+             if path.stem.replace('_', '') == path.parent.name.replace('_', '')]
     if not rooms:
         raise SceneError(
             f'{folder}: found no rooms such as Area_{area}/office_1/office_1.txt; expected the '
             'folder that S3DIS was unpacked to; set S3DIS_DIR to Stanford3dDataset_v1.2')
     return sorted(rooms, key=lambda path: [int(part) if part.isdigit() else part
-                                           for part in re.split(r'(\d+)', path.stem)])
+                                           for part in re.split(r'(\d+)', path.parent.name)])
 
 
 def chosen_rooms(folder: Path, area: int) -> list[Path]:
@@ -62,7 +63,7 @@ def chosen_rooms(folder: Path, area: int) -> list[Path]:
     """
     fitting = []
     for path in rooms_of_area(folder, area):
-        if path.stem.rpartition('_')[0] in NOT_FLAT:
+        if path.parent.name.rpartition('_')[0] in NOT_FLAT:
             continue
         scene = load_cached(path, max_points=POINTS)
         floor = float(np.prod(scene.size[:2]))

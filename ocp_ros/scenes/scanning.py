@@ -80,7 +80,7 @@ def scan(plan: Plan, n_points: int, rng: np.random.Generator) -> tuple[np.ndarra
     """
     boxes = boxes_of(plan)
     tripods = _tripods(plan, boxes, rng)
-    patches = _patches(plan, boxes, rng)
+    patches = _patches(plan, rng)
     pitch = 0.2
     for _ in range(4):
         found = _returns(plan, boxes, tripods, patches, pitch, np.random.default_rng(0))
@@ -97,7 +97,7 @@ def scan(plan: Plan, n_points: int, rng: np.random.Generator) -> tuple[np.ndarra
 
 def sample(plan: Plan, n_points: int, rng: np.random.Generator) -> np.ndarray:
     """
-    Sample all surfaces of a room evenly and exactly, whether anything sees them or not.
+    Sample all surfaces of a room evenly and exactly, but for those that touch another one.
 
     :returns: (N, 3) float32, metres.
     """
@@ -179,7 +179,7 @@ def _tripods(plan: Plan, boxes: Boxes, rng: np.random.Generator) -> np.ndarray:
     return np.array(found).reshape(-1, 3)
 
 
-def _patches(plan: Plan, boxes: Boxes, rng: np.random.Generator) -> np.ndarray:
+def _patches(plan: Plan, rng: np.random.Generator) -> np.ndarray:
     """Draw patches that return nothing: (P, 4) centre and radius, metres."""
     surface = surface_of(plan, 0.3, rng)
     count = rng.poisson(np.prod(plan.size[:2]) / FLOOR_PER_PATCH)
@@ -189,7 +189,7 @@ def _patches(plan: Plan, boxes: Boxes, rng: np.random.Generator) -> np.ndarray:
 
 @numba.njit(cache=True, nogil=True)
 def exposed(points, owner, size, centre, half, turn, gap):
-    """Tell which points (N, 3) are not in or against another solid, nor against the shell."""
+    """Tell which points (N, 3) are farther than a gap, metres, from other solids and the shell."""
     keep = np.ones(len(points), dtype=np.bool_)
     for i in range(len(points)):
         x, y, z = points[i]
@@ -229,7 +229,8 @@ def densities(points, normals, owner, tripods, centre, half, turn):
     """
     Return how densely the tripods sample each point (N,): the sum of cosine over distance squared.
 
-    A point that is hidden from all of them has 0.
+    What is nearer than half a metre counts as that far. A point that is hidden from all of them
+    has 0, and so has one that they hardly see.
     """
     density = np.zeros(len(points))
     reach = np.sqrt((half ** 2).sum(axis=1))
