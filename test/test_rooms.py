@@ -216,7 +216,8 @@ def test_what_cannot_be_drawn_or_written_is_refused(tmp_path, monkeypatch, capsy
 
 
 @pytest.mark.parametrize(('arguments', 'words'), [
-    (['list', '--count', '0'], 'expected 1 or more'), (['make', '-3'], "found '-3'; expected 0 or more"),
+    (['list', '--count', '0'], 'expected 1 or more'),
+    (['make', '-3'], "found '-3'; expected 0 or more"),
     (['make', '5', '--points', '10'], "found '10'; expected 1000 or more")])
 def test_numbers_that_make_no_room_are_refused(capsys, arguments, words):
     with pytest.raises(SystemExit) as end:
