@@ -100,7 +100,7 @@ def draw_examples(path: Path, examples: Sequence[Sequence[Example]], max_range: 
             _draw_plan(axes, room, example.trajectories, max_range)
             axes.set_title(example.title, fontsize=13, color=INK, loc='left')
     _draw_legend(figure, max_range, True, '')
-    figure.savefig(path)
+    figure.savefig(path, dpi=75)
 
 
 def _checked(points, observed, trajectories, max_range: float):
