@@ -12,6 +12,7 @@ import pytest
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.config import AgentConfig
 from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.scenes.scene import Scene
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -144,3 +145,18 @@ def assert_same(one, other):
     assert one.keys() == other.keys()
     for name, value in one.items():
         assert np.array_equal(value, other[name]), name
+
+
+def l_shaped(pitch=0.1):
+    """Return the floor, ceiling and walls of 6 x 4 m without the corner beyond 3 and 2 m."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 6, pitch), np.arange(0, 4, pitch)))
+    inside = (x < 3.0) | (y < 2.0)
+    level = [np.stack([x[inside], y[inside], np.full(inside.sum(), z)], axis=1) for z in (0, 2.8)]
+    corners = np.array([[0, 0], [6, 0], [6, 2], [3, 2], [3, 4], [0, 4]], dtype=float)
+    walls = []
+    for start, end in zip(corners, np.roll(corners, -1, axis=0)):
+        share = np.arange(0.0, 1.0, pitch / np.linalg.norm(end - start))
+        along = start + share[:, None] * (end - start)
+        for z in np.arange(0.0, 2.8, pitch):
+            walls.append(np.column_stack([along, np.full(len(along), z)]))
+    return Scene(np.concatenate([*level, *walls]).astype(np.float32), 'L')

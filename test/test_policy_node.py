@@ -5,7 +5,7 @@ from copy import deepcopy
 import subprocess
 import sys
 
-from conftest import random_checkpoint
+from conftest import l_shaped, random_checkpoint
 import numpy as np
 import pytest
 import torch
@@ -77,6 +77,19 @@ def reward(stamp, episode=1, step=1, truncated=False):
     """Return the reward message of a turn."""
     return fields_to_msg({'stamp_sec': 0, 'stamp_nanosec': stamp, 'episode': episode,
                           'step': step, 'truncated': truncated})
+
+
+def test_no_camera_is_sent_through_a_wall(robot, monkeypatch):
+    """A camera beyond the wall of an L-shaped room would look through its back."""
+    node = robot.start()
+    monkeypatch.setattr(node.policy, 'act', lambda cloud, positions, rng: np.ones((3, 2)))
+    positions = np.array([[2.8, 3.0, 1.9], [4.0, 1.8, 1.9], [1.0, 1.0, 1.9]])
+    for stamp in range(1, 6):
+        robot.send(stamp, l_shaped().points, positions)
+        positions = msg_to_positions(robot.command(stamp))
+    # At the walls of both arms, and straight ahead where there is room.
+    assert positions[0, 0] < 3.0 and positions[1, 1] < 2.0
+    assert (positions[2, :2] > 2.5).all()
 
 
 def test_a_command_answers_the_turn_it_belongs_to(robot, checkpoint, room):

@@ -3,6 +3,7 @@
 
 from dataclasses import replace
 
+from conftest import l_shaped
 from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
@@ -14,23 +15,7 @@ from ocp_ros.planners.registry import OFFLINE
 from ocp_ros.planners.solve import solve
 from ocp_ros.planners.space import EDGE, floor_of, Space
 from ocp_ros.scenes.rooms import generate_room
-from ocp_ros.scenes.scene import Scene, turned
-
-
-def l_shaped(pitch=0.1):
-    """Return the floor, ceiling and walls of 6 x 4 m without the corner beyond 3 and 2 m."""
-    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 6, pitch), np.arange(0, 4, pitch)))
-    inside = (x < 3.0) | (y < 2.0)
-    level = [np.stack([x[inside], y[inside], np.full(inside.sum(), z)], axis=1) for z in (0, 2.8)]
-    corners = np.array([[0, 0], [6, 0], [6, 2], [3, 2], [3, 4], [0, 4]], dtype=float)
-    walls = []
-    for start, end in zip(corners, np.roll(corners, -1, axis=0)):
-        share = np.arange(0.0, 1.0, pitch / np.linalg.norm(end - start))
-        along = start + share[:, None] * (end - start)
-        for z in np.arange(0.0, 2.8, pitch):
-            walls.append(np.column_stack([along, np.full(len(along), z)]))
-    return Scene(np.concatenate([*level, *walls]).astype(np.float32), 'L')
-
+from ocp_ros.scenes.scene import turned
 
 #: Metres by which the floor may reach round an inner corner: two cells.
 CORNER = 2.0 * EDGE
@@ -130,6 +115,20 @@ def test_without_energy_annealing_is_uniform_over_the_floor(space):
         lambda p: p[0] > 3.0, lambda p: p[1] > 2.0, lambda p: p[0] <= 3.0 and p[1] <= 2.0)]
     np.testing.assert_allclose(np.array(counts) / sum(counts), np.array(areas) / sum(areas),
                                atol=0.05)
+
+
+def test_a_move_stops_at_the_wall_and_never_is_too_long(space):
+    positions = np.array([[2.7, 3.0], [2.0, 1.0], [5.0, 3.5]])
+    moved = space.moved(positions, np.tile([0.5, 0.0], (3, 1)), 0.5)
+    # At the wall, in the open, and where no camera should be to begin with.
+    assert 2.7 <= moved[0, 0] < 3.0 + CORNER / 2 and space.contains(moved[0])
+    np.testing.assert_allclose(moved[1:], [[2.5, 1.0], [5.5, 3.5]], atol=1e-5)
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        positions = space.random(rng, 20)
+        moved = space.moved(positions, rng.uniform(-0.5, 0.5, (20, 2)), 0.5)
+        assert np.linalg.norm(moved - positions, axis=1).max() <= 0.5 + 1e-9
+        assert in_room(moved).all()
 
 
 @pytest.mark.parametrize('degrees', [30.0, 60.0, 120.0])

@@ -33,6 +33,7 @@ from ocp_ros.nodes.conversions import (
 from ocp_ros.nodes.parameters import declare
 from ocp_ros.nodes.qos import LATCHED, LOOP
 from ocp_ros.nodes.runner import run
+from ocp_ros.planners.space import Space
 from ocp_ros.resources import find_model
 from ocp_ros.simulation.moves import bounded_moves, kept_inside
 
@@ -140,10 +141,14 @@ class PolicyNode(Node):
         target = positions.copy()
         if not self._settled:
             actions = self.policy.act(cloud, positions, self._rng)
-            target[:, :2] += bounded_moves(actions, self.config.max_step)
-        if not np.isfinite(target).all():
-            self.get_logger().error('the policy gave NaN or inf; cameras stay where they are')
-            target = positions
+            moves = bounded_moves(actions, self.config.max_step)
+            if not np.isfinite(moves).all():
+                self.get_logger().error('the policy gave NaN or inf; cameras stay where they are')
+                moves[:] = 0.0
+            # Nobody leaves the floor that was seen: beyond a wall one looks through its back.
+            space = Space.of(cloud, float(np.median(positions[:, 2])), len(positions),
+                             self.config.wall_margin)
+            target[:, :2] = space.moved(positions[:, :2], moves, self.config.max_step)
         bounds = np.stack([cloud.min(axis=0), cloud.max(axis=0)]).astype(np.float64)
         target, _ = kept_inside(target, bounds, self.config.wall_margin)
         moved = np.linalg.norm(target - positions, axis=1).max()

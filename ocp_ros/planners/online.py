@@ -256,7 +256,9 @@ class Learned(Online):
         """Choose the next moves; see :meth:`Online.move`."""
         if len(cloud) == 0:
             return self.wander(cloud, positions)
-        return bounded_moves(self.policy.act(cloud, positions), self.max_step)
+        flat = positions[:, :2]
+        moves = bounded_moves(self.policy.act(cloud, positions), self.max_step)
+        return self.space(cloud, positions).moved(flat, moves, self.max_step) - flat
 
 
 class HandRule(Online):

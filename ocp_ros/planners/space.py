@@ -168,6 +168,21 @@ class Space:
         """Tell of positions (..., 2) whether cameras may be there: (...) bool."""
         return (np.abs(self.inside(positions) - positions) <= 1e-5).all(axis=-1)
 
+    def moved(self, positions: np.ndarray, moves: np.ndarray, max_step: float) -> np.ndarray:
+        """
+        Move cameras, but none away from where it may be.
+
+        :param positions: (K, 2) metres; who is not where it may be goes as it likes.
+        :param moves: (K, 2) metres.
+        :param max_step: no camera moves farther, metres.
+        :returns: (K, 2) metres.
+        """
+        target = positions + moves
+        good = self.contains(positions)[:, None]
+        way = np.where(good, self.inside(target), target) - positions
+        length = np.linalg.norm(way, axis=1, keepdims=True)
+        return positions + way * np.minimum(max_step / np.maximum(length, 1e-12), 1.0)
+
     def folded(self, positions: np.ndarray) -> np.ndarray:
         """Fold positions (..., 2) back at the rectangle's edges: a symmetric step stays so."""
         size = np.maximum(self.size, 1e-12)
