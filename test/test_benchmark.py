@@ -270,6 +270,8 @@ def test_results_do_not_go_into_a_file(tmp_path, capsys):
     assert 'taken: found a file; expected a folder' in capsys.readouterr().err
 
 
+# Two nodes are a dozen processes to start, on however few cores.
+@pytest.mark.timeout(400)
 def test_a_ray_cluster_of_two_nodes_does_the_same(tmp_path):
     ray = pytest.importorskip('ray', reason='comparing on a cluster needs ocp_ros[ray]')
     from ray.cluster_utils import Cluster
