@@ -2,6 +2,7 @@
 """``ocp``: the package's tools for people without a ROS graph."""
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 import sys
 
@@ -33,14 +34,13 @@ def _benchmark(arguments: argparse.Namespace) -> None:
 
 def _list_rooms(arguments: argparse.Namespace) -> None:
     """Print kinds and sizes of generated rooms."""
-    import numpy as np
     from rich.console import Console
     from rich.table import Table
 
-    from ocp_ros.scenes.plans import draw_plan
+    from ocp_ros.scenes.rooms import plan_of
     table = Table('seed', 'kind', 'size (m)', 'solids')
     for seed in range(arguments.first, arguments.first + arguments.count):
-        plan = draw_plan(np.random.default_rng(seed))
+        plan = plan_of(seed)
         table.add_row(str(seed), plan.kind.replace('_', ' '),
                       ' x '.join(f'{edge:.1f}' for edge in plan.size), str(len(plan.solids)))
     Console().print(table)
@@ -48,11 +48,12 @@ def _list_rooms(arguments: argparse.Namespace) -> None:
 
 def _make_rooms(arguments: argparse.Namespace) -> None:
     """Write generated rooms and their meshes."""
+    from rich.console import Console
     from rich.progress import track
 
     from ocp_ros.scenes.files import save_scene
     from ocp_ros.scenes.rooms import generate_room
-    for seed in track(arguments.seeds, 'making rooms', console=_stderr()):
+    for seed in track(arguments.seeds, 'making rooms', console=Console(stderr=True)):
         save_scene(generate_room(seed, arguments.points), arguments.out / f'room-{seed}.ply')
     print(f'wrote {len(arguments.seeds)} rooms and their meshes to {arguments.out}')
 
@@ -80,28 +81,22 @@ def _preview_rooms(arguments: argparse.Namespace) -> None:
     print(f'wrote {arguments.out}')
 
 
-def _stderr():
-    """Return where progress is shown."""
-    from rich.console import Console
-    return Console(stderr=True)
-
-
 def _add_rooms(commands) -> None:
     """Add ``ocp rooms`` and what it can do."""
     rooms = commands.add_parser('rooms', help='list, make and look at generated rooms')
     actions = rooms.add_subparsers(title='actions', required=True, metavar='ACTION')
     listed = actions.add_parser('list', help='kinds and sizes')
-    listed.add_argument('--first', type=_seed, default=0, help='first seed')
-    listed.add_argument('--count', type=_positive, default=20, help='how many')
+    listed.add_argument('--first', type=_at_least(0), default=0, help='first seed')
+    listed.add_argument('--count', type=_at_least(1), default=20, help='how many')
     listed.set_defaults(run=_list_rooms)
     made = actions.add_parser('make', help='write scans and meshes as PLY')
-    made.add_argument('seeds', type=_seed, nargs='+', metavar='SEED')
-    made.add_argument('--points', type=_points, default=15000, help='of each scan')
+    made.add_argument('seeds', type=_at_least(0), nargs='+', metavar='SEED')
+    made.add_argument('--points', type=_at_least(1000), default=15000, help='of each scan')
     made.add_argument('--out', type=Path, default=Path('out/rooms'), help='folder to write to')
     made.set_defaults(run=_make_rooms)
     seen = actions.add_parser('preview', help='draw rooms cut open')
     seen.add_argument('rooms', nargs='+', metavar='ROOM', help='a seed or a scan')
-    seen.add_argument('--points', type=_points, default=40000, help='of each room')
+    seen.add_argument('--points', type=_at_least(1000), default=40000, help='of each room')
     seen.add_argument('--out', type=Path, default=Path('out/rooms.png'), help='picture to write')
     seen.set_defaults(run=_preview_rooms)
 
@@ -115,25 +110,13 @@ def _whole_numbers(text: str) -> tuple[int, ...]:
             f'found {text!r}; expected whole numbers with commas between') from error
 
 
-def _seed(text: str) -> int:
-    """Read the seed of a room."""
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f'found {text!r}; expected 0 or more')
-    return int(text)
-
-
-def _points(text: str) -> int:
-    """Read how many points a room has."""
-    if not text.isdecimal() or int(text) < 1000:
-        raise argparse.ArgumentTypeError(f'found {text!r}; expected 1000 or more')
-    return int(text)
-
-
-def _positive(text: str) -> int:
-    """Read how many there are of something."""
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f'found {text!r}; expected 1 or more')
-    return int(text)
+def _at_least(least: int) -> Callable[[str], int]:
+    """Return a reader of whole numbers from some number on."""
+    def read(text: str) -> int:
+        if not text.isdecimal() or int(text) < least:
+            raise argparse.ArgumentTypeError(f'found {text!r}; expected {least} or more')
+        return int(text)
+    return read
 
 
 def parser() -> argparse.ArgumentParser:
@@ -159,7 +142,7 @@ def parser() -> argparse.ArgumentParser:
     compare.add_argument('--seeds', type=int, help='runs of each')
     compare.add_argument('--out', type=Path, default=Path('out/benchmark'),
                          help='folder of the results; an interrupted comparison goes on')
-    compare.add_argument('--workers', type=_positive,
+    compare.add_argument('--workers', type=_at_least(1),
                          help='processes; one for each core unless named')
     compare.add_argument('--ray', metavar='ADDRESS', help='run on a Ray cluster, such as auto')
     compare.add_argument('--report', type=Path, nargs='?', const=Path('docs/benchmark'),

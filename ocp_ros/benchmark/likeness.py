@@ -10,8 +10,7 @@ import numpy as np
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.planners.space import floor_of
 from ocp_ros.scenes.furniture import KINDS
-from ocp_ros.scenes.plans import draw_plan
-from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.scenes.rooms import generate_room, plan_of
 from ocp_ros.scenes.scanning import scan
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.config import RigConfig
@@ -69,7 +68,7 @@ def shares_of_kinds(seeds: Sequence[int], points: int) -> np.ndarray:
     """Return the share of points of each of ``KINDS`` in generated rooms, weighted by floor."""
     total = np.zeros(len(KINDS))
     for seed in seeds:
-        plan = draw_plan(np.random.default_rng(seed))
+        plan = plan_of(seed)
         kinds = scan(plan, points, np.random.default_rng([seed, 1]))[1]
         total += np.bincount(kinds, minlength=len(KINDS)) / len(kinds) * np.prod(plan.size[:2])
     return total / total.sum()

@@ -22,7 +22,7 @@ from ocp_ros.geometry.visibility import FAST, SurfelVisibility
 from ocp_ros.planners.space import Space
 from ocp_ros.scenes.scene import Scene, SceneError, voxel_downsample, voxel_size_for
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.moves import bounded_moves
+from ocp_ros.simulation.moves import bounded_moves, towards
 from ocp_ros.simulation.simulator import ERROR_CUBE, View
 
 if TYPE_CHECKING:
@@ -90,10 +90,7 @@ class Online(ABC):
         :param steps: how many turns there are.
         :returns: (K, 2) metres.
         """
-        start = positions[:, :2]
-        way = targets - start
-        length = np.linalg.norm(way, axis=1, keepdims=True)
-        return start + way * np.minimum(steps * self.max_step / np.maximum(length, 1e-12), 1.0)
+        return towards(positions[:, :2], targets, steps * self.max_step)
 
     def wander(self, cloud: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """Move at random, for want of anything to plan with: (K, 2) metres."""

@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from ocp_ros.geometry.blocks import Subset
 from ocp_ros.planners.planner import nothing_seen, Scores
 from ocp_ros.simulation.simulator import Simulator, View
 
@@ -64,8 +65,8 @@ class Scorer:
         def cloud(number: int) -> np.ndarray:
             if len(placements[number]) == 0:
                 return nothing_seen(number)
-            result = self.simulator.judge(views_of(placements[number]))
-            return self.simulator.scene.points[result.visible]
+            seen = np.bitwise_or.reduce([view.seen for view in views_of(placements[number])])
+            return self.simulator.scene.points[Subset(seen, self.simulator.visibility.order).mask]
 
         return Scores(*np.array(self._map(judge, placements)).reshape(-1, 2).T, cloud)
 

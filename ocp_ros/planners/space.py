@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from scipy import ndimage
 
-from ocp_ros.simulation.moves import kept_inside
+from ocp_ros.simulation.moves import kept_inside, towards
 
 #: Metres: edge of a cell of the floor, and how far below the cameras things are that count as it.
 EDGE, BELOW = 0.2, 0.3
@@ -71,13 +71,11 @@ def floor_of(points: np.ndarray, height: float) -> Floor | None:
     cell, low = cell + max(RADII), low - max(RADII) * EDGE
     seen = np.zeros(cell.max(axis=0) + max(RADII) + 5, dtype=bool)
     seen[cell[:, 0], cell[:, 1]] = True
-    parts = (_largest_part(ndimage.binary_erosion(_closed(seen, radius))) for radius in RADII)
-    most = np.count_nonzero(_largest_part(ndimage.binary_erosion(_closed(seen, RADII[-1]))))
-    enough = max(LEAST_SHARE * most, LEAST / EDGE ** 2)
-    for part in parts:
-        if np.count_nonzero(part) >= enough:
-            return Floor(low.astype(np.float64), part)
-    return None
+    widest = _largest_part(seen, RADII[-1])
+    enough = max(LEAST_SHARE * np.count_nonzero(widest), LEAST / EDGE ** 2)
+    parts = (_largest_part(seen, radius) for radius in RADII[:-1])
+    part = next((part for part in parts if np.count_nonzero(part) >= enough), widest)
+    return Floor(low.astype(np.float64), part) if np.count_nonzero(part) >= enough else None
 
 
 def _closed(seen: np.ndarray, radius: int) -> np.ndarray:
@@ -90,8 +88,9 @@ def _closed(seen: np.ndarray, radius: int) -> np.ndarray:
     return closed | small[holes]
 
 
-def _largest_part(cells: np.ndarray) -> np.ndarray:
-    """Return the largest connected part of some cells, none where there are none."""
+def _largest_part(seen: np.ndarray, radius: int) -> np.ndarray:
+    """Close gaps, keep a cell away from the edge, and return the largest connected part."""
+    cells = ndimage.binary_erosion(_closed(seen, radius))
     parts, _ = ndimage.label(cells)
     sizes = np.bincount(parts.ravel())
     sizes[0] = 0
@@ -179,9 +178,7 @@ class Space:
         """
         target = positions + moves
         good = self.contains(positions)[:, None]
-        way = np.where(good, self.inside(target), target) - positions
-        length = np.linalg.norm(way, axis=1, keepdims=True)
-        return positions + way * np.minimum(max_step / np.maximum(length, 1e-12), 1.0)
+        return towards(positions, np.where(good, self.inside(target), target), max_step)
 
     def folded(self, positions: np.ndarray) -> np.ndarray:
         """Fold positions (..., 2) back at the rectangle's edges: a symmetric step stays so."""

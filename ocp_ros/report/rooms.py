@@ -23,8 +23,7 @@ from ocp_ros.benchmark.rooms import rooms_in, rooms_of_s3dis
 from ocp_ros.report.room import draw_discs, HEIGHTS, heights_of, INK, open_view, room_of
 from ocp_ros.scenes.cached import load_cached
 from ocp_ros.scenes.furniture import KINDS
-from ocp_ros.scenes.plans import draw_plan
-from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.scenes.rooms import generate_room, plan_of
 from ocp_ros.scenes.scene import Scene, SceneError
 
 #: Two of each kind, as they come.
@@ -61,7 +60,7 @@ def draw_sheet(path: Path, scenes: Sequence[tuple[str, Scene]], columns: int = 4
 
 def titled(seed: int, points: int) -> tuple[str, Scene]:
     """Return a generated room with its kind and size."""
-    plan = draw_plan(np.random.default_rng(seed))
+    plan = plan_of(seed)
     width, depth, height = plan.size
     return (f'{seed}: {plan.kind.replace("_", " ")}, {width:.1f} x {depth:.1f} x {height:.1f} m',
             generate_room(seed, points))

@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ocp_ros.geometry.cameras import rotation_matrix
+
 #: What a solid is; the room's shell is ceiling, floor and wall.
 KINDS = ('ceiling', 'floor', 'wall', 'beam', 'column', 'window', 'door', 'table', 'chair', 'sofa',
          'bookcase', 'board', 'clutter')
@@ -44,8 +46,7 @@ def solid(kind: str, low: Sequence[float], high: Sequence[float]) -> Solid:
 
 def placed(piece: Piece, at: Sequence[float], yaw: float, lift: float = 0.0) -> Piece:
     """Return a piece turned by radians about its origin and moved to (x, y) and up, metres."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    rotation = rotation_matrix(yaw)
     offset = np.array([at[0], at[1], lift])
     return [Solid(part.kind, rotation @ part.centre + offset, part.size, part.yaw + yaw)
             for part in piece]

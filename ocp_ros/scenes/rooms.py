@@ -3,6 +3,7 @@
 
 import numpy as np
 
+from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.scenes.plans import draw_plan, Plan
 from ocp_ros.scenes.scanning import sample, scan
 from ocp_ros.scenes.scene import Mesh, Scene
@@ -10,6 +11,11 @@ from ocp_ros.scenes.scene import Mesh, Scene
 #: The triangles of a box whose corners are numbered by the bits x, y, z.
 TRIANGLES = np.array([(0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6), (0, 1, 4), (1, 5, 4),
                       (2, 6, 3), (3, 6, 7), (0, 4, 2), (2, 4, 6), (1, 3, 5), (3, 7, 5)])
+
+
+def plan_of(seed: int) -> Plan:
+    """Return the plan of the room that :func:`generate_room` scans."""
+    return draw_plan(np.random.default_rng(seed))
 
 
 def generate_room(seed: int, n_points: int = 15000, scanned: bool = True) -> Scene:
@@ -24,7 +30,7 @@ def generate_room(seed: int, n_points: int = 15000, scanned: bool = True) -> Sce
         evenly on all surfaces.
     :returns: a scene with its mesh, called ``room-<seed>``.
     """
-    plan = draw_plan(np.random.default_rng(seed))
+    plan = plan_of(seed)
     rng = np.random.default_rng([seed, 1])
     points = scan(plan, n_points, rng)[0] if scanned else sample(plan, n_points, rng)
     return Scene(points, f'room-{seed}', mesh=mesh_of(plan))
@@ -35,9 +41,7 @@ def mesh_of(plan: Plan) -> Mesh:
     bits = np.array([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)]) - 0.5
     vertices = [(bits + 0.5) * plan.size]
     for part in plan.solids:
-        c, s = np.cos(part.yaw), np.sin(part.yaw)
-        turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        vertices.append(bits * part.size @ turn + part.centre)
+        vertices.append(bits * part.size @ rotation_matrix(part.yaw).T + part.centre)
     triangles = TRIANGLES + 8 * np.arange(len(vertices))[:, None, None]
     return Mesh(np.concatenate(vertices).astype(np.float32),
                 triangles.reshape(-1, 3).astype(np.int32))

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.scenes.furniture import KINDS
 from ocp_ros.scenes.plans import Plan, WALL_GAP
 
@@ -153,8 +154,7 @@ def surface_of(plan: Plan, pitch: float, rng: np.random.Generator) -> Surface:
                     kind = 'wall' if axis < 2 else 'floor' if sign < 0 else 'ceiling'
                 else:
                     part = plan.solids[owner]
-                    c, s = np.cos(part.yaw), np.sin(part.yaw)
-                    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+                    turn = rotation_matrix(part.yaw).T
                     points, normals = points @ turn + part.centre, normals @ turn
                     kind = part.kind
                 parts.append((points, normals, np.full(len(points), owner),

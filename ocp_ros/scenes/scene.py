@@ -7,6 +7,8 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ocp_ros.geometry.cameras import rotation_matrix
+
 MIN_POINTS = 100
 #: Nearest points that a point's plane is fitted to, itself included.
 NEIGHBOURS = 14
@@ -109,8 +111,7 @@ def turned(scene: Scene, degrees: float) -> Scene:
     :param scene: the room.
     :param degrees: counter-clockwise seen from above.
     """
-    c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
-    rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    rotation = rotation_matrix(np.deg2rad(degrees))
     mesh = scene.mesh
     if mesh is not None:
         mesh = Mesh((mesh.vertices @ rotation.T).astype(np.float32), mesh.triangles)

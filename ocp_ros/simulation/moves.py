@@ -17,6 +17,17 @@ def bounded_moves(actions: np.ndarray, max_step: float) -> np.ndarray:
     return actions / np.maximum(length, 1.0) * max_step
 
 
+def towards(positions: np.ndarray, targets: np.ndarray, reach: float) -> np.ndarray:
+    """
+    Go from positions (K, 2) to targets (K, 2), metres, but no farther than some reach, metres.
+
+    :returns: (K, 2) metres.
+    """
+    way = targets - positions
+    length = np.linalg.norm(way, axis=1, keepdims=True)
+    return positions + way * np.minimum(reach / np.maximum(length, 1e-12), 1.0)
+
+
 def kept_inside(positions: np.ndarray, bounds: np.ndarray, margin: float
                 ) -> tuple[np.ndarray, bool]:
     """
