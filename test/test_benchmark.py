@@ -13,12 +13,12 @@ from ocp_ros.benchmark.protocol import CONTROL, Judge, mounted, MOUNTING, Protoc
 from ocp_ros.benchmark.rooms import make_room, rooms_in, space_of, TEST_ROOMS
 from ocp_ros.benchmark.summary import interval, ranks, summarise
 from ocp_ros.configuration import ConfigurationError
-from ocp_ros.planners.space import Space
 from ocp_ros.report.benchmark import page
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import SceneError, turned
 from ocp_ros.simulation.config import EngineConfig, EpisodeConfig, RigConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.simulation.space import Space
 
 SMALL = Protocol(rooms=('3',), rotations=(0.0,), planners=('random', 'annealing'), budgets=(5, 30),
                  seeds=2, simulation=SimulationConfig(

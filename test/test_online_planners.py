@@ -5,19 +5,10 @@ import numpy as np
 import pytest
 
 from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.agent.observed import cells_of_the_air, Memory, Observed, thinned
 from ocp_ros.agent.policy import Policy
 from ocp_ros.planners.lookahead import Lookahead
-from ocp_ros.planners.online import (
-    cells_of_the_air,
-    HandRule,
-    Learned,
-    Memory,
-    Observed,
-    Online,
-    play,
-    ThenLookahead,
-    thinned,
-)
+from ocp_ros.planners.online import HandRule, Learned, Online, play, ThenLookahead
 from ocp_ros.resources import find_model
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.config import EpisodeConfig, RigConfig, SimulationConfig

@@ -16,10 +16,10 @@ from ocp_ros.planners.planner import Planner, Scores
 from ocp_ros.planners.registry import OFFLINE
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
-from ocp_ros.planners.space import Space
 from ocp_ros.planners.swarm import BinaryParticleSwarm
 from ocp_ros.simulation.config import EngineConfig, EpisodeConfig, RigConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.simulation.space import Space
 
 SPACE = Space(np.array([-1.0, 2.0]), np.array([5.0, 6.0]), 1.9, 3)
 TARGETS = np.array([[0.1, 2.4], [4.3, 5.1], [2.2, 3.3]])

@@ -13,9 +13,9 @@ from ocp_ros.planners.annealing import TransDimensionalAnnealing
 from ocp_ros.planners.planner import Scores
 from ocp_ros.planners.registry import OFFLINE
 from ocp_ros.planners.solve import solve
-from ocp_ros.planners.space import EDGE, floor_of, Space
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import turned
+from ocp_ros.simulation.space import EDGE, floor_of, Space
 
 #: Metres by which the floor may reach round an inner corner: two cells.
 CORNER = 2.0 * EDGE

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from ocp_ros.geometry.depth_error import DepthError
-from ocp_ros.planners.space import floor_of
 from ocp_ros.scenes.furniture import KINDS
 from ocp_ros.scenes.rooms import generate_room, plan_of
 from ocp_ros.scenes.scanning import scan
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.config import RigConfig
 from ocp_ros.simulation.simulator import ERROR_CUBE
+from ocp_ros.simulation.space import floor_of
 
 #: Points of S3DIS by class, in the order of ``KINDS``: the class weights of Open3D-ML.
 S3DIS_POINTS = (3370714, 2856755, 4919229, 318158, 375640, 478001, 974733, 650464, 791496, 88727,

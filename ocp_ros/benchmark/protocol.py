@@ -22,11 +22,11 @@ from ocp_ros.planners.online import play
 from ocp_ros.planners.registry import OFFLINE, ONLINE
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
-from ocp_ros.planners.space import Space
 from ocp_ros.scenes.files import UP_AXES
 from ocp_ros.simulation.config import EngineConfig, SimulationConfig
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.simulation.space import Space
 
 #: Metres that cameras are mounted off; the first is what counts.
 MOUNTING = (0.02, 0.05, 0.10)

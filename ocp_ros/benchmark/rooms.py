@@ -15,7 +15,6 @@ import numpy as np
 from ocp_ros.planners.registry import OFFLINE
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
-from ocp_ros.planners.space import Space
 from ocp_ros.scenes.cached import load_cached
 from ocp_ros.scenes.files import READERS
 from ocp_ros.scenes.rooms import generate_room
@@ -23,6 +22,7 @@ from ocp_ros.scenes.s3dis import chosen_rooms, s3dis_folder, TEST_AREAS
 from ocp_ros.scenes.scene import Scene, SceneError, turned
 from ocp_ros.simulation.config import EngineConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.simulation.space import Space
 
 #: Seeds of generated rooms, by ``python -m ocp_ros.benchmark.rooms`` on 2026-11-21.
 TEST_ROOMS = (3000, 3001, 3004, 3005, 3007, 3009, 3011, 3016, 3020, 3025)

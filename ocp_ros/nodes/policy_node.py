@@ -33,9 +33,9 @@ from ocp_ros.nodes.conversions import (
 from ocp_ros.nodes.parameters import declare
 from ocp_ros.nodes.qos import LATCHED, LOOP
 from ocp_ros.nodes.runner import run
-from ocp_ros.planners.space import Space
 from ocp_ros.resources import find_model
 from ocp_ros.simulation.moves import bounded_moves, kept_inside
+from ocp_ros.simulation.space import Space
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,12 @@ what the room does not keep.
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from ocp_ros.agent.observed import Memory, Observed, QUICK_POINTS, QUICK_ROWS
 from ocp_ros.geometry.blocks import count_bits
 from ocp_ros.geometry.visibility import FINE
-from ocp_ros.planners.online import cell_weight, Memory, Observed, Online, QUICK_POINTS, QUICK_ROWS
-from ocp_ros.planners.space import Space
+from ocp_ros.planners.online import cell_weight, Online
 from ocp_ros.scenes.scene import SceneError
+from ocp_ros.simulation.space import Space
 
 #: Metres between candidates, and the most there are: in a larger room they are farther apart.
 SPACING, CANDIDATES = 0.5, 400

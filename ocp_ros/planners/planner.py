@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ocp_ros.planners.space import Space
+from ocp_ros.simulation.space import Space
 
 
 def nothing_seen(number: int) -> np.ndarray:

@@ -18,10 +18,10 @@ from ocp_ros.planners.lookahead import Lookahead
 from ocp_ros.planners.online import HandRule, Learned, Online, ThenLookahead
 from ocp_ros.planners.planner import Planner
 from ocp_ros.planners.simple import Random, RegularGrid
-from ocp_ros.planners.space import Space
 from ocp_ros.planners.swarm import BinaryParticleSwarm
 from ocp_ros.resources import find_model
 from ocp_ros.simulation.config import SimulationConfig
+from ocp_ros.simulation.space import Space
 
 #: Turns of lookahead after those of the policy.
 REFINING_TURNS = 18
