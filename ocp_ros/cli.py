@@ -32,6 +32,13 @@ def _benchmark(arguments: argparse.Namespace) -> None:
     compare(arguments, command_of(arguments.argv))
 
 
+def _evaluate(arguments: argparse.Namespace) -> None:
+    """Compare a policy with other planners, room by room."""
+    from ocp_ros.report.compare import command_of
+    from ocp_ros.report.evaluate import evaluate
+    evaluate(arguments, command_of(arguments.argv))
+
+
 def _list_rooms(arguments: argparse.Namespace) -> None:
     """Print kinds and sizes of generated rooms."""
     from rich.console import Console
@@ -101,6 +108,38 @@ def _add_rooms(commands) -> None:
     seen.set_defaults(run=_preview_rooms)
 
 
+def _add_evaluate(commands) -> None:
+    """Add ``ocp evaluate``."""
+    judged = commands.add_parser('evaluate', help='judge a policy room by room')
+    judged.add_argument('--model', default='default', help='weights: a path, or a name')
+    judged.add_argument('--planners', type=_names, default=('learned', 'hand_rule'),
+                        help='names with commas between; the first is compared with the others')
+    rooms = judged.add_mutually_exclusive_group()
+    rooms.add_argument('--set', choices=('fresh', 'test', 'training', 'validation'),
+                       default='fresh', help='which generated rooms; fresh ones unless named')
+    rooms.add_argument('--rooms', type=Path, nargs='+', metavar='SCAN', help='scans instead')
+    judged.add_argument('--scale', type=float, default=1.0, help='metres per unit of the scans')
+    judged.add_argument('--up', choices=('x', 'y', 'z'), default='z',
+                        help='axis of the scans that points up')
+    judged.add_argument('--rotations', type=_whole_numbers, default=(0,),
+                        help='degrees, with commas between')
+    judged.add_argument('--cameras', type=_whole_numbers, default=(4,),
+                        help='how many, with commas between')
+    judged.add_argument('--budgets', type=_whole_numbers, default=(1000,),
+                        help='evaluations of offline planners, with commas between')
+    judged.add_argument('--seeds', type=_at_least(1), default=1, help='runs of each')
+    judged.add_argument('--workers', type=_at_least(1),
+                        help='processes; one for each core unless named')
+    judged.add_argument('--out', type=Path, default=Path('out/evaluation'),
+                        help='folder of the results; an interrupted evaluation goes on')
+    judged.set_defaults(run=_evaluate)
+
+
+def _names(text: str) -> tuple[str, ...]:
+    """Read names with commas between."""
+    return tuple(text.split(','))
+
+
 def _whole_numbers(text: str) -> tuple[int, ...]:
     """Read whole numbers with commas between."""
     try:
@@ -123,7 +162,7 @@ def parser() -> argparse.ArgumentParser:
     """Build the parser of all commands."""
     top = argparse.ArgumentParser(prog='ocp', description=__doc__)
     commands = top.add_subparsers(title='commands', required=True, metavar='COMMAND')
-    train = commands.add_parser('train', help='train a policy in generated rooms')
+    train = commands.add_parser('train', help='train a policy')
     train.add_argument('--config', type=Path, required=True, help='YAML of training settings')
     train.add_argument('--out', type=Path, required=True,
                        help='folder of the run; an interrupted one goes on')
@@ -136,7 +175,7 @@ def parser() -> argparse.ArgumentParser:
     compare.add_argument('--rooms', type=Path, help='folder of scans to take instead')
     compare.add_argument('--scale', type=float, help='metres per unit of the scans')
     compare.add_argument('--up', choices=('x', 'y', 'z'), help='axis of the scans that points up')
-    compare.add_argument('--planners', type=lambda text: tuple(text.split(',')),
+    compare.add_argument('--planners', type=_names,
                          help='names with commas between; all unless named')
     compare.add_argument('--budgets', type=_whole_numbers, help='evaluations, with commas between')
     compare.add_argument('--seeds', type=int, help='runs of each')
@@ -148,6 +187,7 @@ def parser() -> argparse.ArgumentParser:
     compare.add_argument('--report', type=Path, nargs='?', const=Path('docs/benchmark'),
                          help='write tables and figures here')
     compare.set_defaults(run=_benchmark)
+    _add_evaluate(commands)
     _add_rooms(commands)
     return top
 

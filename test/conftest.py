@@ -2,6 +2,7 @@
 """Fixtures for real nodes on real DDS in one process, without launch files."""
 
 from contextlib import ExitStack
+from dataclasses import replace
 import os
 from pathlib import Path
 import time
@@ -10,7 +11,8 @@ import numpy as np
 import pytest
 
 from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.config import AgentConfig
+from ocp_ros.agent.config import AgentConfig, INPUTS
+from ocp_ros.agent.encoder import Encoder
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import Scene
 
@@ -29,6 +31,12 @@ def small_agent():
     return AgentConfig(points=64, keys_1=8, group_1=4, keys_2=4, group_2=4, channels=8, hidden=16)
 
 
+@pytest.fixture(scope='session', params=INPUTS)
+def agent(request, small_agent):
+    """Return such sizes for each kind of inputs."""
+    return replace(small_agent, inputs=request.param)
+
+
 @pytest.fixture
 def checkpoint(small_agent):
     """Return random weights."""
@@ -42,6 +50,21 @@ def random_checkpoint(agent, seed=0, **known):
     from ocp_ros.agent.networks import Actor
     torch.manual_seed(seed)
     return Checkpoint(agent, Actor(agent).state_dict(), **known)
+
+
+def observation(agent, cameras=4, seed=0):
+    """Return an encoded observation of random points in a room around the origin."""
+    rng = np.random.default_rng(seed)
+    cloud = rng.uniform([-3, -2, 0], [3, 2, 3], (300, 3)).astype(np.float32)
+    positions = rng.uniform([-1, -1, 1.9], [1, 1, 1.9], (cameras, 3))
+    return Encoder(agent)(cloud, positions, 3, 30)
+
+
+def batch(*encoded):
+    """Put encoded observations into one batch."""
+    import torch
+    return {name: torch.from_numpy(np.stack([one[name] for one in encoded]))
+            for name in encoded[0]}
 
 
 @pytest.fixture(scope='session')
@@ -140,11 +163,60 @@ def probe(graph):
     return Probe(graph)
 
 
+class Here:
+    """A crew of nobody else."""
+
+    def __init__(self, workers=0):
+        self.played = []
+
+    def play(self, function, tasks):
+        """Play all tasks in this process."""
+        self.played += tasks
+        return map(function, tasks)
+
+    def __enter__(self):
+        """Return the crew itself."""
+        return self
+
+    def __exit__(self, *_):
+        """There is nobody to send home."""
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """Let a run play in this process: others take longer to start than all there is to do."""
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
+    from ocp_ros.training import train
+    monkeypatch.setattr(train, 'Crew', Here)
+    monkeypatch.setattr(train, 'SubprocVecEnv', lambda made, start_method: DummyVecEnv(made))
+
+
 def assert_same(one, other):
     """Assert that two encoded observations are equal bit for bit."""
     assert one.keys() == other.keys()
     for name, value in one.items():
         assert np.array_equal(value, other[name]), name
+
+
+def around_z(degrees):
+    """Return the matrix (2, 2) of a turn about the vertical axis."""
+    angle = np.deg2rad(degrees)
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def box_sides(size, centre, pitch=0.1):
+    """Return points (N, 3) on the six sides of a box."""
+    counts = [max(round(edge / pitch), 1) + 1 for edge in size]
+    shares = np.stack(np.meshgrid(*(np.linspace(-0.5, 0.5, count) for count in counts),
+                                  indexing='ij'), axis=-1).reshape(-1, 3)
+    return shares[(np.abs(shares) == 0.5).any(axis=1)] * size + centre
+
+
+def box_room(width=6.0, depth=4.0, height=2.8):
+    """Return the floor, ceiling and walls of an empty room, one corner in the origin."""
+    size = np.array([width, depth, height])
+    return Scene(box_sides(size, size / 2.0).astype(np.float32), 'box')
 
 
 def l_shaped(pitch=0.1):

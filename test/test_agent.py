@@ -3,7 +3,7 @@
 
 import json
 
-from conftest import assert_same, random_checkpoint
+from conftest import around_z, assert_same, batch, observation, random_checkpoint
 from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
@@ -13,13 +13,20 @@ import torch
 
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError, KEY, write_atomically
 from ocp_ros.agent.config import AgentConfig
-from ocp_ros.agent.networks import Actor, ExtractionUnit
+from ocp_ros.agent.distributions import Choices, NEAR, SquashedGaussian
+from ocp_ros.agent.encoder import Encoder
+from ocp_ros.agent.networks import Actor, CriticHead, ExtractionUnit, Extractor, WIDTH_FIRST
 from ocp_ros.agent.observation import encode
 from ocp_ros.agent.policy import Policy
 from ocp_ros.agent.sampling import ball_query, farthest_points
+from ocp_ros.agent.world import CHOICES, DIRECTIONS, MOVES
 from ocp_ros.resources import find_model
 
 seeds = st.integers(0, 2 ** 32 - 1)
+#: The moves that the network chooses among, in units of the longest step.
+CENTRES = torch.tensor(CHOICES / CHOICES.max(), dtype=torch.float32)
+#: What has a row for each camera.
+PER_CAMERA = ('cameras', 'directions', 'own')
 
 
 @given(seed=seeds, count=st.integers(1, 60), wanted=st.integers(1, 40))
@@ -54,26 +61,34 @@ def test_ball_query_agrees_with_its_twin(seed, radius, size):
             assert group.tolist() == expected.tolist()
 
 
-def observation(agent, cameras, seed=0, count=500):
-    """Return an encoded observation of random points."""
+def cloud_observation(agent, cameras, seed=0, count=500):
+    """Return an encoded cloud of random points."""
     rng = np.random.default_rng(seed)
     cloud = rng.uniform([0, 0, 0], [8, 6, 3], (count, 3)).astype(np.float32)
     bounds = np.stack([cloud.min(0), cloud.max(0)])
     return encode(cloud, rng.uniform([2, 2, 1.9], [6, 4, 1.9], (cameras, 3)), bounds, agent)
 
 
-def batch(encoded):
-    """Give an observation a batch axis."""
-    return {name: torch.from_numpy(value)[None] for name, value in encoded.items()}
+def parameters(moves):
+    """Return all that a distribution of moves is made of."""
+    if isinstance(moves, Choices):
+        return torch.cat([moves.logits, moves.log_std.expand(*moves.logits.shape[:2], 1)], dim=-1)
+    return torch.cat([moves.mean, moves.log_std], dim=-1)
+
+
+def seeded_actor(agent, seed=0):
+    """Return a network with random weights."""
+    torch.manual_seed(seed)
+    return Actor(agent)
 
 
 def test_the_observation_cache_is_what_the_units_compute_on(small_agent):
-    encoded = observation(small_agent, 3)
+    encoded = cloud_observation(small_agent, 3)
     points, keys = encoded['points'], encoded['keys_1']
     assert np.array_equal(keys, farthest_points(points, small_agent.keys_1))
     assert np.array_equal(encoded['groups_1'], ball_query(
         points, keys, small_agent.radius_1 / small_agent.length_scale, small_agent.group_1))
-    assert_same(encoded, observation(small_agent, 3))
+    assert_same(encoded, cloud_observation(small_agent, 3))
 
 
 def test_an_extraction_unit_is_a_shared_perceptron_and_a_maximum():
@@ -88,46 +103,66 @@ def test_an_extraction_unit_is_a_shared_perceptron_and_a_maximum():
 
 
 @pytest.mark.parametrize('cameras', [1, 2, 4, 7])
-def test_one_set_of_weights_serves_any_number_of_cameras(small_agent, cameras):
-    mean, log_std = Actor(small_agent)(batch(observation(small_agent, cameras)))
-    assert mean.shape == log_std.shape == (1, cameras, 2)
-    assert torch.isfinite(mean).all()
+def test_one_set_of_weights_serves_any_number_of_cameras(agent, cameras):
+    moves = seeded_actor(agent)(batch(observation(agent, cameras)))
+    for made in (moves.best(), moves.sample()):
+        assert made.shape == (1, cameras, 2) and torch.isfinite(made).all()
+    assert moves.log_prob(made).shape == (1, cameras)
+    assert torch.isfinite(parameters(moves)).all()
 
 
 @given(seed=seeds)
 @budget(max_examples=10, deadline=None)
-def test_the_order_of_the_cameras_does_not_matter(small_agent, seed):
-    torch.manual_seed(0)
-    actor = Actor(small_agent)
-    encoded = observation(small_agent, 4, seed)
+def test_the_order_of_the_cameras_does_not_matter(agent, seed):
+    actor, encoded = seeded_actor(agent), observation(agent, 4, seed)
     order = np.random.default_rng(seed).permutation(4)
-    turned = {**encoded, 'cameras': encoded['cameras'][order]}
-    torch.testing.assert_close(actor(batch(turned))[0][0], actor(batch(encoded))[0][0, order])
+    turned = {name: value[order] if name in PER_CAMERA else value
+              for name, value in encoded.items()}
+    one, other = actor(batch(turned)), actor(batch(encoded))
+    torch.testing.assert_close(parameters(one)[0], parameters(other)[0, order])
+    torch.testing.assert_close(one.best()[0], other.best()[0, order])
 
 
-def test_where_the_other_cameras_are_matters(small_agent):
-    torch.manual_seed(0)
-    actor, encoded = Actor(small_agent), observation(small_agent, 3)
-    moved = {**encoded, 'cameras': encoded['cameras'] + np.float32([[0], [0.1], [0.2]])}
-    assert not torch.allclose(actor(batch(moved))[0][0, 0], actor(batch(encoded))[0][0, 0])
+def test_where_the_other_cameras_are_matters(agent, room):
+    actor, centre = seeded_actor(agent), room.bounds.mean(axis=0)
+    places = centre + [[0, 0, 0.4], [0.5, 0, 0.4], [0, 0.5, 0.4]]
+    moved = places + np.array([[0], [0.1], [0.2]])
+    one, other = (parameters(actor(batch(Encoder(agent)(room.points, positions, 0, 30))))
+                  for positions in (places, moved))
+    assert not torch.allclose(one[0, 0], other[0, 0], atol=1e-4)
 
 
-def test_where_the_room_lies_in_the_map_does_not_matter(checkpoint, room):
-    policy = Policy(checkpoint)
+def test_where_the_room_lies_in_the_map_does_not_matter(agent, room):
+    policy = Policy(random_checkpoint(agent))
     positions = room.bounds.mean(axis=0) + [[0, 0, 0.4], [1, 0, 0.4]]
     shift = np.array([64.0, -32.0, 0.0], np.float32)
-    np.testing.assert_allclose(policy.act(room.points + shift, positions + shift),
-                               policy.act(room.points, positions), atol=1e-4)
+    there = policy.act(room.points + shift, positions + shift)
+    policy.reset()
+    np.testing.assert_allclose(there, policy.act(room.points, positions), atol=1e-4)
 
 
-def test_moves_are_bounded_and_drawn_from_the_rng(checkpoint, room):
-    policy, positions = Policy(checkpoint), room.bounds.mean(axis=0) + np.zeros((3, 3))
-    still = policy.act(room.points, positions)
-    one, two, three = (policy.act(room.points, positions, np.random.default_rng(seed))
-                       for seed in (1, 1, 2))
+def test_moves_are_bounded_and_drawn_from_the_rng(agent, room):
+    policy = Policy(random_checkpoint(agent))
+    positions = room.bounds.mean(axis=0) + np.zeros((3, 3))
+
+    def act(*seed):
+        policy.reset()
+        return policy.act(room.points, positions, 2, 30, *map(np.random.default_rng, seed))
+
+    still, one, two, three = act(), act(1), act(1), act(2)
     assert np.array_equal(one, two) and not np.array_equal(one, three)
-    assert np.array_equal(still, policy.act(room.points, positions))
-    assert all(np.abs(moves).max() <= 1.0 and moves.shape == (3, 2) for moves in (still, one))
+    assert np.array_equal(still, act())
+    assert np.abs(still).max() <= 1.0 and still.shape == one.shape == (3, 2)
+    # A drawn move lies around a choice, whose width is at most exp(WIDTH_MAX).
+    assert np.abs(one).max() <= (1.0 + 5.0 * np.exp(WIDTH_FIRST) if agent.world else 1.0)
+
+
+def test_drawing_leaves_the_global_generator_alone(agent, room):
+    policy = Policy(random_checkpoint(agent))
+    torch.manual_seed(4)
+    before = torch.get_rng_state()
+    policy.act(room.points, room.bounds.mean(axis=0)[None], rng=np.random.default_rng(0))
+    assert torch.equal(torch.get_rng_state(), before)
 
 
 def test_a_checkpoint_comes_back_as_it_went(small_agent, tmp_path):
@@ -219,6 +254,165 @@ def test_a_missing_file_is_named(tmp_path):
         Checkpoint.load(tmp_path / 'none.safetensors')
     with pytest.raises(FileNotFoundError, match="'none'.*expected a path .*'default'"):
         find_model('none')
+
+
+def with_absent(encoded, cameras, rng):
+    """Add rows of noise for cameras that there are not."""
+    filled, count = dict(encoded), 0
+    for name in PER_CAMERA:
+        if name in encoded:
+            count = len(encoded[name])
+            noise = rng.normal(size=(cameras - count, *encoded[name].shape[1:]))
+            filled[name] = np.concatenate([encoded[name], noise.astype(np.float32)])
+    return {**filled, 'present': (np.arange(cameras) < count).astype(np.float32)}
+
+
+def test_cameras_that_there_are_not_change_nothing(agent):
+    actor, encoded = seeded_actor(agent), observation(agent, 3)
+    full = batch(with_absent(encoded, 6, np.random.default_rng(0)))
+    torch.testing.assert_close(parameters(actor(full))[:, :3], parameters(actor(batch(encoded))))
+    torch.manual_seed(1)
+    extractor = Extractor(agent)
+    critic, moves = CriticHead(extractor.width, 16), torch.rand(1, 6, 2)
+    value = critic(extractor(full), moves, full['present'])
+    torch.testing.assert_close(value, critic(extractor(batch(encoded)), moves[:, :3],
+                                             torch.ones(1, 3)))
+    # It does depend on the moves of those that there are.
+    moves[0, 1] += 0.5
+    assert not torch.allclose(critic(extractor(full), moves, full['present']), value)
+
+
+def test_a_shift_of_the_directions_turns_the_moves(small_agent):
+    actor, encoded = seeded_actor(small_agent), batch(observation(small_agent, 5))
+    straight = actor(encoded)
+    assert len({tuple(move) for move in straight.best()[0].tolist()}) > 1
+    for shift in range(1, DIRECTIONS):
+        turned = actor({**encoded, 'directions': encoded['directions'].roll(shift, dims=2)})
+        matrix = torch.tensor(around_z(360.0 * shift / DIRECTIONS), dtype=torch.float32)
+        torch.testing.assert_close(turned.best(), straight.best() @ matrix.T)
+        stay, moves = turned.logits.split([1, DIRECTIONS * MOVES], dim=-1)
+        torch.testing.assert_close(stay, straight.logits[..., :1])
+        torch.testing.assert_close(
+            moves.unflatten(-1, (DIRECTIONS, MOVES)),
+            straight.logits[..., 1:].unflatten(-1, (DIRECTIONS, MOVES)).roll(shift, dims=2))
+
+
+def choices(seed, batch_size=2, cameras=3, log_std=-2.0):
+    """Return random choices among the moves that the network has."""
+    torch.manual_seed(seed)
+    logits = 2.0 * torch.randn(batch_size, cameras, len(CENTRES))
+    return Choices(logits.requires_grad_(), torch.full((1,), log_std), CENTRES)
+
+
+def test_the_density_of_choices_is_one_altogether():
+    axis = torch.linspace(-2.0, 2.0, 321)
+    grid = torch.stack(torch.meshgrid(axis, axis, indexing='ij'), dim=-1).reshape(-1, 1, 2)
+    moves = choices(0, 1, 1)
+    density = moves.log_prob(grid).detach().exp().sum() * float(axis[1] - axis[0]) ** 2
+    assert float(density) == pytest.approx(1.0, abs=1e-3)
+
+
+@given(seed=seeds, log_std=st.floats(-4.0, -1.0))
+@budget(max_examples=15, deadline=None)
+def test_the_density_of_choices_agrees_with_its_twin(seed, log_std):
+    moves = choices(seed % 1000, log_std=log_std)
+    made = np.random.default_rng(seed).uniform(-1.0, 1.0, (2, 3, 2))
+    logits, width = moves.logits.detach().double().numpy(), np.exp(log_std)
+    expected = np.empty((2, 3))
+    for index in np.ndindex(2, 3):
+        weights = np.exp(logits[index]) / np.exp(logits[index]).sum()
+        away = ((made[index] - CENTRES.double().numpy()) ** 2).sum(axis=1)
+        # Far from all choices the density itself would not be a number.
+        terms = np.log(weights) - away / (2.0 * width ** 2) - np.log(2.0 * np.pi * width ** 2)
+        expected[index] = terms.max() + np.log(np.exp(terms - terms.max()).sum())
+    found = moves.log_prob(torch.tensor(made, dtype=torch.float32)).detach()
+    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3)
+
+
+def test_choices_are_drawn_as_often_as_their_logits_say():
+    logits = torch.zeros(1, 1, len(CENTRES))
+    logits[0, 0, [0, 3, 11]] = torch.tensor([4.0, 5.0, 4.5])
+    torch.manual_seed(0)
+    moves = Choices(logits.expand(20000, 1, -1), torch.full((1,), -5.0), CENTRES)
+    nearest = torch.cdist(moves.sample()[:, 0], CENTRES).argmin(dim=1)
+    shares = torch.bincount(nearest, minlength=len(CENTRES)) / len(nearest)
+    np.testing.assert_allclose(shares, logits.softmax(-1)[0, 0], atol=0.012)
+    assert torch.equal(moves.best()[0, 0], CENTRES[3])
+    # Around a choice, moves have the width they are said to have.
+    wide = Choices(20.0 * logits.expand(20000, 1, -1), torch.full((1,), -2.0), CENTRES)
+    spread = (wide.sample()[:, 0] - CENTRES[3]).std(dim=0)
+    np.testing.assert_allclose(spread, np.exp(-2.0), rtol=0.05)
+
+
+def test_the_best_choice_is_the_likeliest():
+    # Narrow ones: wide ones that overlap share what they are worth.
+    moves = choices(3, 4, 5, log_std=-4.0)
+    at_best = moves.log_prob(moves.best())
+    for centre in CENTRES:
+        assert (at_best >= moves.log_prob(centre.expand(4, 5, 2)) - 1e-3).all()
+
+
+def test_gradients_flow_through_drawn_choices():
+    moves = choices(5)
+    moves.sample()[..., 0].sum().backward()
+    assert moves.logits.grad.abs().sum() > 0.0
+    # Making a choice with a larger x likelier makes the drawn x larger.
+    likeliest, least = CENTRES[:, 0].argmax(), CENTRES[:, 0].argmin()
+    mean = torch.zeros(len(CENTRES))
+    torch.manual_seed(0)
+    for _ in range(50):
+        moves = choices(5)
+        Choices(moves.logits, moves.log_std, CENTRES).sample()[..., 0].sum().backward()
+        mean += moves.logits.grad.sum(dim=(0, 1))
+    assert mean[likeliest] > 0.0 > mean[least]
+
+
+@given(seed=seeds)
+@budget(max_examples=10, deadline=None)
+def test_the_squashed_gaussian_is_that_of_stable_baselines3(seed):
+    from stable_baselines3.common.distributions import SquashedDiagGaussianDistribution
+    torch.manual_seed(seed)
+    mean, log_std = torch.randn(3, 2, 2), 0.5 * torch.randn(3, 2, 2) - 1.0
+    ours = SquashedGaussian(mean, log_std)
+    made = 0.95 * torch.tanh(torch.randn(3, 2, 2))
+    # Theirs sums over the second axis: one row for each camera.
+    theirs = SquashedDiagGaussianDistribution(2).proba_distribution(
+        mean.flatten(0, 1), log_std.flatten(0, 1))
+    torch.testing.assert_close(ours.log_prob(made).flatten(),
+                               theirs.log_prob(made.flatten(0, 1)), rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(ours.best().flatten(0, 1), theirs.mode())
+
+
+@pytest.mark.parametrize('number', range(len(CENTRES)))
+def test_imitation_costs_least_where_the_expert_goes(number):
+    wanted = CENTRES[number].view(1, 1, 2)
+    sure = 12.0 * torch.eye(len(CENTRES))
+    losses = torch.cat([
+        Choices(logits.view(1, 1, -1), torch.full((1,), -2.0), CENTRES).imitation(wanted)[0]
+        for logits in sure])
+    assert int(losses.argmin()) == number
+    gaussian = torch.cat([SquashedGaussian(
+        torch.atanh(0.99 * centre).view(1, 1, 2), torch.zeros(1, 1, 2)).imitation(wanted)[0]
+        for centre in CENTRES])
+    assert int(gaussian.argmin()) == number
+
+
+def test_what_imitation_wants_is_nearest_to_the_move():
+    """Minimising the loss over the logits gives choices that count the more the nearer."""
+    move, logits = torch.tensor([[[0.5, 0.1]]]), torch.zeros(1, 1, len(CENTRES))
+    logits.requires_grad_()
+    optimizer = torch.optim.Adam([logits], 0.2)
+    for _ in range(300):
+        optimizer.zero_grad()
+        Choices(logits, torch.full((1,), -2.0), CENTRES).imitation(move).sum().backward()
+        optimizer.step()
+    away = (CENTRES - move[0, 0]).norm(dim=1)
+    order = away.argsort()[:6]
+    shares = logits.softmax(-1)[0, 0].detach()
+    assert (shares[order].diff() <= 1e-3).all() and shares[order[0]] > 0.2
+    # Where all count as NEAR says, the loss is the entropy of it.
+    expected = torch.softmax(-0.5 * (away / NEAR) ** 2, dim=0)
+    np.testing.assert_allclose(shares, expected, atol=0.01)
 
 
 def test_the_shipped_model_has_its_card():

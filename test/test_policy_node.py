@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """``policy_node`` on real DDS."""
 
+from array import array
 from copy import deepcopy
 import subprocess
 import sys
@@ -17,7 +18,9 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
 
 from ocp_ros.agent.checkpoint import CheckpointError
+from ocp_ros.agent.encoder import Encoder
 from ocp_ros.agent.policy import Policy
+from ocp_ros.configuration import ConfigurationError
 from ocp_ros.nodes import qos, topics
 from ocp_ros.nodes.conversions import (
     bytes_to_msg,
@@ -28,8 +31,9 @@ from ocp_ros.nodes.conversions import (
     positions_to_msg,
     stamp_to_ns,
 )
-from ocp_ros.nodes.policy_node import PolicyNode
+from ocp_ros.nodes.policy_node import make_planner, PLANNERS, PolicyNode, PolicyNodeConfig
 from ocp_ros.nodes.sim_node import SimNode
+from ocp_ros.planners.online import ALONE, play
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.moves import bounded_moves
 
@@ -52,7 +56,8 @@ def robot(graph, probe, model, room):
     probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
 
     def start(**parameters):
-        probe.policy = graph.add(PolicyNode, model=model, **parameters)
+        probe.policy = graph.add(PolicyNode, model=model, **{
+            'planner': 'learned+lookahead', **parameters})
         probe.clouds = probe.publisher(PointCloud2, topics.OBSERVATION, qos.LOOP)
         probe.poses = probe.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
         return probe.policy
@@ -82,7 +87,7 @@ def reward(stamp, episode=1, step=1, truncated=False):
 def test_no_camera_is_sent_through_a_wall(robot, monkeypatch):
     """A camera beyond the wall of an L-shaped room would look through its back."""
     node = robot.start()
-    monkeypatch.setattr(node.policy, 'act', lambda cloud, positions, rng: np.ones((3, 2)))
+    monkeypatch.setattr(node.planner, 'move', lambda *turn: np.full((3, 2), 0.5))
     positions = np.array([[2.8, 3.0, 1.9], [4.0, 1.8, 1.9], [1.0, 1.0, 1.9]])
     for stamp in range(1, 6):
         robot.send(stamp, l_shaped().points, positions)
@@ -93,7 +98,7 @@ def test_no_camera_is_sent_through_a_wall(robot, monkeypatch):
 
 
 def test_a_command_answers_the_turn_it_belongs_to(robot, checkpoint, room):
-    robot.start()
+    robot.start(planner='learned')
     robot.send(5)
     answer = robot.command(5)
     assert answer.header.frame_id == 'map'
@@ -138,11 +143,28 @@ def test_commands_stay_inside_the_observed_bounds(robot, room):
 
 
 def test_nan_from_the_network_holds_the_cameras(robot):
-    policy = robot.start()
+    policy = robot.start(explore=True)
     with torch.no_grad():
         policy.policy.actor.head.out.bias.fill_(float('nan'))
     robot.send(1)
     np.testing.assert_allclose(msg_to_positions(robot.command(1)), POSITIONS)
+
+
+@pytest.mark.parametrize('failure', [ZeroDivisionError('by 0'), MemoryError('none left')])
+def test_a_planner_that_fails_holds_the_cameras_and_the_node_lives(robot, monkeypatch, capfd,
+                                                                   failure):
+    policy = robot.start()
+
+    def fail(*turn):
+        raise failure
+
+    with monkeypatch.context() as patched:
+        patched.setattr(policy.planner, 'move', fail)
+        robot.send(1)
+        np.testing.assert_allclose(msg_to_positions(robot.command(1)), POSITIONS)
+    assert f'found {type(failure).__name__}: {failure}; cameras stay' in capfd.readouterr().err
+    robot.send(2)
+    assert not np.allclose(msg_to_positions(robot.command(2)), POSITIONS)
 
 
 def _without_x(cloud):
@@ -169,13 +191,17 @@ def _wrong_row_step(cloud):
     cloud.row_step = 3
 
 
+def _of_a_whole_town(cloud):
+    cloud.data[:4] = array('B', np.float32(1e6).tobytes())
+
+
 def _without_points(cloud):
     cloud.width, cloud.row_step, cloud.data = 0, 0, []
 
 
 @pytest.mark.parametrize('spoil', [
     _without_x, _short, _of_integers, _beyond_the_point, _overflowing, _wrong_row_step,
-    _without_points])
+    _of_a_whole_town, _without_points])
 def test_a_malformed_cloud_is_refused_and_the_node_lives(robot, room, spoil, capfd):
     policy = robot.start()
     header = Header(stamp=ns_to_stamp(1), frame_id='map')
@@ -209,12 +235,27 @@ def test_the_placement_is_final_when_the_turns_are_used_up(robot):
     np.testing.assert_allclose(msg_to_positions(robot.command(4)), POSITIONS)
 
 
-def test_the_placement_is_final_when_the_cameras_stand_still(robot):
-    robot.start(convergence_distance=1.0, convergence_turns=2)
+def test_the_placement_is_final_when_the_cameras_of_a_policy_stand_still(robot):
+    robot.start(planner='learned', convergence_distance=1.0, convergence_turns=2)
     for stamp in (1, 2, 3):
         robot.send(stamp)
         robot.command(stamp)
     assert stamp_to_ns(robot.last(topics.PLACEMENT).header.stamp) == 3
+
+
+def test_lookahead_refines_what_the_policy_has_settled_on(robot, monkeypatch):
+    policy = robot.start(turns=21, convergence_distance=0.02)
+    monkeypatch.setattr(policy.policy, 'act', lambda *turn: np.zeros((3, 2)))
+    positions = [POSITIONS]
+    for stamp in range(1, 22):
+        robot.send(stamp, positions=positions[-1])
+        positions.append(msg_to_positions(robot.command(stamp)))
+    moved = np.abs(np.diff(positions, axis=0)).max(axis=(1, 2)) > 0.0
+    alone = int(np.ceil(ALONE * 21))
+    assert not moved[:alone].any() and moved[alone:alone + 3].any()
+    assert not policy._settled
+    robot.send(22, positions=positions[-1])
+    assert stamp_to_ns(robot.last(topics.PLACEMENT).header.stamp) == 22
 
 
 def test_who_comes_late_gets_the_placement(robot):
@@ -252,6 +293,39 @@ def test_a_restarted_simulation_is_a_new_episode_whatever_its_number(robot):
     robot.graph.until(lambda: not policy._settled)
 
 
+def test_an_episode_goes_on_when_its_first_turn_is_sent_again(robot, monkeypatch):
+    policy, resets = robot.start(), []
+    monkeypatch.setattr(policy.planner, 'reset', lambda: resets.append(policy._step))
+    rewards = robot.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
+    for stamp, step in ((1, 0), (1, 0), (2, 1), (2, 1)):
+        rewards.publish(reward(stamp, step=step))
+        robot.graph.until(lambda: policy._told == stamp)
+        robot.send(stamp)
+        robot.command(stamp)
+    rewards.publish(reward(3, episode=2, step=0))
+    robot.graph.until(lambda: policy._episode == 2)
+    assert resets == [0, 2]
+
+
+@pytest.mark.parametrize('late', [False, True])
+def test_the_planner_is_told_which_turn_it_is(robot, monkeypatch, late):
+    policy, told = robot.start(turns=30), []
+    monkeypatch.setattr(policy.planner, 'move', lambda cloud, positions, turn, turns: (
+        told.append((turn, turns)), np.zeros((3, 2)))[1])
+    rewards = robot.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
+    for stamp, step in ((1, 7), (2, 8), (3, 9)):
+        if not late:
+            rewards.publish(reward(stamp, step=step))
+            robot.graph.until(lambda: policy._told == stamp)
+        robot.send(stamp)
+        robot.command(stamp)
+        if late:
+            rewards.publish(reward(stamp, step=step))
+            robot.graph.until(lambda: policy._told == stamp)
+    # Who hears of the first turn too late counts from 0.
+    assert told == [(0 if late else 7, 30), (8, 30), (9, 30)]
+
+
 @pytest.mark.parametrize('late', [False, True])
 def test_the_placement_is_final_when_the_simulation_says_that_it_was_the_last_turn(robot, late):
     policy = robot.start(turns=30, convergence_distance=0.0)
@@ -285,7 +359,8 @@ def test_a_cloud_in_another_frame_than_the_poses_is_refused(robot, room):
 
 
 def test_weights_are_swapped_in_whole(robot, small_agent, room):
-    policy = robot.start()
+    policy = robot.start(planner='learned')
+    encoder = policy.policy.encoder
     new = random_checkpoint(small_agent, seed=1, updates=10, run='a')
     weights = robot.publisher(UInt8MultiArray, topics.POLICY_WEIGHTS, qos.LATCHED)
     weights.publish(bytes_to_msg(new.to_bytes()))
@@ -294,6 +369,7 @@ def test_weights_are_swapped_in_whole(robot, small_agent, room):
     expected = POSITIONS.copy()
     expected[:, :2] += bounded_moves(Policy(new).act(room.points, POSITIONS), 0.5)
     np.testing.assert_allclose(msg_to_positions(robot.command(1)), expected, atol=1e-6)
+    assert policy.policy.encoder is encoder
 
 
 def test_weights_that_cannot_be_used_are_refused(robot, small_agent):
@@ -316,11 +392,13 @@ def test_weights_that_cannot_be_used_are_refused(robot, small_agent):
 
 def test_a_killed_and_restarted_policy_continues_the_episode(graph, model):
     sim = graph.add(SimNode, resend_period=0.05, **SMALL)
-    policy = graph.add(PolicyNode, model=model, convergence_distance=0.0)
+    policy = graph.add(PolicyNode, planner='learned+lookahead', model=model,
+                       convergence_distance=0.0)
     graph.until(lambda: sim.episode.turn.step >= 3)
     graph.remove(policy)
     step, observed = sim.episode.turn.step, sim.episode.observed
-    policy = graph.add(PolicyNode, model=model, convergence_distance=0.0)
+    policy = graph.add(PolicyNode, planner='learned+lookahead', model=model,
+                       convergence_distance=0.0)
     graph.until(lambda: sim.episode.turn.step >= step + 3)
     assert sim._episodes == 1
     assert sim.episode.observed >= observed
@@ -330,35 +408,83 @@ def test_a_killed_and_restarted_policy_continues_the_episode(graph, model):
 def test_an_episode_over_ros_is_the_episode_of_the_engine(graph, probe, model, checkpoint):
     sim = graph.add(SimNode, seed=3, **SMALL)
     probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
-    episode = Episode(sim.simulator, np.random.default_rng(3))
-    graph.add(PolicyNode, model=model, turns=30, convergence_distance=0.0)
-    while not episode.turn.truncated:
-        positions = episode.turn.positions
-        target = positions.copy()
-        actions = Policy(checkpoint).act(episode.observed_cloud, positions)
-        target[:, :2] += bounded_moves(actions, 0.5)
-        cloud = episode.observed_cloud
-        target[:, :2] = np.clip(target[:, :2], cloud.min(axis=0)[:2].astype(float) + 0.1,
-                                cloud.max(axis=0)[:2].astype(float) - 0.1)
-        episode.move((target - positions)[:, :2])
+    graph.add(PolicyNode, planner='learned', model=model, convergence_distance=0.0)
+    online, _ = make_planner(PolicyNodeConfig(planner='learned'), checkpoint)
+    outcome = play(online, Episode(sim.simulator, np.random.default_rng(3)))
     placement = msg_to_positions(probe.last(topics.PLACEMENT))
-    np.testing.assert_allclose(placement, episode.turn.positions, atol=1e-9)
-    assert sim.episode.turn.depth_error == episode.turn.depth_error
+    np.testing.assert_allclose(placement, outcome.trajectory[-1], atol=1e-6)
+    assert sim.episode.turn.depth_error == pytest.approx(outcome.depth_error[-1], abs=1e-3)
+
+
+@pytest.mark.parametrize('planner', PLANNERS)
+def test_every_planner_answers_turns_until_the_placement_is_final(graph, probe, model, checkpoint,
+                                                                  planner):
+    needs_weights = planner != 'lookahead'
+    turns = 8
+    sim = graph.add(SimNode, seed=3, resend_period=0.05, episode__turns=turns, **SMALL)
+    for topic, profile in ((topics.CAMERA_COMMANDS, qos.LOOP), (topics.PLACEMENT, qos.LATCHED)):
+        probe.listen(PoseArray, topic, profile)
+    first, cloud = sim.episode.turn, sim.episode.observed_cloud
+    policy = graph.add(PolicyNode, planner=planner, turns=turns, convergence_distance=0.0,
+                       model=model if needs_weights else 'nowhere')
+    placement = msg_to_positions(probe.last(topics.PLACEMENT))
+    assert sim.episode.turn.truncated and policy._counts['turns_answered'] == turns + 1
+    np.testing.assert_allclose(placement, sim.episode.turn.positions)
+    if planner != 'learned':
+        assert sim.episode.turn.depth_error < 0.8 * first.depth_error
+    # The first command is what the planner says on its own.
+    online, _ = make_planner(policy.config, checkpoint if needs_weights else None)
+    expected = first.positions[:, :2] + online.move(cloud, first.positions, 0, turns)
+    found = msg_to_positions(probe.received[topics.CAMERA_COMMANDS][0])
+    np.testing.assert_allclose(found[:, :2], expected, atol=1e-5)
+
+
+def test_lookahead_takes_no_weights(robot, small_agent):
+    policy = robot.start(planner='lookahead')
+    assert policy.policy is None
+    assert policy.count_subscribers(topics.POLICY_WEIGHTS) == 0
+    robot.send(1)
+    robot.command(1)
+    values = policy._status()[2]
+    assert (values['planner'], values['weights_run'], values['weights_updates']) == (
+        'lookahead', '-', 0)
+
+
+def test_exploring_asks_the_policy_whoever_is_the_planner(graph, model):
+    policy = graph.add(PolicyNode, planner='lookahead', explore=True, model=model)
+    assert policy.policy is not None and policy.planner.policy is policy.policy
+
+
+def test_a_planner_that_does_not_exist_is_refused(graph):
+    with pytest.raises(ConfigurationError, match="planner: found 'greedy'; expected one of"):
+        graph.add(PolicyNode, planner='greedy')
+
+
+def test_exploring_draws_from_the_distribution_of_the_policy(robot, checkpoint, room):
+    robot.start(explore=True, seed=5)
+    policy, rng = Policy(checkpoint, Encoder(checkpoint.config)), np.random.default_rng(5)
+    for turn in range(2):
+        robot.send(turn + 1)
+        actions = policy.act(room.points, POSITIONS, turn, 30, rng)
+        expected = POSITIONS.copy()
+        expected[:, :2] += bounded_moves(actions, 0.5)
+        np.testing.assert_allclose(
+            msg_to_positions(robot.command(turn + 1)), expected, atol=1e-6)
 
 
 def test_a_model_that_is_not_there_is_an_error_that_lists_those_that_are(graph):
     with pytest.raises(FileNotFoundError, match="no file 'nowhere' .*'default'"):
-        graph.add(PolicyNode, model='nowhere')
+        graph.add(PolicyNode, planner='learned', model='nowhere')
 
 
 def test_a_model_that_is_no_model_is_refused(graph, tmp_path):
     (tmp_path / 'pickle.safetensors').write_bytes(b'\x80\x04K\x01.')
     with pytest.raises(CheckpointError, match='pickle.safetensors: found no readable checkpoint'):
-        graph.add(PolicyNode, model=str(tmp_path / 'pickle.safetensors'))
+        graph.add(PolicyNode, planner='learned', model=str(tmp_path / 'pickle.safetensors'))
 
 
 def test_it_starts_without_the_heavy_packages():
-    heavy = "{'open3d', 'stable_baselines3', 'matplotlib', 'gymnasium'}"
+    heavy = "{'open3d', 'stable_baselines3', 'matplotlib', 'gymnasium', 'cma'}"
     code = ('import sys, ocp_ros.nodes.policy_node; '
             f'found = {heavy} & set(sys.modules); sys.exit(str(found) if found else 0)')
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,

@@ -6,7 +6,7 @@ from plyfile import PlyData, PlyElement
 import pytest
 
 from ocp_ros.benchmark.protocol import PRESETS
-from ocp_ros.benchmark.rooms import make_room, rooms_of_s3dis
+from ocp_ros.benchmark.rooms import rooms_of_s3dis
 from ocp_ros.cli import parser
 from ocp_ros.report.compare import protocol_of
 from ocp_ros.scenes import cached
@@ -15,6 +15,7 @@ from ocp_ros.scenes.files import load_scene
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.s3dis import chosen_rooms, rooms_of_area
 from ocp_ros.scenes.scene import SceneError
+from ocp_ros.scenes.source import make_room
 
 
 def box(width, depth, height=2.8):

@@ -101,3 +101,18 @@ def depth_error(points, half_sides, positions, far, rows, seen):
         part = shadow_map(r[seen], e[seen], a[seen], half_sides[seen], rows, far)
         total += np.abs(part - full).mean()
     return total
+
+
+def edge_aware_normals(points, neighbours):
+    """Return normals (N, 3) and how well the best plane fits (N,)."""
+    around = points.astype(np.float64)[neighbours]
+    offsets = around - around.mean(axis=1, keepdims=True)
+    spread, directions = np.linalg.eigh(np.einsum('nki,nkj->nij', offsets, offsets))
+    normals = directions[:, :, 0]
+    roughness = np.sqrt(np.clip(spread[:, 0] / np.maximum(spread.sum(axis=1), 1e-30), 0.0, 1.0))
+    candidates = neighbours[:, :12]
+    offsets = points[:, None] - points[candidates]
+    distance = np.abs(np.einsum('nki,nki->nk', offsets, normals[candidates]))
+    typical = np.linalg.norm(points - points[neighbours[:, 1]], axis=1).mean()
+    best = (distance / typical + 3.0 * roughness[candidates]).argmin(axis=1)
+    return normals[candidates[np.arange(len(points)), best]]

@@ -22,7 +22,7 @@ from ocp_ros.agent.config import AgentConfig
 from ocp_ros.agent.networks import Actor
 from ocp_ros.configuration import from_nested, to_nested
 
-FORMAT = 'ocp_ros-actor-1'
+FORMAT = 'ocp_ros-actor-2'
 KEY = 'ocp_ros'
 
 

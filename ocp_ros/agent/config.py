@@ -1,20 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sizes of the agent's network."""
+"""What the agent reads and the sizes of its networks."""
 
 from dataclasses import dataclass
 
 from ocp_ros.configuration import setting
 
+#: What the network reads: what a few moves would change on what was seen (``world``), the observed
+#: cloud itself as in the paper (``cloud``), or both.
+INPUTS = ('world', 'cloud', 'both')
+
 
 @dataclass(frozen=True)
 class AgentConfig:
     """
-    The feature extractor's three units and the heads behind it.
+    Inputs, the feature extractor's three units and the heads behind it.
 
     A unit samples key points by farthest-point sampling and groups neighbours by ball query; the
     last one has a single key point and groups all that reach it.
     """
 
+    inputs: str = setting('world', 'what the network reads: world, cloud or both', choices=INPUTS)
     points: int = setting(512, 'points of the cloud that reach the first unit', 16, 32767)
     keys_1: int = setting(32, 'key points of the first unit', 1, 4096)
     group_1: int = setting(8, 'points per group of the first unit', 1, 256)
@@ -23,5 +28,15 @@ class AgentConfig:
     group_2: int = setting(8, 'points per group of the second unit', 1, 256)
     radius_2: float = setting(2.0, 'ball query radius of the second unit, metres', 0.01, 50.0)
     channels: int = setting(32, "channels C' of each unit's perceptron", 1, 1024)
-    hidden: int = setting(128, 'width of the heads', 1, 4096)
+    hidden: int = setting(256, 'width of the heads', 1, 4096)
     length_scale: float = setting(4.0, 'metres that one unit of the network means', 0.01, 100.0)
+
+    @property
+    def world(self) -> bool:
+        """Return whether the network reads what moves would change."""
+        return self.inputs != 'cloud'
+
+    @property
+    def cloud(self) -> bool:
+        """Return whether the network reads the observed cloud."""
+        return self.inputs != 'world'

@@ -2,15 +2,20 @@
 """
 The networks: three extraction units, features of each camera, and heads that all cameras share.
 
-Every weight is shared among the cameras, so one set of weights serves any number of them.
+Every weight is shared among the cameras, so one set of weights serves any number of them. A batch
+of rigs of different sizes is padded, and ``present`` (B, K) tells the cameras that there are.
 """
 
 import torch
 from torch import nn, Tensor
 
+from ocp_ros.agent import world
 from ocp_ros.agent.config import AgentConfig
+from ocp_ros.agent.distributions import Choices, Moves, SquashedGaussian
 
 LOG_STD_MIN, LOG_STD_MAX = -5.0, 2.0
+#: The same for the width of a choice, in units of the longest step.
+WIDTH_MIN, WIDTH_MAX, WIDTH_FIRST = -4.0, -1.0, -2.5
 CAMERA_CHANNELS = 32
 OWN_FEATURES = 2 + 3 + 4 + 3
 
@@ -105,19 +110,52 @@ class RigExtractor(nn.Module):
             half[..., :2] - cameras[..., :2], half[..., :2] + cameras[..., :2],
             half.expand_as(cameras)], dim=-1)
         cloud = self.cloud(observation)[:, None].expand(-1, cameras.shape[1], -1)
-        return torch.cat([cloud, own, self._from_others(cameras)], dim=-1)
+        others = self._from_others(cameras, present_of(observation))
+        return torch.cat([cloud, own, others], dim=-1)
 
-    def _from_others(self, cameras: Tensor) -> Tensor:
+    def _from_others(self, cameras: Tensor, present: Tensor) -> Tensor:
         """Pool the other cameras' offsets, by mean and maximum: (B, K, 2 x channels)."""
-        count = cameras.shape[1]
         offsets = cameras[:, None, :, :] - cameras[:, :, None, :]
         offsets = torch.cat([offsets, offsets.norm(dim=-1, keepdim=True)], dim=-1)
-        other = 1.0 - torch.eye(count, device=cameras.device)[None, :, :, None]
+        other = 1.0 - torch.eye(cameras.shape[1], device=cameras.device)[None]
+        other = (other * present[:, None])[..., None]
         features = self.others(offsets) * other
-        return torch.cat([features.sum(dim=2) / max(count - 1, 1), features.amax(dim=2)], dim=-1)
+        count = other.sum(dim=2).clamp(min=1.0)
+        return torch.cat([features.sum(dim=2) / count, features.amax(dim=2)], dim=-1)
 
 
-class ActorHead(nn.Module):
+def present_of(observation: dict[str, Tensor]) -> Tensor:
+    """Return (B, K): 1 for each camera that there is."""
+    if 'present' in observation:
+        return observation['present']
+    cameras = observation['own' if 'own' in observation else 'cameras']
+    return torch.ones(cameras.shape[:2], device=cameras.device)
+
+
+class Extractor(nn.Module):
+    """
+    Features of each camera, by what the network reads.
+
+    :param config: inputs and sizes.
+    """
+
+    def __init__(self, config: AgentConfig) -> None:
+        super().__init__()
+        self.rig = RigExtractor(config) if config.cloud else None
+        self.world = config.world
+        self.rig_width = self.rig.width if config.cloud else 0
+        self.width = self.rig_width + (world.DIRECTIONS * world.WIDTH + world.OF_CAMERAS
+                                       if config.world else 0)
+
+    def forward(self, observation: dict[str, Tensor]) -> Tensor:
+        """Return (B, K, F): the cloud's features, each direction's, and the camera's own."""
+        parts = [] if self.rig is None else [self.rig(observation)]
+        if self.world:
+            parts += [observation['directions'].flatten(2), observation['own']]
+        return torch.cat(parts, dim=-1)
+
+
+class GaussianHead(nn.Module):
     """Mean and log standard deviation of each camera's move before the hyperbolic tangent."""
 
     def __init__(self, features: int, hidden: int) -> None:
@@ -125,10 +163,55 @@ class ActorHead(nn.Module):
         self.layers = perceptron(features, hidden, hidden)
         self.out = nn.Linear(hidden, 4)
 
-    def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """Map (B, K, F) to two tensors (B, K, 2)."""
+    def forward(self, features: Tensor) -> Moves:
+        """Map (B, K, F) to a distribution of moves."""
         mean, log_std = self.out(self.layers(features)).chunk(2, dim=-1)
-        return mean, log_std.clamp(LOG_STD_MIN, LOG_STD_MAX)
+        return SquashedGaussian(mean, log_std.clamp(LOG_STD_MIN, LOG_STD_MAX))
+
+
+class ChoiceHead(nn.Module):
+    """
+    How good each of a few moves is, by one perceptron that all directions share.
+
+    It is asked once for each direction, with all that is known by direction shifted so that this
+    one comes first: a room turned by the angle between two directions gets turned answers. Where
+    there are features of the cloud, which do not turn, the direction itself is told as well.
+
+    :param config: inputs and sizes.
+    :param extractor: what comes before.
+    """
+
+    def __init__(self, config: AgentConfig, extractor: Extractor) -> None:
+        super().__init__()
+        self.rig_width = extractor.rig_width
+        compass = 2 if config.cloud else 0
+        self.layers = perceptron(extractor.width + compass, config.hidden, config.hidden)
+        #: The moves of a direction, and what speaks for staying.
+        self.out = nn.Linear(config.hidden, world.MOVES + 1)
+        self.log_std = nn.Parameter(torch.full((1,), WIDTH_FIRST))
+        number = torch.arange(world.DIRECTIONS)
+        self.register_buffer('shifts', (number[:, None] + number) % world.DIRECTIONS,
+                             persistent=False)
+        self.register_buffer('ways', torch.tensor(world.WAYS, dtype=torch.float32),
+                             persistent=False)
+        centres = world.CHOICES / world.CHOICES.max()
+        self.register_buffer('centres', torch.tensor(centres, dtype=torch.float32),
+                             persistent=False)
+
+    def forward(self, features: Tensor) -> Moves:
+        """Map (B, K, F) to a distribution of moves."""
+        split = [self.rig_width, world.DIRECTIONS * world.WIDTH, world.OF_CAMERAS]
+        rig, directions, own = features.split(split, dim=-1)
+        directions = directions.unflatten(-1, (world.DIRECTIONS, world.WIDTH))
+        rows = [directions[:, :, self.shifts].flatten(3)]
+        for each in (own, rig):
+            rows.append(each[:, :, None].expand(-1, -1, world.DIRECTIONS, -1))
+        if self.rig_width:
+            rows.append(self.ways.expand(*features.shape[:2], -1, -1))
+        scores = self.out(self.layers(torch.cat(rows, dim=-1)))
+        stay = scores[..., -1].mean(dim=-1, keepdim=True)
+        logits = torch.cat([stay, scores[..., :-1].flatten(2)], dim=-1)
+        return Choices(logits, self.log_std.clamp(WIDTH_MIN, WIDTH_MAX), self.centres)
 
 
 class CriticHead(nn.Module):
@@ -140,10 +223,11 @@ class CriticHead(nn.Module):
         self.all = perceptron(hidden, hidden)
         self.out = nn.Linear(hidden, 1)
 
-    def forward(self, features: Tensor, actions: Tensor) -> Tensor:
-        """Map (B, K, F) and (B, K, 2) to (B, 1)."""
-        each = self.each(torch.cat([features, actions], dim=-1))
-        return self.out(self.all(each.mean(dim=1)))
+    def forward(self, features: Tensor, actions: Tensor, present: Tensor) -> Tensor:
+        """Map (B, K, F), (B, K, 2) and (B, K) to (B, 1)."""
+        each = self.each(torch.cat([features, actions], dim=-1)) * present[..., None]
+        count = present.sum(dim=1, keepdim=True).clamp(min=1.0)
+        return self.out(self.all(each.sum(dim=1) / count))
 
 
 class Actor(nn.Module):
@@ -151,9 +235,16 @@ class Actor(nn.Module):
 
     def __init__(self, config: AgentConfig) -> None:
         super().__init__()
-        self.extractor = RigExtractor(config)
-        self.head = ActorHead(self.extractor.width, config.hidden)
+        self.extractor = Extractor(config)
+        self.head = head_of(config, self.extractor)
 
-    def forward(self, observation: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
-        """Return mean and log standard deviation, each (B, K, 2)."""
+    def forward(self, observation: dict[str, Tensor]) -> Moves:
+        """Return a distribution of moves from an encoded observation."""
         return self.head(self.extractor(observation))
+
+
+def head_of(config: AgentConfig, extractor: Extractor) -> nn.Module:
+    """Return the actor's head: choices where moves are tried on the world model."""
+    if config.world:
+        return ChoiceHead(config, extractor)
+    return GaussianHead(extractor.width, config.hidden)

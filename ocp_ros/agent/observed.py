@@ -6,6 +6,7 @@ Whoever decides online, a planner or a policy, knows the room through this alone
 """
 
 import numpy as np
+from scipy.spatial import ConvexHull, QhullError
 
 from ocp_ros.geometry.blocks import no_bits, pack, unpack
 from ocp_ros.geometry.cameras import CameraModel, Pose
@@ -13,7 +14,7 @@ from ocp_ros.geometry.clouds import fixed_size
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.surfels import SurfelSettings
 from ocp_ros.geometry.visibility import FAST, SurfelVisibility
-from ocp_ros.scenes.scene import Scene, voxel_downsample, voxel_size_for
+from ocp_ros.scenes.scene import Scene, SceneError, voxel_downsample, voxel_size_for
 from ocp_ros.simulation.simulator import ERROR_CUBE, View
 
 #: Metres: edge of the cells of the air. They are anchored to the map frame's origin, so that they
@@ -23,18 +24,31 @@ CELL = 0.5
 MOST_CELLS = 20_000
 #: Cells are numbered by three numbers of 21 bits each.
 BITS, OFFSET = 21, 1 << 20
+#: The number of places that are no cells.
+NO_CELL = -1
 #: Points of a cloud per point wanted: of what is denser, points are left out before voxels are
 #: sought, which takes long.
 DENSE = 4
 #: Points and rows of depth maps of a model for quick decisions.
 QUICK_POINTS, QUICK_ROWS = 6000, 32
+#: Metres: how far inside a corner of the room one looks whether it is there, how far one looks for
+#: it, and how many cameras do.
+INSIDE, FAR, LOOKING = 0.3, 100.0, 2
+#: Metres: a box that the corners enlarge by no more than this is left as it is.
+SAME = 0.05
 
 
 class Observed:
     """
     The engine on what has been seen, and the cells of the air within its bounding box.
 
+    The box decides where the viewpoints of the depth error are, so a corner that nobody has looked
+    into yet matters: see :func:`smallest_rectangle`. A corner of the rectangle counts if nothing
+    that has been seen hides it from the cameras next to it; the corner that an L-shaped room
+    lacks is behind walls.
+
     :param cloud: (M, 3) float32, metres, map frame: the points seen so far.
+    :param positions: (K, 3) metres: where the cameras are.
     :param max_range: of the cameras, metres.
     :param most: a cloud of more points is thinned to at most as many.
     :param rows: rows of the depth maps of the error.
@@ -43,17 +57,37 @@ class Observed:
     :raises SceneError: if the points are too few or too flat to be a room.
     """
 
-    def __init__(self, cloud: np.ndarray, max_range: float, most: int, rows: int,
-                 settings: SurfelSettings = FAST) -> None:
+    def __init__(self, cloud: np.ndarray, positions: np.ndarray, max_range: float, most: int,
+                 rows: int, settings: SurfelSettings = FAST) -> None:
         scene = Scene(thinned(cloud, most), 'observed cloud')
-        centres, numbers = cells_of_the_air(scene.bounds)
-        self.visibility = SurfelVisibility(scene.points, scene.normals_or_estimate, scene.pitch,
-                                           centres, settings)
-        order = self.visibility.order
-        self.cells = numbers[self.visibility.place_order]
-        self.depth_error = DepthError(scene.points[order], scene.spacing[order], scene.bounds,
-                                      rows, ERROR_CUBE)
+        corners = smallest_rectangle(scene.points[:, :2])
+        centres, numbers = cells_of_the_air(_with_corners(scene.bounds, corners))
         self._lens = CameraModel(max_range=max_range).lens
+        tests = np.column_stack([_inset(corners), np.full(4, np.median(positions[:, 2]))])
+        self.visibility = SurfelVisibility(
+            scene.points, scene.normals_or_estimate, scene.pitch,
+            np.concatenate([centres, tests.astype(np.float32)]), settings)
+        bounds = _with_corners(scene.bounds, corners[self._open(tests, positions)])
+        self.bounds = bounds
+        inside = ((centres >= bounds[0]) & (centres <= bounds[1])).all(axis=1)
+        order, places = self.visibility.order, self.visibility.place_order
+        self.cells = np.append(np.where(inside, numbers, NO_CELL), [NO_CELL] * 4)[places]
+        self.depth_error = DepthError(scene.points[order], scene.spacing[order], bounds,
+                                      rows, ERROR_CUBE)
+
+    def _open(self, tests: np.ndarray, positions: np.ndarray) -> np.ndarray:
+        """Tell of four places that are listed last whether cameras near them see them."""
+        places = self.visibility.place_order
+        lens, found = CameraModel(max_range=FAR).lens, np.zeros(4, dtype=bool)
+        away = np.linalg.norm(tests[:, None] - positions[None], axis=2)
+        near = np.argsort(away, axis=1)[:, :LOOKING]
+        for camera in np.unique(near):
+            view = View(no_bits(len(self.visibility.order)), no_bits(len(places)))
+            self.visibility.look(Pose.of(positions[camera]), lens, *view)
+            seen = np.empty(len(places), dtype=bool)
+            seen[places] = unpack(view.covered, len(places))
+            found |= seen[-4:] & (near == camera).any(axis=1)
+        return found
 
     def look(self, position: np.ndarray) -> View:
         """Compute what a camera at a position (3,) would see of what is known."""
@@ -87,7 +121,48 @@ class Memory:
         covered = [model.covered(positions) for positions in self._visited]
         self._seen = np.unique(np.concatenate([self._seen, *covered]))
         self._visited.clear()
-        return pack(~np.isin(model.cells, self._seen))
+        return pack(~np.isin(model.cells, self._seen) & (model.cells != NO_CELL))
+
+
+def smallest_rectangle(points: np.ndarray) -> np.ndarray:
+    """
+    Find the rectangle of least area around points: rooms have right angles.
+
+    One of its sides lies on a side of the convex hull (Freeman and Shapira, 1975).
+
+    :param points: (N, 2).
+    :returns: (4, 2) its corners.
+    :raises SceneError: if the points are on a line.
+    """
+    try:
+        hull = points[ConvexHull(points).vertices].astype(np.float64)
+    except QhullError as error:
+        raise SceneError('observed cloud: found all points on a line, seen from above; expected '
+                         'a room with volume') from error
+    sides = np.roll(hull, -1, axis=0) - hull
+    along = sides / np.linalg.norm(sides, axis=1, keepdims=True)
+    axes = np.stack([along, np.stack([-along[:, 1], along[:, 0]], axis=1)], axis=1)
+    spans = axes @ hull.T
+    low, high = spans.min(axis=2), spans.max(axis=2)
+    best = int(np.argmin(np.prod(high - low, axis=1)))
+    ends = np.array([[x, y] for x in (low[best, 0], high[best, 0])
+                     for y in (low[best, 1], high[best, 1])])
+    return ends @ axes[best]
+
+
+def _inset(corners: np.ndarray) -> np.ndarray:
+    """Return places a little inside the corners of a rectangle: (4, 2) metres."""
+    way = corners.mean(axis=0) - corners
+    length = np.linalg.norm(way, axis=1, keepdims=True)
+    return corners + way * np.minimum(INSIDE / length, 1.0)
+
+
+def _with_corners(bounds: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Return the box (2, 3) around a box and some corners (C, 2), metres."""
+    larger = bounds.copy()
+    larger[0, :2] = np.minimum(bounds[0, :2], corners.min(axis=0, initial=np.inf))
+    larger[1, :2] = np.maximum(bounds[1, :2], corners.max(axis=0, initial=-np.inf))
+    return np.where(np.abs(larger - bounds) > SAME, larger, bounds)
 
 
 def thinned(cloud: np.ndarray, most: int) -> np.ndarray:

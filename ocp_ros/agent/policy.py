@@ -5,8 +5,8 @@ import numpy as np
 import torch
 
 from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.agent.encoder import Encoder, order_of
 from ocp_ros.agent.networks import Actor
-from ocp_ros.agent.observation import encode
 
 
 class Policy:
@@ -14,29 +14,49 @@ class Policy:
     Run a checkpoint; stable-baselines3 is not needed.
 
     :param checkpoint: weights and sizes.
+    :param encoder: what the rig is; by default that of the weights' own training.
     """
 
-    def __init__(self, checkpoint: Checkpoint) -> None:
+    def __init__(self, checkpoint: Checkpoint, encoder: Encoder | None = None) -> None:
         self.checkpoint = checkpoint
+        self.encoder = Encoder(checkpoint.config) if encoder is None else encoder
         self.actor = Actor(checkpoint.config)
         self.actor.load_state_dict(checkpoint.weights)
         self.actor.eval()
 
-    def act(self, cloud: np.ndarray, camera_positions: np.ndarray,
+    def reset(self) -> None:
+        """Forget the last episode."""
+        self.encoder.reset()
+
+    def act(self, cloud: np.ndarray, camera_positions: np.ndarray, turn: int = 0, turns: int = 30,
             rng: np.random.Generator | None = None) -> np.ndarray:
         """
         Choose the next move of each camera.
 
-        :param cloud: (N, 3) float32, metres, map frame: all points seen so far, N >= 1.
+        :param cloud: (N, 3) float32, metres, map frame: all points seen so far.
         :param camera_positions: (K, 3), metres, map frame.
-        :param rng: draw the moves from the policy's distribution; None for the most likely ones.
-        :returns: (K, 2) float32 in [-1, 1], in units of the longest step.
+        :param turn: turns played so far.
+        :param turns: turns of the whole episode.
+        :param rng: draw the moves from the policy's distribution; None for the best ones.
+        :returns: (K, 2) float32, in units of the longest step.
         """
-        bounds = np.stack([cloud.min(axis=0), cloud.max(axis=0)])
-        encoded = encode(cloud, camera_positions, bounds, self.checkpoint.config)
+        if not self.checkpoint.config.world:
+            return self.choose(self.encoder(cloud, camera_positions, turn, turns), rng)
+        moves = np.empty((len(camera_positions), 2), dtype=np.float32)
+        encoded = self.encoder.turn(cloud, camera_positions, turn, turns)
+        for camera in order_of(turn, len(moves)):
+            (chosen,) = self.choose(encoded.inputs(camera), rng)
+            moves[camera] = encoded.move(camera, chosen)
+        return moves
+
+    def choose(self, encoded: dict[str, np.ndarray], rng: np.random.Generator | None = None
+               ) -> np.ndarray:
+        """Choose the next moves, (K, 2), from an encoded observation."""
         batch = {name: torch.from_numpy(value)[None] for name, value in encoded.items()}
         with torch.inference_mode():
-            mean, log_std = (value[0].numpy() for value in self.actor(batch))
-        if rng is not None:
-            mean = mean + np.exp(log_std) * rng.standard_normal(mean.shape, dtype=np.float32)
-        return np.tanh(mean)
+            moves = self.actor(batch)
+            if rng is None:
+                return moves.best()[0].numpy()
+            with torch.random.fork_rng(devices=[]):
+                torch.manual_seed(int(rng.integers(1 << 62)))
+                return moves.sample()[0].numpy()

@@ -16,13 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from ocp_ros.benchmark.rooms import make_room, ROTATIONS, space_of, TEST_ROOMS
+from ocp_ros.benchmark.rooms import POINTS, ROTATIONS, space_of, TEST_ROOMS
 from ocp_ros.configuration import ConfigurationError
 from ocp_ros.planners.online import play
 from ocp_ros.planners.registry import OFFLINE, ONLINE
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
 from ocp_ros.scenes.files import UP_AXES
+from ocp_ros.scenes.source import make_room
 from ocp_ros.simulation.config import EngineConfig, SimulationConfig
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.simulator import Simulator
@@ -53,6 +54,7 @@ class Protocol:
     :ivar scale: metres per unit of the scans.
     :ivar up: the axis of the scans that points up.
     :ivar simulation: the rig; its engine is the judge's.
+    :ivar model: weights of planners that have learned: path or name.
     """
 
     rooms: tuple[str, ...] = tuple(str(seed) for seed in TEST_ROOMS)
@@ -63,6 +65,7 @@ class Protocol:
     scale: float = 1.0
     up: str = 'z'
     simulation: SimulationConfig = SimulationConfig(engine=EngineConfig(preset='fine'))
+    model: str = 'default'
 
     def __post_init__(self) -> None:
         """Refuse what cannot be compared."""
@@ -162,7 +165,7 @@ def run_task(protocol: Protocol, task: Task) -> list[dict[str, Any]]:
     :returns: one row for each run: what was run, ``Judge``'s figures, evaluations, seconds, the
         placement and the trace of the search.
     """
-    scene = make_room(task.room, task.rotation, protocol.scale, protocol.up)
+    scene = make_room(task.room, task.rotation, POINTS, protocol.scale, protocol.up)
     judge = Judge(Simulator(scene, protocol.simulation))
     if task.planner == CONTROL:
         return _control(judge, task)
@@ -188,7 +191,8 @@ def _online(protocol: Protocol, judge: Judge, task: Task) -> list[dict[str, Any]
     """Play an episode with every seed; the last placement is what counts."""
     rows = []
     for seed in range(protocol.seeds):
-        online = ONLINE[task.planner](protocol.simulation, np.random.default_rng([seed, 1]))
+        online = ONLINE[task.planner](protocol.simulation, np.random.default_rng([seed, 1]),
+                                      protocol.model)
         episode = Episode(judge.simulator, np.random.default_rng([seed, 0]))
         outcome = play(online, episode, time.process_time)
         # Whoever ends beyond a wall is hung up on the near side of it.

@@ -4,7 +4,7 @@ The rooms that planners are compared in: none of them was ever trained on.
 
 Ratios of depth errors mean nothing where four cameras see all there is, so a room is only taken if
 the best of a short search is worth at least 5 % of what placements are worth on average. Running
-this module chooses the rooms anew and prints them.
+this module chooses the rooms of all sets anew and prints them.
 """
 
 from pathlib import Path
@@ -15,23 +15,24 @@ import numpy as np
 from ocp_ros.planners.registry import OFFLINE
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
-from ocp_ros.scenes.cached import load_cached
 from ocp_ros.scenes.files import READERS
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.s3dis import chosen_rooms, s3dis_folder, TEST_AREAS
-from ocp_ros.scenes.scene import Scene, SceneError, turned
+from ocp_ros.scenes.scene import Scene, SceneError
+from ocp_ros.scenes.source import make_room
+from ocp_ros.scenes.splits import SEEDS, TEST
 from ocp_ros.simulation.config import EngineConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.simulation.space import Space
 
-#: Seeds of generated rooms, by ``python -m ocp_ros.benchmark.rooms`` on 2026-11-21.
-TEST_ROOMS = (3000, 3001, 3004, 3005, 3007, 3009, 3011, 3016, 3020, 3025)
+#: Seeds of generated rooms.
+TEST_ROOMS = TEST
 #: Degrees, as in the paper.
 ROTATIONS = (0, 60, 120)
 #: Points of a room.
 POINTS = 15000
-#: The first seed that is looked at, the least share of the mean error, and how much is searched.
-FIRST, LEAST_SHARE, SEARCHED = 3000, 0.05, 1000
+#: The least share of the mean error, and how much is searched.
+LEAST_SHARE, SEARCHED = 0.05, 1000
 
 
 def difficulty(scene: Scene) -> float:
@@ -50,23 +51,6 @@ def space_of(simulator: Simulator) -> Space:
     config = simulator.config
     return Space.of(simulator.scene.points, simulator.height, config.rig.cameras,
                     config.episode.wall_margin)
-
-
-def make_room(name: str, rotation: float, scale: float = 1.0, up: str = 'z') -> Scene:
-    """
-    Make one room of a comparison.
-
-    :param name: the seed of a generated room, or the path of a scan.
-    :param rotation: degrees about the vertical axis.
-    :param scale: metres per unit of a scan.
-    :param up: the axis of a scan that points up.
-    :raises SceneError: if the scan cannot be used.
-    """
-    if name.isdecimal():
-        scene = generate_room(int(name), POINTS)
-    else:
-        scene = load_cached(name, max_points=POINTS, scale=scale, up=up)
-    return turned(scene, rotation) if rotation else scene
 
 
 def rooms_of_s3dis() -> list[str]:
@@ -94,7 +78,7 @@ def rooms_in(folder: Path, scale: float = 1.0, up: str = 'z') -> list[str]:
         raise SceneError(f'{folder}: found no scans; expected files of {", ".join(READERS)}')
     for path in found:
         try:
-            make_room(path, 0.0, scale, up)
+            make_room(path, 0.0, POINTS, scale, up)
         except SceneError as error:
             raise SceneError(f'{error}; every scan in {folder} is compared: convert this file '
                              'first, or move it out') from error
@@ -102,15 +86,14 @@ def rooms_in(folder: Path, scale: float = 1.0, up: str = 'z') -> list[str]:
 
 
 def main() -> int:
-    """Choose the rooms and print how hard they are."""
-    chosen, seed = [], FIRST
-    while len(chosen) < 10:
-        share = difficulty(generate_room(seed, POINTS))
-        if share >= LEAST_SHARE:
-            chosen.append(seed)
-            print(f'room {seed}: best known {100 * share:.1f} % of random')
-        seed += 1
-    print(f'{len(chosen)} of {seed - FIRST} rooms: {tuple(chosen)}')
+    """Choose the rooms of all sets and print them."""
+    for name, (first, count) in SEEDS.items():
+        chosen, seed = [], first
+        while len(chosen) < count:
+            if difficulty(generate_room(seed, POINTS)) >= LEAST_SHARE:
+                chosen.append(seed)
+            seed += 1
+        print(f'{name}: {count} of {seed - first} rooms: {tuple(chosen)}', flush=True)
     return 0
 
 

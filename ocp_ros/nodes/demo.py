@@ -19,7 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
 from ocp_ros.configuration import from_flat, to_nested
-from ocp_ros.nodes.policy_node import PolicyNodeConfig
+from ocp_ros.nodes.policy_node import PLANNERS, PolicyNodeConfig
 from ocp_ros.nodes.processes import (
     end_on_signals,
     free_domain,
@@ -53,6 +53,8 @@ def parser() -> argparse.ArgumentParser:
                      help='axis of the scan that points up')
     top.add_argument('--drop-nonfinite', action='store_true',
                      help='leave out points with NaN or inf')
+    top.add_argument('--planner', choices=PLANNERS, default=PolicyNodeConfig.planner,
+                     help='who chooses the moves')
     top.add_argument('--model', default='default', help='weights: path or name')
     top.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
     return top
@@ -69,7 +71,7 @@ def sim_parameters(options: argparse.Namespace) -> dict[str, Any]:
 
 def policy_parameters(options: argparse.Namespace) -> dict[str, Any]:
     """Return the parameters of ``policy_node`` that the options set."""
-    return {'model': options.model, 'turns': options.turns}
+    return {'planner': options.planner, 'model': options.model, 'turns': options.turns}
 
 
 def run_episode(options: argparse.Namespace, domain: int, watch: Watch) -> None:
@@ -110,8 +112,8 @@ def result_of(options: argparse.Namespace, node: Watcher) -> dict[str, Any]:
         'space_coverage_start': fields[0]['space_coverage'],
         'space_coverage_end': fields[-1]['space_coverage'],
         'seconds_per_turn': float(np.median(answered)) if answered else None,
-        'positions': np.round(node.placement, 4).tolist(), 'model': options.model,
-        'date': datetime.now(timezone.utc).isoformat(timespec='seconds')}
+        'positions': np.round(node.placement, 4).tolist(), 'planner': options.planner,
+        'model': options.model, 'date': datetime.now(timezone.utc).isoformat(timespec='seconds')}
 
 
 def picture(options: argparse.Namespace, node: Watcher, result: dict[str, Any],
@@ -167,8 +169,8 @@ def main(args: list[str] | None = None) -> int:
     (options.out / 'demo.json').write_text(json.dumps(result, indent=2) + '\n')
     Console().print(table(result))
     if result['depth_error_end'] > result['depth_error_start']:
-        print('The policy left the cameras worse than it found them: this room or number of '
-              'cameras is unlike those it was trained with (four cameras in closed rooms).')
+        print(f'{result["planner"]} left the cameras worse than it found them: a policy may when '
+              'the room or the number of cameras is unlike those it was trained with.')
     print(f'wrote {options.out / "demo.json"} and {options.out / "demo.png"}')
     return 0
 

@@ -2,8 +2,9 @@
 """
 ``policy_node``: answers each observation with where the cameras shall go.
 
-It starts without open3d, stable-baselines3 or matplotlib, and keeps nothing about an episode but
-the number of its turns, so it can be killed and restarted at any time.
+It starts without open3d, stable-baselines3 or matplotlib. Whatever it needs to know about an
+episode comes with each turn, and what it remembers of the turns before only makes its answers
+better, so it can be killed and restarted at any time.
 """
 
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 import torch
 
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
+from ocp_ros.agent.encoder import Encoder
 from ocp_ros.agent.policy import Policy
 from ocp_ros.configuration import setting
 from ocp_ros.nodes import health, topics
@@ -27,47 +29,108 @@ from ocp_ros.nodes.conversions import (
     msg_to_fields,
     msg_to_positions,
     ns_of,
-    ns_to_stamp,
     positions_to_msg,
+    stamp_to_ns,
 )
 from ocp_ros.nodes.parameters import declare
 from ocp_ros.nodes.qos import LATCHED, LOOP
 from ocp_ros.nodes.runner import run
+from ocp_ros.planners.lookahead import Lookahead
+from ocp_ros.planners.online import Learned, Online, ThenLookahead
 from ocp_ros.resources import find_model
+from ocp_ros.scenes.scene import LARGEST
 from ocp_ros.simulation.moves import bounded_moves, kept_inside
 from ocp_ros.simulation.space import Space
+
+LEARNED, LOOKAHEAD, BOTH = PLANNERS = 'learned', 'lookahead', 'learned+lookahead'
 
 
 @dataclass(frozen=True)
 class PolicyNodeConfig:
     """Parameters of ``policy_node``."""
 
-    model: str = setting('default', 'path to weights, or the name of a model of the package')
+    planner: str = setting(
+        LOOKAHEAD, 'who chooses the moves: learned, a trained policy; lookahead, planning on what '
+        'has been seen, which needs no weights and takes none that arrive; learned+lookahead, the '
+        'policy first and lookahead then', choices=PLANNERS)
+    model: str = setting(
+        'default', 'path to weights, or the name of a model of the package; lookahead does not '
+        'read it')
     turns: int = setting(30, 'turns until the placement is final', 1, 100000)
     max_step: float = setting(0.5, 'farthest a camera moves in one turn, metres', 0.001, 10.0)
+    max_range: float = setting(4.0, 'effective range of the cameras, metres', 0.1, 100.0)
     wall_margin: float = setting(
         0.1, 'cameras stay this far inside the observed bounding box, metres', 0.0, 5.0)
     convergence_distance: float = setting(
         0.02, 'moves shorter than this count as standing still, metres', 0.0, 1.0)
     convergence_turns: int = setting(
-        3, 'turns of standing still that make the placement final', 1, 1000)
+        3, 'turns of standing still that make the placement final, with planner: learned; '
+        'lookahead refines until the turns are used up', 1, 1000)
     explore: bool = setting(
-        False, "draw moves from the policy's distribution and never settle: for training")
-    seed: int = setting(0, 'seed of the exploration', 0, 1 << 31)
+        False, "draw moves from the policy's distribution, whoever is the planner, and never "
+        'settle: for training')
+    seed: int = setting(0, 'seed of exploration and lookahead', 0, 1 << 31)
+
+    @property
+    def weightless(self) -> bool:
+        """Return whether no policy is asked."""
+        return self.planner == LOOKAHEAD and not self.explore
+
+
+class Exploring(Learned):
+    """Moves drawn from the distribution of a trained policy."""
+
+    def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
+        """Choose the next moves; see :meth:`~ocp_ros.planners.online.Online.move`."""
+        actions = self.policy.act(cloud, positions, turn, turns, self.rng)
+        return bounded_moves(actions, self.max_step)
+
+
+def make_planner(config: PolicyNodeConfig, checkpoint: Checkpoint | None
+                 ) -> tuple[Online, Learned | None]:
+    """
+    Build what chooses the moves.
+
+    :param config: which planner, and what it is told of the rig.
+    :param checkpoint: weights of the policy; None where none is asked.
+    :returns: the planner, and its part that runs the policy.
+    """
+    rng = np.random.default_rng(config.seed)
+    rig = config.max_range, config.max_step, config.wall_margin
+    settings = rng, config.max_step, config.max_range, config.wall_margin
+    if checkpoint is None:
+        return Lookahead(*settings), None
+    policy = Policy(checkpoint, Encoder(checkpoint.config, *rig))
+    if config.explore:
+        exploring = Exploring(policy, *settings)
+        return exploring, exploring
+    learned = Learned(policy, *settings)
+    if config.planner == LEARNED:
+        return learned, learned
+    return ThenLookahead(learned, Lookahead(*settings)), learned
 
 
 class PolicyNode(Node):
-    """Run a trained actor on observations."""
+    """
+    Answer turns with a planner.
+
+    The placement is final when the turns are used up. A policy that plays alone can be done
+    earlier, when its cameras stand still; where lookahead plays the last turns, they are all
+    played, since it refines what the policy has settled on, and cameras that stand still for some
+    turns of its search may yet move.
+    """
 
     def __init__(self, **kwargs) -> None:
         super().__init__('policy_node', **kwargs)
         self.config = declare(self, PolicyNodeConfig)
-        path = find_model(self.config.model)
-        self.policy = Policy(Checkpoint.load(path))
-        self._rng = np.random.default_rng(self.config.seed) if self.config.explore else None
+        path = None if self.config.weightless else find_model(self.config.model)
+        self.planner, self._learned = make_planner(
+            self.config, None if path is None else Checkpoint.load(path))
         self._cloud: PointCloud2 | None = None
         self._poses: PoseArray | None = None
         self._answer: PoseArray | None = None
+        #: Stamp of the latest reward, nanoseconds.
+        self._told: int | None = None
         self._counts = {'turns_answered': 0, 'refused_messages': 0, 'weights_swapped': 0,
                         'weights_refused': 0}
         self._start_episode(episode=0)
@@ -77,13 +140,23 @@ class PolicyNode(Node):
         self.create_subscription(Float64MultiArray, topics.REWARD, self._on_reward, LOOP)
         self.create_subscription(PoseArray, topics.CAMERA_POSES, self._on_poses, LOOP)
         self.create_subscription(PointCloud2, topics.OBSERVATION, self._on_cloud, LOOP)
-        self.create_subscription(
-            UInt8MultiArray, topics.POLICY_WEIGHTS, self._on_weights, LATCHED)
+        if self._learned is not None:
+            self.create_subscription(
+                UInt8MultiArray, topics.POLICY_WEIGHTS, self._on_weights, LATCHED)
         self._health = health.Health(self, self._status)
-        self.get_logger().info(f'{path.name}: {self.policy.checkpoint.updates} updates')
+        weights = 'no weights' if path is None else \
+            f'{path.name}: {self.policy.checkpoint.updates} updates'
+        planner = 'exploring' if self.config.explore else self.config.planner
+        self.get_logger().info(f'{planner}, {weights}')
+
+    @property
+    def policy(self) -> Policy | None:
+        """Return the policy that runs, if any."""
+        return None if self._learned is None else self._learned.policy
 
     def _start_episode(self, episode: int) -> None:
         """Forget the turns of the last episode."""
+        self.planner.reset()
         self._episode, self._step, self._still = episode, 0, 0
         self._over = self._settled = False
 
@@ -95,13 +168,19 @@ class PolicyNode(Node):
         except MessageError as error:
             self._refuse(error)
             return
+        stamp = ns_of(fields, 'stamp')
+        if stamp == self._told:
+            # The turn was sent again: an episode that began with it goes on.
+            return
+        self._told = stamp
         # Step 0 is a new episode in any case: a restarted simulation counts from 1 again.
         if int(fields['episode']) != self._episode or int(fields['step']) == 0:
             self._start_episode(int(fields['episode']))
         self._step, self._over = int(fields['step']), bool(fields['truncated'])
-        stamp = ns_to_stamp(ns_of(fields, 'stamp'))
-        if self._over and self._answer is not None and self._answer.header.stamp == stamp:
-            self._settle(self._poses)
+        if self._answer is not None and stamp_to_ns(self._answer.header.stamp) == stamp:
+            if self._over:
+                self._settle(self._poses)
+            self._step += 1
 
     def _on_cloud(self, message: PointCloud2) -> None:
         """Keep the observation; act when its poses are here."""
@@ -135,25 +214,47 @@ class PolicyNode(Node):
         """Choose where the cameras go, and say so once it is where they stay."""
         if len(cloud) == 0:
             raise MessageError('cloud: found no finite point; expected what the cameras see')
-        if self._over or not self.config.explore and (
-                self._step >= self.config.turns or self._still >= self.config.convergence_turns):
+        bounds = np.stack([cloud.min(axis=0), cloud.max(axis=0)]).astype(np.float64)
+        if (size := np.ptp(bounds, axis=0).max()) > LARGEST:
+            raise MessageError(f'cloud: found points {size:.0f} m apart; expected those of a '
+                               f'room, within {LARGEST:.0f} m')
+        if self._done():
             self._settle(poses)
         target = positions.copy()
         if not self._settled:
-            actions = self.policy.act(cloud, positions, self._rng)
-            moves = bounded_moves(actions, self.config.max_step)
-            if not np.isfinite(moves).all():
-                self.get_logger().error('the policy gave NaN or inf; cameras stay where they are')
-                moves[:] = 0.0
             # Nobody leaves the floor that was seen: beyond a wall one looks through its back.
             space = Space.of(cloud, float(np.median(positions[:, 2])), len(positions),
                              self.config.wall_margin)
-            target[:, :2] = space.moved(positions[:, :2], moves, self.config.max_step)
-        bounds = np.stack([cloud.min(axis=0), cloud.max(axis=0)]).astype(np.float64)
+            target[:, :2] = space.moved(positions[:, :2], self._moves(cloud, positions),
+                                        self.config.max_step)
         target, _ = kept_inside(target, bounds, self.config.wall_margin)
         moved = np.linalg.norm(target - positions, axis=1).max()
         self._still = self._still + 1 if moved < self.config.convergence_distance else 0
         return positions_to_msg(target, poses.header)
+
+    def _moves(self, cloud: np.ndarray, positions: np.ndarray) -> np.ndarray:
+        """Ask the planner for the next moves, (K, 2) metres; where it fails, cameras stay."""
+        turns = self.config.turns
+        try:
+            moves = self.planner.move(cloud, positions, min(self._step, turns), turns)
+        except Exception as error:
+            # Planners know what to do without a room. What else may happen, this node goes on.
+            failure = f'{type(error).__name__}: {error}'
+        else:
+            if np.isfinite(moves).all():
+                return moves
+            failure = 'moves of NaN or inf'
+        self.get_logger().error(
+            f'{self.config.planner}: found {failure}; cameras stay where they are')
+        return np.zeros((len(positions), 2))
+
+    def _done(self) -> bool:
+        """Tell whether the cameras shall stay where they are."""
+        if self._over or self.config.explore:
+            return self._over
+        converged = self._still >= self.config.convergence_turns
+        return self._step >= self.config.turns or (
+            converged and self.planner is self._learned)
 
     def _settle(self, poses: PoseArray) -> None:
         """Publish the placement, once per episode."""
@@ -172,7 +273,8 @@ class PolicyNode(Node):
             self._counts['weights_refused'] += 1
             self.get_logger().warning(f'weights refused: {error}')
             return
-        self.policy = Policy(checkpoint)
+        # What the encoder remembers is the episode's, not the weights'.
+        self._learned.policy = Policy(checkpoint, self.policy.encoder)
         self._counts['weights_swapped'] += 1
         self.get_logger().info(
             f'weights swapped: {running.updates} -> {checkpoint.updates} updates')
@@ -183,11 +285,14 @@ class PolicyNode(Node):
         self.get_logger().warning(f'message refused: {error}', throttle_duration_sec=1.0)
 
     def _status(self) -> health.Status:
-        """Say what the policy is doing."""
+        """Say what the planner is doing."""
         message = 'placement is final' if self._settled else 'answering turns'
+        run, updates = '-', 0
+        if self.policy is not None:
+            run, updates = self.policy.checkpoint.run or '-', self.policy.checkpoint.updates
         return health.OK, message, {
-            'weights_run': self.policy.checkpoint.run or '-',
-            'weights_updates': self.policy.checkpoint.updates, 'step': self._step, **self._counts}
+            'planner': self.config.planner, 'weights_run': run, 'weights_updates': updates,
+            'step': self._step, **self._counts}
 
 
 def main(args: list[str] | None = None) -> int:

@@ -42,7 +42,7 @@ def nodes(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Return the nodes and their parameters; the trainer first, so that it hears every turn."""
     return {
         'trainer_node': {'model': options.model, 'folder': str(options.out / 'trainer'),
-                         'publish_every': 20, 'sac.learning_starts': 100,
+                         'publish_every': 20, 'sac.learning_starts': 100, 'sac.burn_in': 20,
                          'updates_per_turn': 0.5},
         'policy_node': {'model': options.model, 'explore': True},
         'sim_node': {'scene.seed': options.seed, 'auto_reset': True}}

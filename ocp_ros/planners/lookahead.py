@@ -17,7 +17,7 @@ from scipy.optimize import linear_sum_assignment
 from ocp_ros.agent.observed import Memory, Observed, QUICK_POINTS, QUICK_ROWS
 from ocp_ros.geometry.blocks import count_bits
 from ocp_ros.geometry.visibility import FINE
-from ocp_ros.planners.online import cell_weight, Online
+from ocp_ros.planners.online import cell_weight, Online, REFINING
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.simulation.space import Space
 
@@ -31,12 +31,10 @@ EXCHANGES = 3000
 HOT, COLD = 0.04, 2e-4
 #: Share of its proposals that go anywhere; the others go to one of so many nearest candidates.
 ANYWHERE, NEIGHBOURS = 0.3, 12
-#: Share of the turns after which plans are refined.
-REFINING = 0.6
 #: Points and rows of depth maps of the model to refine on, and turns that it is kept for.
 REFINING_POINTS, REFINING_ROWS, REFINING_KEPT = 25000, 64, 4
-#: Proposals of a turn of refinement.
-STEPS = 100
+#: Proposals of a turn of refinement, and of one that makes a model as well.
+STEPS, FEWER_STEPS = 80, 20
 #: First and last temperature of the refinement, in multiples of the best plan's error, and the
 #: error from which these are taken at least, metres.
 WARM, COOL, LEAST = 0.1, 0.003, 1e-3
@@ -130,6 +128,10 @@ class Lookahead(Online):
         #: Turn of the last model or of the last candidates.
         self._made = 0
 
+    def watch(self, positions: np.ndarray) -> None:
+        """Remember where the cameras were."""
+        self._memory.visit(positions)
+
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`Online.move`."""
         self._memory.visit(positions)
@@ -148,7 +150,7 @@ class Lookahead(Online):
     def _look_around(self, cloud: np.ndarray, positions: np.ndarray, turn: int,
                      turns: int) -> None:
         """Compute what would be seen from where; the plan so far is among the candidates."""
-        model = Observed(cloud, self.max_range, QUICK_POINTS, QUICK_ROWS)
+        model = Observed(cloud, positions, self.max_range, QUICK_POINTS, QUICK_ROWS)
         space, unseen = self.space(cloud, positions), self._memory.unseen(model)
         weight = cell_weight(model, unseen, turn, turns)
         count = int(np.clip(space.area / SPACING ** 2, 4, CANDIDATES))
@@ -170,16 +172,18 @@ class Lookahead(Online):
 
     def _refine(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Anneal the plan, or the placement where there is none, among what can be reached."""
+        steps = STEPS
         if self._model is None or turn - self._made >= REFINING_KEPT:
-            self._model = Observed(cloud, self.max_range, REFINING_POINTS, REFINING_ROWS, FINE)
-            self._made = turn
+            self._model = Observed(cloud, positions, self.max_range, REFINING_POINTS,
+                                   REFINING_ROWS, FINE)
+            self._made, steps = turn, FEWER_STEPS
         model, space, first = self._model, self.space(cloud, positions), REFINING * turns
         placed = positions[:, :2] if self._plan is None else self._plan
         placed = best = self.towards(positions, space.inside(placed), turns - turn)
         views = [model.look(position) for position in space.placement(placed)]
         error = best_error = model.error(views)
-        for step in range(STEPS):
-            share = (turn - first + step / STEPS) / (turns - first)
+        for step in range(steps):
+            share = (turn - first + step / steps) / (turns - first)
             temperature = max(best_error, LEAST) * _between(WARM, COOL, share)
             trial, camera = placed.copy(), int(self.rng.integers(len(placed)))
             trial[camera] = space.reflected(

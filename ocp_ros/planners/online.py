@@ -14,9 +14,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ocp_ros.agent.observed import Memory, Observed, QUICK_POINTS, QUICK_ROWS
+from ocp_ros.agent.config import AgentConfig
+from ocp_ros.agent.encoder import Encoder, order_of
+from ocp_ros.agent.observed import Observed
+from ocp_ros.agent.world import CHOICES, curiosity, greedy
 from ocp_ros.geometry.blocks import count_bits
-from ocp_ros.scenes.scene import SceneError
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.moves import bounded_moves, towards
 from ocp_ros.simulation.space import Space
@@ -24,11 +26,10 @@ from ocp_ros.simulation.space import Space
 if TYPE_CHECKING:
     from ocp_ros.agent.policy import Policy
 
-#: What covering all unseen cells is worth at first, as a share of the error of seeing nothing, and
-#: the share of the turns after which it is worth nothing.
-CURIOSITY, EXPLORING = 2.0, 0.55
-#: The hand rule's moves: how many directions, and how far, metres.
-DIRECTIONS, LENGTHS = 8, (0.12, 0.5)
+#: Share of the turns after which plans are refined: before that too little has been seen.
+REFINING = 0.6
+#: Share of the turns that a policy plays alone where lookahead follows.
+ALONE = 0.3
 
 
 class Online(ABC):
@@ -48,6 +49,9 @@ class Online(ABC):
 
     def reset(self) -> None:  # noqa: B027
         """Forget the last episode; most planners remember nothing."""
+
+    def watch(self, positions: np.ndarray) -> None:  # noqa: B027
+        """Take note of a turn that another planner plays: the cameras are at (K, 3) metres."""
 
     @abstractmethod
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
@@ -122,19 +126,14 @@ def play(online: Online, episode: Episode,
                    np.array([state.depth_error for state in states]), np.array(seconds))
 
 
-def curiosity(turn: int, turns: int) -> float:
-    """Return what covering all unseen cells is worth at a turn, in errors of seeing nothing."""
-    return CURIOSITY * max(1.0 - turn / (EXPLORING * turns), 0.0)
-
-
 def cell_weight(model: Observed, unseen: np.ndarray, turn: int, turns: int) -> float:
     """Return what covering one of a model's unseen cells is worth, metres of depth error."""
-    return curiosity(turn, turns) * model.depth_error.worst / max(int(count_bits(unseen)), 1)
+    return curiosity(turn / turns) * model.depth_error.worst / max(int(count_bits(unseen)), 1)
 
 
 class Learned(Online):
     """
-    The moves that a trained policy finds most likely.
+    The moves that a trained policy finds best.
 
     :param policy: chooses them in units of ``max_step``.
     :param settings: of :class:`Online`.
@@ -144,12 +143,16 @@ class Learned(Online):
         super().__init__(*settings)
         self.policy = policy
 
+    def reset(self) -> None:
+        """Forget the last episode."""
+        self.policy.reset()
+
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`Online.move`."""
         if len(cloud) == 0:
             return self.wander(cloud, positions)
         flat = positions[:, :2]
-        moves = bounded_moves(self.policy.act(cloud, positions), self.max_step)
+        moves = bounded_moves(self.policy.act(cloud, positions, turn, turns), self.max_step)
         return self.space(cloud, positions).moved(flat, moves, self.max_step) - flat
 
 
@@ -157,61 +160,40 @@ class HandRule(Online):
     """
     One camera after the other takes the best of a few moves, one turn ahead.
 
-    Moves are judged by the depth error of the observed cloud and the unseen cells they cover.
+    It reads what the policy reads and chooses among the same moves: a control for learning.
     """
 
     def __init__(self, *settings) -> None:
         super().__init__(*settings)
-        self.reset()
+        self._encoder = Encoder(AgentConfig(inputs='world'), self.max_range, self.max_step,
+                                self.wall_margin)
 
     def reset(self) -> None:
         """Forget what has been seen."""
-        self._memory = Memory()
+        self._encoder.reset()
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`Online.move`."""
-        self._memory.visit(positions)
-        try:
-            model = Observed(cloud, self.max_range, QUICK_POINTS, QUICK_ROWS)
-        except SceneError:
+        encoded = self._encoder.turn(cloud, positions, turn, turns)
+        if not encoded.known:
             return self.wander(cloud, positions)
-        unseen, space = self._memory.unseen(model), self.space(cloud, positions)
-        weight = cell_weight(model, unseen, turn, turns)
-        placed = positions[:, :2].copy()
-        views = [model.look(position) for position in space.placement(placed)]
-        for camera in range(len(placed)):
-            trials = self._trials(space, placed[camera])
-            looks = [model.look(position) for position in space.placement(trials)]
-            values = []
-            for look in looks:
-                views[camera] = look
-                covered = np.bitwise_or.reduce([view.covered for view in views]) & unseen
-                values.append(model.error(views) - weight * int(count_bits(covered)))
-            choice = int(np.argmin(values))
-            placed[camera], views[camera] = trials[choice], looks[choice]
-        return placed - positions[:, :2]
-
-    def _trials(self, space: Space, position: np.ndarray) -> np.ndarray:
-        """Return the places (T, 2) that a camera at (2,) may go to; the first is where it is."""
-        angles = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
-        ways = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        moves = np.vstack([np.zeros((1, 2)), *(length * ways for length in LENGTHS)])
-        start = np.repeat(position[None], len(moves), axis=0)
-        return self.towards(start, space.inside(start + moves))
+        for camera in order_of(turn, len(positions)):
+            best = int(np.argmin(greedy(encoded.inputs(camera))))
+            encoded.move(camera, CHOICES[best] / self.max_step)
+        return (encoded.positions - positions)[:, :2]
 
 
 class ThenLookahead(Online):
     """
-    One planner first, another in the last turns.
+    One planner explores, another plans on what it has seen.
 
-    :param first: plays until then, such as :class:`Learned`.
-    :param lookahead: plays the last turns.
-    :param switch: how many these are.
+    :param first: plays the first turns, such as :class:`Learned`.
+    :param lookahead: plays the others.
     """
 
-    def __init__(self, first: Online, lookahead: Online, switch: int) -> None:
+    def __init__(self, first: Online, lookahead: Online) -> None:
         super().__init__(first.rng, first.max_step, first.max_range, first.wall_margin)
-        self.first, self.lookahead, self.switch = first, lookahead, switch
+        self.first, self.lookahead = first, lookahead
 
     def reset(self) -> None:
         """Reset both."""
@@ -220,5 +202,7 @@ class ThenLookahead(Online):
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`Online.move`."""
-        online = self.first if turn < turns - self.switch else self.lookahead
-        return online.move(cloud, positions, turn, turns)
+        if turn >= ALONE * turns:
+            return self.lookahead.move(cloud, positions, turn, turns)
+        self.lookahead.watch(positions)
+        return self.first.move(cloud, positions, turn, turns)

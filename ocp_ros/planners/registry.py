@@ -23,28 +23,40 @@ from ocp_ros.resources import find_model
 from ocp_ros.simulation.config import SimulationConfig
 from ocp_ros.simulation.space import Space
 
-#: Turns of lookahead after those of the policy.
-REFINING_TURNS = 18
 
-
-def _settings(config: SimulationConfig, rng: np.random.Generator) -> tuple:
+def settings_of(config: SimulationConfig, rng: np.random.Generator) -> tuple:
     """Return what every online planner is told of its rig."""
     return (rng, config.episode.max_step, float(config.rig.ranges.max()),
             config.episode.wall_margin)
 
 
-def _learned(config: SimulationConfig, rng: np.random.Generator) -> Learned:
-    """Return the policy that comes with the package."""
+def _hand_rule(config: SimulationConfig, rng: np.random.Generator, model: str = '') -> HandRule:
+    """Return the hand rule; it has no weights."""
+    return HandRule(*settings_of(config, rng))
+
+
+def _learned(config: SimulationConfig, rng: np.random.Generator, model: str = 'default'
+             ) -> Learned:
+    """Return a policy."""
     # Only here: PyTorch takes longer to start than most searches.
     from ocp_ros.agent.checkpoint import Checkpoint
+    from ocp_ros.agent.encoder import Encoder
     from ocp_ros.agent.policy import Policy
-    return Learned(Policy(Checkpoint.load(find_model('default'))), *_settings(config, rng))
+    checkpoint, settings = Checkpoint.load(find_model(model)), settings_of(config, rng)
+    _, max_step, max_range, wall_margin = settings
+    encoder = Encoder(checkpoint.config, max_range, max_step, wall_margin)
+    return Learned(Policy(checkpoint, encoder), *settings)
 
 
-def _learned_lookahead(config: SimulationConfig, rng: np.random.Generator) -> ThenLookahead:
-    """Return the policy with lookahead in the last turns."""
-    return ThenLookahead(_learned(config, rng), Lookahead(*_settings(config, rng)),
-                         REFINING_TURNS)
+def _lookahead(config: SimulationConfig, rng: np.random.Generator, model: str = '') -> Lookahead:
+    """Return the lookahead planner; it has no weights."""
+    return Lookahead(*settings_of(config, rng))
+
+
+def _learned_lookahead(config: SimulationConfig, rng: np.random.Generator,
+                       model: str = 'default') -> ThenLookahead:
+    """Return a policy with lookahead in the last turns."""
+    return ThenLookahead(_learned(config, rng, model), _lookahead(config, rng))
 
 
 def _learned_cma_es(space: Space, rng: np.random.Generator, budget: int) -> WarmCmaEs:
@@ -77,9 +89,10 @@ KNOWS = {
     'learned_cma_es': 'scores, and what its placements see',
 }
 
-ONLINE: dict[str, Callable[[SimulationConfig, np.random.Generator], Online]] = {
-    'hand_rule': lambda config, rng: HandRule(*_settings(config, rng)),
+#: A rig, the source of chance, and the weights of those that have learned: path or name.
+ONLINE: dict[str, Callable[..., Online]] = {
+    'hand_rule': _hand_rule,
     'learned': _learned,
-    'lookahead': lambda config, rng: Lookahead(*_settings(config, rng)),
+    'lookahead': _lookahead,
     'learned_lookahead': _learned_lookahead,
 }

@@ -19,7 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from ocp_ros.benchmark.protocol import PRESETS, Protocol
-from ocp_ros.benchmark.rooms import make_room, rooms_in, rooms_of_s3dis
+from ocp_ros.benchmark.rooms import POINTS, rooms_in, rooms_of_s3dis
 from ocp_ros.benchmark.runner import run, write_whole
 from ocp_ros.benchmark.summary import summarise
 from ocp_ros.configuration import ConfigurationError
@@ -27,6 +27,7 @@ from ocp_ros.planners.registry import OFFLINE, ONLINE
 from ocp_ros.report.benchmark import budgets_of, last_runs, shown, spaced, write_report
 from ocp_ros.report.page import write_page
 from ocp_ros.report.picture import draw_examples, Example
+from ocp_ros.scenes.source import make_room
 from ocp_ros.simulation.simulator import Simulator
 
 #: Rooms on the page that can be turned around.
@@ -106,7 +107,7 @@ def _shown(protocol: Protocol, rows: Rows) -> Shown:
                 rival = best.setdefault(row['planner'], row)
                 if row['depth_error'] < rival['depth_error']:
                     best[row['planner']] = row
-        simulator = Simulator(make_room(room, rotation, protocol.scale, protocol.up),
+        simulator = Simulator(make_room(room, rotation, POINTS, protocol.scale, protocol.up),
                               protocol.simulation)
         name = simulator.scene.name
         # Scans of several folders may have one name.

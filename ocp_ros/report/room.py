@@ -10,7 +10,8 @@ from matplotlib.patches import Polygon
 import numpy as np
 from scipy.spatial import cKDTree, ConvexHull
 
-from ocp_ros.scenes.scene import edge_aware_normals, NEIGHBOURS
+from ocp_ros.geometry.normals import edge_aware_normals
+from ocp_ros.scenes.scene import NEIGHBOURS
 
 INK, PALE_INK = '#1c2530', '#66707c'
 #: Lightness falls evenly with height, so that walls are dark in the plan.

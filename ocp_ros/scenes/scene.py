@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ocp_ros.geometry.cameras import rotation_matrix
+from ocp_ros.geometry.normals import edge_aware_normals
 
 MIN_POINTS = 100
 #: Nearest points that a point's plane is fitted to, itself included.
@@ -117,33 +118,6 @@ def turned(scene: Scene, degrees: float) -> Scene:
         mesh = Mesh((mesh.vertices @ rotation.T).astype(np.float32), mesh.triangles)
     normals = None if scene.normals is None else scene.normals @ rotation.T
     return Scene(scene.points @ rotation.T, f'{scene.name}@{degrees:g}', normals, mesh)
-
-
-def edge_aware_normals(points: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
-    """
-    Fit a plane to each point's neighbours; then take, of those planes nearby, the one that fits.
-
-    A plane that is fitted across an edge is neither side's. So each point adopts the plane of the
-    neighbour for which the point's distance to it, in spacings, and the plane's own roughness are
-    least: on an edge that is the plane of a neighbour farther inside its face.
-
-    :param points: (N, 3), metres.
-    :param neighbours: (N, K) indices of the nearest points, the point itself first.
-    :returns: (N, 3) float32 unit vectors of either sign.
-    """
-    around = points[neighbours]
-    offsets = around - around.mean(axis=1, keepdims=True)
-    scatter = np.einsum('nki,nkj->nij', offsets, offsets, dtype=np.float64)
-    spread, directions = np.linalg.eigh(scatter)
-    normals = directions[:, :, 0]
-    roughness = np.sqrt(np.clip(spread[:, 0] / np.maximum(spread.sum(axis=1), 1e-30), 0.0, 1.0))
-    candidates = neighbours[:, :12]
-    offsets = points[:, None] - points[candidates]
-    distance = np.abs(np.einsum('nki,nki->nk', offsets, normals[candidates]))
-    typical = max(float(np.linalg.norm(points - points[neighbours[:, 1]], axis=1).mean()), 1e-9)
-    best = (distance / typical + 3.0 * roughness[candidates]).argmin(axis=1)
-    chosen = candidates[np.arange(len(points)), best]
-    return np.ascontiguousarray(normals[chosen], dtype=np.float32)
 
 
 def check_points(points: np.ndarray, name: str) -> None:

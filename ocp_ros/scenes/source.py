@@ -4,9 +4,10 @@
 from dataclasses import dataclass
 
 from ocp_ros.configuration import setting
+from ocp_ros.scenes.cached import load_cached
 from ocp_ros.scenes.files import load_scene
 from ocp_ros.scenes.rooms import generate_room
-from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.scene import Scene, turned
 
 
 @dataclass(frozen=True)
@@ -34,3 +35,22 @@ def make_scene(config: SceneConfig) -> Scene:
         return generate_room(config.seed, config.points)
     return load_scene(config.file, voxel_size=config.voxel_size, max_points=config.points,
                       scale=config.scale, up=config.up, drop_nonfinite=config.drop_nonfinite)
+
+
+def make_room(name: str, rotation: float, points: int = 15000, scale: float = 1.0, up: str = 'z'
+              ) -> Scene:
+    """
+    Make one of many rooms.
+
+    :param name: the seed of a generated room, or the path of a scan.
+    :param rotation: degrees about the vertical axis.
+    :param points: of a generated room; a larger scan is thinned to as many.
+    :param scale: metres per unit of a scan.
+    :param up: the axis of a scan that points up.
+    :raises SceneError: if the scan cannot be used.
+    """
+    if name.isdecimal():
+        scene = generate_room(int(name), points)
+    else:
+        scene = load_cached(name, max_points=points, scale=scale, up=up)
+    return turned(scene, rotation) if rotation else scene

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One episode: a rig moves through a scene turn by turn, and what it has seen stays seen."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,17 +37,21 @@ class Episode:
 
     :param simulator: the engine for the scene.
     :param rng: where the cameras start is drawn from it.
+    :param cameras: how many there are; those of the simulator's rig unless told otherwise.
     """
 
-    def __init__(self, simulator: Simulator, rng: np.random.Generator) -> None:
+    def __init__(self, simulator: Simulator, rng: np.random.Generator,
+                 cameras: int | None = None) -> None:
         self.simulator, self.scene = simulator, simulator.scene
+        rig = simulator.config.rig
+        self.rig = rig if cameras is None else replace(rig, cameras=cameras)
         self.config = simulator.config.episode
         self.observed = simulator.nothing()
         self.turn = self._look(0, self._start(rng), NO_REWARD)
 
     def _start(self, rng: np.random.Generator) -> np.ndarray:
         """Draw the cameras' positions around the centre: (K, 3) metres."""
-        cameras = self.simulator.config.rig.cameras
+        cameras = self.rig.cameras
         radius = self.config.start_radius * np.sqrt(rng.random(cameras))
         angle = rng.uniform(-np.pi, np.pi, cameras)
         positions = np.empty((cameras, 3))
@@ -81,7 +85,7 @@ class Episode:
     def _look(self, step: int, positions: np.ndarray, terms: RewardTerms) -> Turn:
         """Judge the placement and remember what it sees."""
         result = self.simulator.evaluate(
-            np.hstack([positions, self.simulator.config.rig.headings]))
+            np.hstack([positions, self.rig.headings]))
         self.observed |= result.seen
         return Turn(step, positions, result.space_coverage, result.depth_error, terms,
                     truncated=step >= self.config.turns)

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from scipy import ndimage
 
+from ocp_ros.scenes.scene import LARGEST
 from ocp_ros.simulation.moves import kept_inside, towards
 
 #: Metres: edge of a cell of the floor, and how far below the cameras things are that count as it.
@@ -59,11 +60,11 @@ def floor_of(points: np.ndarray, height: float) -> Floor | None:
 
     :param points: (N, 3) metres, z up.
     :param height: of the cameras, metres.
-    :returns: the largest connected part; None if there is hardly any floor to be seen, or only
-        scraps of it.
+    :returns: the largest connected part; None if there is hardly any floor to be seen, only scraps
+        of it, or points so far apart that they are no room.
     """
     below = points[points[:, 2] < height - BELOW, :2]
-    if len(below) == 0:
+    if len(below) == 0 or np.ptp(below, axis=0).max() > LARGEST:
         return None
     low = below.min(axis=0) - 4.0 * EDGE
     cell = np.floor((below - low) / EDGE).astype(np.int64)

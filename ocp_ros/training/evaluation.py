@@ -1,67 +1,101 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a way of moving the cameras ends with, in rooms it has not seen."""
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from ocp_ros.scenes.scene import Scene
+from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.agent.encoder import Encoder
+from ocp_ros.agent.policy import Policy
+from ocp_ros.planners.online import Learned, Online, play
+from ocp_ros.planners.registry import ONLINE, settings_of
+from ocp_ros.scenes.source import make_room
 from ocp_ros.simulation.config import SimulationConfig
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.moves import bounded_moves
 from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.training.crew import Crew
 
-#: (cloud seen so far (M, 3), camera positions (K, 3), rng) -> actions (K, 2) in [-1, 1].
-Act = Callable[[np.ndarray, np.ndarray, np.random.Generator], np.ndarray]
-
-
-class Outcome(NamedTuple):
-    """Depth error, in metres, and space coverage, in cubic metres, of one episode's two ends."""
-
-    scene: str
-    depth_error_start: float
-    depth_error_end: float
-    space_coverage_start: float
-    space_coverage_end: float
+#: The control that learning has to beat.
+RANDOM_MOVES = 'random_moves'
 
 
-def random_moves(cloud: np.ndarray, positions: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Move every camera at random: the control that learning has to beat."""
-    return rng.uniform(-1.0, 1.0, (len(positions), 2))
-
-
-def simulators(scenes: Sequence[Scene], config: SimulationConfig) -> list[Simulator]:
-    """Prepare the engine for each scene."""
-    return [Simulator(scene, config) for scene in scenes]
-
-
-def play(act: Act, simulator: Simulator, seed: int) -> Outcome:
+@dataclass(frozen=True)
+class Trial:
     """
-    Play one episode; the start depends on the seed alone, never on what ``act`` draws.
+    One episode to judge.
 
-    :param act: what moves the cameras.
-    :param simulator: the engine for one scene.
-    :param seed: of the start and of ``act``.
+    :ivar room: name of the room; see :func:`~ocp_ros.scenes.source.make_room`.
+    :ivar points: of a generated room.
+    :ivar rotation: degrees.
+    :ivar simulation: the rig and the engine that judges.
+    :ivar seed: of the start and of what is drawn; the start depends on it alone.
+    :ivar planner: name of an online planner, or ``random_moves``; unused where there are weights.
+    :ivar weights: of the policy that moves, as one blob.
     """
-    episode = Episode(simulator, np.random.default_rng([seed, 0]))
-    rng, start = np.random.default_rng([seed, 1]), episode.turn
-    while not episode.turn.truncated:
-        actions = act(episode.observed_cloud, episode.turn.positions, rng)
-        episode.move(bounded_moves(actions, episode.config.max_step))
-    return Outcome(simulator.scene.name, start.depth_error, episode.turn.depth_error,
-                   start.space_coverage, episode.turn.space_coverage)
+
+    room: str
+    points: int
+    rotation: float
+    simulation: SimulationConfig
+    seed: int = 0
+    planner: str = RANDOM_MOVES
+    weights: bytes = b''
 
 
-def evaluate(act: Act, engines: Sequence[Simulator], seed: int = 0) -> dict[str, float]:
+class RandomMoves(Online):
+    """Every camera moves at random."""
+
+    def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
+        """Choose the next moves; see :meth:`~ocp_ros.planners.online.Online.move`."""
+        return bounded_moves(self.rng.uniform(-1.0, 1.0, (len(positions), 2)), self.max_step)
+
+
+def play_trial(trial: Trial) -> tuple[float, float, float]:
     """
-    Play one episode in each room.
+    Play one episode.
+
+    :returns: depth error at start and end, metres, and space coverage at the end, cubic metres.
+    """
+    simulator = _prepared(trial.room, trial.points, trial.rotation, trial.simulation)
+    settings = settings_of(trial.simulation, np.random.default_rng([trial.seed, 1]))
+    if trial.weights:
+        policy = _policy(trial.weights)
+        policy.encoder = Encoder(policy.checkpoint.config, settings[2], settings[1], settings[3])
+        online: Online = Learned(policy, *settings)
+    elif trial.planner == RANDOM_MOVES:
+        online = RandomMoves(*settings)
+    else:
+        online = ONLINE[trial.planner](trial.simulation, settings[0])
+    episode = Episode(simulator, np.random.default_rng([trial.seed, 0]))
+    outcome = play(online, episode)
+    return (float(outcome.depth_error[0]), float(outcome.depth_error[-1]),
+            float(episode.turn.space_coverage))
+
+
+@lru_cache(maxsize=32)
+def _prepared(room: str, points: int, rotation: float, config: SimulationConfig) -> Simulator:
+    """Keep some engines ready."""
+    return Simulator(make_room(room, rotation, points), config)
+
+
+@lru_cache(maxsize=1)
+def _policy(weights: bytes) -> Policy:
+    """Read weights once."""
+    return Policy(Checkpoint.from_bytes(weights))
+
+
+def evaluate(crew: Crew, trials: Sequence[Trial]) -> dict[str, float]:
+    """
+    Play some episodes.
 
     :returns: mean depth error at start and end (metres), their ratio, and mean space coverage at
         the end (cubic metres).
     """
-    outcomes = [play(act, engine, seed + i) for i, engine in enumerate(engines)]
-    start = float(np.mean([o.depth_error_start for o in outcomes]))
-    end = float(np.mean([o.depth_error_end for o in outcomes]))
-    return {'depth_error_start': start, 'depth_error_end': end, 'ratio': end / start,
-            'space_coverage_end': float(np.mean([o.space_coverage_end for o in outcomes]))}
+    starts, ends, covered = np.array(list(crew.play(play_trial, trials))).T
+    return {'depth_error_start': float(starts.mean()), 'depth_error_end': float(ends.mean()),
+            'ratio': float(ends.mean() / starts.mean()),
+            'space_coverage_end': float(covered.mean())}

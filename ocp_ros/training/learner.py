@@ -15,6 +15,7 @@ from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.config import AgentConfig
 from ocp_ros.configuration import setting
 from ocp_ros.training.config import SacConfig
+from ocp_ros.training.encoded import padded
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
 from ocp_ros.training.state import load_state, new_run, save_state
 from ocp_ros.training.transitions import Transition
@@ -57,6 +58,7 @@ class Learner:
         self.model = make_sac(sac, agent, config.cameras, seed=config.seed)
         if start is not None:
             load_actor(self.model, start)
+            self.model.warm = True
         self.model.set_logger(configure(str(self.folder / 'tensorboard'), ['tensorboard']))
         state = self.folder / 'state.safetensors'
         self.run = load_state(self.model, state) if state.exists() else new_run()
@@ -111,7 +113,7 @@ class Learner:
             if transition is None:
                 return False
             self.model.replay_buffer.add(
-                _batched(transition.observation), _batched(transition.next_observation),
+                self._batched(transition.observation), self._batched(transition.next_observation),
                 transition.actions[None], np.array([transition.reward]),
                 np.array([transition.terminated]), [{}])
             self.transitions += 1
@@ -144,7 +146,8 @@ class Learner:
         self.checkpoint().save(self.folder / 'actor.safetensors')
         save_state(self.model, self.folder / 'state.safetensors', self.run)
 
-
-def _batched(observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Give each array a leading axis of one environment."""
-    return {name: value[None] for name, value in observation.items()}
+    def _batched(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Say which cameras there are and give each array a leading axis of one environment."""
+        if 'present' not in observation:
+            observation = padded(observation, self.config.cameras)
+        return {name: value[None] for name, value in observation.items()}

@@ -3,9 +3,7 @@
 
 from typing import Any
 
-import gymnasium as gym
 from gymnasium import spaces
-import numpy as np
 from stable_baselines3 import SAC
 from stable_baselines3.common.policies import ContinuousCritic
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
@@ -15,99 +13,90 @@ import torch
 
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.agent.config import AgentConfig
-from ocp_ros.agent.networks import ActorHead, CriticHead, RigExtractor
-from ocp_ros.agent.observation import encode
+from ocp_ros.agent.networks import CriticHead, Extractor, head_of, present_of
 from ocp_ros.training.augmentation import SymmetricReplayBuffer
 from ocp_ros.training.config import SacConfig
-
-LARGEST = 1000.0
-
-
-def encoded_space(agent: AgentConfig, cameras: int) -> spaces.Dict:
-    """Return the space of encoded observations (see ``ocp_ros.agent.observation.encode``)."""
-    def real(*shape):
-        return spaces.Box(-LARGEST, LARGEST, shape, np.float32)
-
-    def index(*shape):
-        return spaces.Box(0, np.iinfo(np.int16).max, shape, np.int16)
-
-    return spaces.Dict({
-        'points': real(agent.points, 3), 'cameras': real(cameras, 3), 'half_size': real(3),
-        'keys_1': index(agent.keys_1), 'groups_1': index(agent.keys_1, agent.group_1),
-        'keys_2': index(agent.keys_2), 'groups_2': index(agent.keys_2, agent.group_2)})
-
-
-def action_space(cameras: int) -> spaces.Box:
-    """Return the space of moves, as the environment has it."""
-    return spaces.Box(-1.0, 1.0, (cameras, 2), np.float32)
-
-
-class EncodedObservation(gym.ObservationWrapper):
-    """Store with each observation what the network reads: the observation cache."""
-
-    def __init__(self, env: gym.Env, agent: AgentConfig) -> None:
-        super().__init__(env)
-        self.agent = agent
-        self.observation_space = encoded_space(agent, env.action_space.shape[0])
-
-    def observation(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Encode one observation."""
-        return encode(observation['cloud'], observation['camera_positions'],
-                      observation['bounds'], self.agent)
+from ocp_ros.training.encoded import action_space, encoded_space
 
 
 class SharedExtractor(BaseFeaturesExtractor):
-    """The agent's extractor as stable-baselines3 wants it: flat features of all cameras."""
+    """
+    The agent's extractor as stable-baselines3 wants it: flat features of all cameras.
+
+    Which cameras there are comes last.
+    """
 
     def __init__(self, observation_space: spaces.Dict, agent: AgentConfig) -> None:
-        extractor = RigExtractor(agent)
-        self.cameras = observation_space['cameras'].shape[0]
-        super().__init__(observation_space, self.cameras * extractor.width)
-        self.extractor = extractor
+        extractor = Extractor(agent)
+        self.cameras = observation_space['present'].shape[0]
+        super().__init__(observation_space, self.cameras * (extractor.width + 1))
+        self.extractor, self.agent = extractor, agent
 
     def forward(self, observation: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Return (B, K * F)."""
-        return self.extractor(observation).flatten(1)
+        """Return (B, K * F + K)."""
+        return torch.cat([self.extractor(observation).flatten(1), present_of(observation)], dim=1)
+
+    def split(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return features (B, K, F) and which cameras there are (B, K)."""
+        features, present = features.tensor_split([features.shape[1] - self.cameras], dim=1)
+        return features.unflatten(1, (self.cameras, -1)), present
 
 
 class SharedHeadActor(SacActor):
     """SAC's actor with one head that all cameras share."""
 
-    def __init__(self, *args, hidden: int, **kwargs) -> None:
+    def __init__(self, *args, **kwargs) -> None:
         super().__init__(*args, **kwargs)
         del self.latent_pi, self.mu, self.log_std
-        self.cameras = self.features_extractor.cameras
-        self.head = ActorHead(self.features_dim // self.cameras, hidden)
+        self.head = head_of(self.features_extractor.agent, self.features_extractor.extractor)
 
-    def get_action_dist_params(self, obs):
-        """Return mean and log standard deviation, each (B, 2 K)."""
-        features = self.extract_features(obs, self.features_extractor)
-        mean, log_std = self.head(features.unflatten(1, (self.cameras, -1)))
-        return mean.flatten(1), log_std.flatten(1), {}
+    def moves(self, observation: dict[str, torch.Tensor]):
+        """Return the distribution of moves and which cameras there are."""
+        features = self.extract_features(observation, self.features_extractor)
+        features, present = self.features_extractor.split(features)
+        return self.head(features), present
+
+    def forward(self, obs, deterministic: bool = False) -> torch.Tensor:
+        """Return actions (B, 2 K)."""
+        moves, _ = self.moves(obs)
+        return (moves.best() if deterministic else moves.sample()).flatten(1)
+
+    def action_log_prob(self, obs) -> tuple[torch.Tensor, torch.Tensor]:
+        """
+        Draw actions (B, 2 K) and return the logarithm of their density.
+
+        It is scaled to that of all cameras, so that one target of the entropy serves any number.
+        """
+        moves, present = self.moves(obs)
+        drawn = moves.sample()
+        count = present.sum(dim=1).clamp(min=1.0)
+        density = (moves.log_prob(drawn) * present).sum(dim=1) * present.shape[1] / count
+        return drawn.flatten(1), density
 
 
 class _QNetwork(torch.nn.Module):
     """A critic head behind the flat input that stable-baselines3 gives."""
 
-    def __init__(self, features_dim: int, cameras: int, hidden: int) -> None:
+    def __init__(self, extractor: SharedExtractor, hidden: int) -> None:
         super().__init__()
-        self.features_dim, self.cameras = features_dim, cameras
-        self.head = CriticHead(features_dim // cameras, hidden)
+        # Not a part of this network: a list hides it from PyTorch.
+        self._extractor = [extractor]
+        self.head = CriticHead(extractor.extractor.width, hidden)
 
     def forward(self, features_and_actions: torch.Tensor) -> torch.Tensor:
         """Return (B, 1)."""
-        features, actions = features_and_actions.tensor_split([self.features_dim], dim=1)
-        return self.head(features.unflatten(1, (self.cameras, -1)),
-                         actions.unflatten(1, (self.cameras, 2)))
+        (extractor,) = self._extractor
+        features, actions = features_and_actions.tensor_split([extractor.features_dim], dim=1)
+        features, present = extractor.split(features)
+        return self.head(features, actions.unflatten(1, (-1, 2)), present)
 
 
 class SharedHeadCritic(ContinuousCritic):
     """SAC's critics with layers that all cameras share."""
 
-    def __init__(self, *args, hidden: int, features_dim: int, **kwargs) -> None:
-        super().__init__(*args, features_dim=features_dim, **kwargs)
-        cameras = self.features_extractor.cameras
-        self.q_networks = [_QNetwork(features_dim, cameras, hidden) for _ in self.q_networks]
+    def __init__(self, *args, hidden: int, **kwargs) -> None:
+        super().__init__(*args, **kwargs)
+        self.q_networks = [_QNetwork(self.features_extractor, hidden) for _ in self.q_networks]
         for index, network in enumerate(self.q_networks):
             self.add_module(f'qf{index}', network)
 
@@ -122,7 +111,7 @@ class RigPolicy(MultiInputPolicy):
     def make_actor(self, features_extractor=None) -> SharedHeadActor:
         """Build the actor."""
         arguments = self._update_features_extractor(self.actor_kwargs, features_extractor)
-        return SharedHeadActor(**arguments, hidden=self.hidden).to(self.device)
+        return SharedHeadActor(**arguments).to(self.device)
 
     def make_critic(self, features_extractor=None) -> SharedHeadCritic:
         """Build the critics."""
@@ -130,31 +119,76 @@ class RigPolicy(MultiInputPolicy):
         return SharedHeadCritic(**arguments, hidden=self.hidden).to(self.device)
 
 
+class RigSac(SAC):
+    """
+    stable-baselines3's SAC, which may start from an actor that has learned to imitate.
+
+    Its critics know nothing at first, so for some gradient steps they alone may learn; and a loss
+    that fades keeps the actor near what it imitates.
+
+    :param config: how long either takes.
+    :param warm: whether the actor has learned already; it then plays from the first turn on.
+    """
+
+    def __init__(self, *args, config: SacConfig, warm: bool = False, **kwargs) -> None:
+        self.config, self.warm = config, warm
+        #: Gradient steps of SAC itself so far, and the loss of imitation of a random batch.
+        self.own_updates, self.imitation_loss = 0, None
+        super().__init__(*args, **kwargs)
+
+    def _sample_action(self, learning_starts, action_noise=None, n_envs=1):
+        """Draw actions: from the actor that has learned, at random from one that has not."""
+        return super()._sample_action(0 if self.warm else learning_starts, action_noise, n_envs)
+
+    def _update_learning_rate(self, optimizers) -> None:
+        """Let the actor and the entropy rest while the critics burn in."""
+        super()._update_learning_rate(optimizers)
+        if self.own_updates < self.config.burn_in:
+            for optimizer in (self.actor.optimizer, self.ent_coef_optimizer):
+                for part in optimizer.param_groups:
+                    part['lr'] = 0.0
+
+    def train(self, gradient_steps: int, batch_size: int = 64) -> None:
+        """Take gradient steps, and one towards what is imitated."""
+        super().train(gradient_steps, batch_size)
+        self.own_updates += gradient_steps
+        share = 1.0 - (self.own_updates - self.config.burn_in) / self.config.imitation_fades
+        if self.imitation_loss is None or self.own_updates < self.config.burn_in or share <= 0.0:
+            return
+        loss = self.imitation_loss(batch_size)
+        self.actor.optimizer.zero_grad()
+        (self.config.imitation * share * loss).backward()
+        self.actor.optimizer.step()
+        self.logger.record('train/imitation_loss', loss.item())
+
+
 def make_sac(sac: SacConfig, agent: AgentConfig, cameras: int, env=None, seed: int = 0,
-             tensorboard: str | None = None, **kwargs: Any) -> SAC:
+             tensorboard: str | None = None, environments: int = 1, **kwargs: Any) -> RigSac:
     """
     Build SAC for a rig.
 
     :param sac: its settings.
     :param agent: sizes of the networks.
-    :param cameras: number of cameras in the transitions.
-    :param env: encoded environment to play in, or None to be fed with transitions.
+    :param cameras: most cameras in a transition.
+    :param env: encoded environment to play in, or None to be given one later, or transitions.
     :param seed: of networks and exploration.
     :param tensorboard: folder for TensorBoard, or None.
+    :param environments: how many there will be where ``env`` is None.
     :param kwargs: passed on to ``stable_baselines3.SAC``.
     """
-    model = SAC(
-        RigPolicy, env, learning_rate=sac.learning_rate, buffer_size=sac.buffer_size,
+    model = RigSac(
+        RigPolicy, env, config=sac, learning_rate=sac.learning_rate, buffer_size=sac.buffer_size,
         learning_starts=sac.learning_starts, batch_size=sac.batch_size, tau=sac.tau,
         gamma=sac.gamma, ent_coef=f'auto_{sac.entropy}',
-        target_entropy=sac.target_entropy * 2 * cameras,
-        replay_buffer_class=SymmetricReplayBuffer, tensorboard_log=tensorboard, seed=seed,
+        target_entropy=sac.target_entropy * 2 * cameras, tensorboard_log=tensorboard, seed=seed,
         device=sac.device, _init_setup_model=False, policy_kwargs={
             'features_extractor_class': SharedExtractor,
-            'features_extractor_kwargs': {'agent': agent}, 'hidden': agent.hidden}, **kwargs)
+            'features_extractor_kwargs': {'agent': agent}, 'hidden': agent.hidden,
+            'share_features_extractor': sac.shared_extractor},
+        **{'replay_buffer_class': SymmetricReplayBuffer, **kwargs})
     if env is None:
         model.observation_space = encoded_space(agent, cameras)
-        model.action_space, model.n_envs = action_space(cameras), 1
+        model.action_space, model.n_envs = action_space(cameras), environments
     model._setup_model()
     return model
 

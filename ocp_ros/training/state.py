@@ -10,7 +10,7 @@ import torch
 
 from ocp_ros.agent.checkpoint import CheckpointError, read_metadata, write_atomically
 
-COUNTERS = ('_n_updates', 'num_timesteps')
+COUNTERS = ('_n_updates', 'num_timesteps', 'own_updates')
 
 
 def _optimizers(model: SAC) -> dict[str, torch.optim.Optimizer]:

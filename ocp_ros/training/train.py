@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Train a policy in generated rooms: read from top to bottom, this is the whole run.
+Train a policy: read from top to bottom, this is the whole run.
 
-A run's folder holds ``config.yaml`` (the effective settings), ``progress.jsonl`` (one line per
-evaluation), ``best.safetensors`` with its card, ``state.safetensors`` to resume from, and
-TensorBoard's files.
+First the policy imitates an expert, then it learns by itself with soft actor-critic; either part
+may be left out. A run's folder holds ``config.yaml`` (the effective settings), ``progress.jsonl``
+(one line per evaluation), ``best.safetensors`` with its card, ``state.safetensors`` to resume
+from, ``demonstrations/`` with the episodes of each round, and TensorBoard's files.
 """
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from datetime import date
 import json
 from pathlib import Path
@@ -16,20 +18,31 @@ from typing import Any
 
 import numpy as np
 from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.vec_env import DummyVecEnv
+from stable_baselines3.common.logger import configure
+from stable_baselines3.common.vec_env import SubprocVecEnv, VecMonitor
 import torch
 import yaml
 
 from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.policy import Policy
 from ocp_ros.configuration import ConfigurationError, from_nested, to_nested
-from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.resources import find_model
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.simulation.config import EngineConfig
 from ocp_ros.simulation.env import CameraPlacementEnv
+from ocp_ros.training import demonstrations
 from ocp_ros.training.config import TrainingConfig
-from ocp_ros.training.evaluation import evaluate, random_moves, simulators
-from ocp_ros.training.sac import actor_checkpoint, EncodedObservation, make_sac
+from ocp_ros.training.crew import cores, Crew
+from ocp_ros.training.encoded import CameraByCamera, EncodedObservation
+from ocp_ros.training.evaluation import evaluate, RANDOM_MOVES, Trial
+from ocp_ros.training.replay import Rebuild, TurnReplay
+from ocp_ros.training.rooms import load_room, room_names, Rooms
+from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
 from ocp_ros.training.state import load_state, new_run, save_state
+
+#: Terms of the reward that are logged one by one.
+TERMS = ('delta_space_coverage', 'delta_depth_error', 'penalty')
 
 
 def read_config(path: Path) -> TrainingConfig:
@@ -50,37 +63,147 @@ def read_config(path: Path) -> TrainingConfig:
     return from_nested(TrainingConfig, content or {}, str(path))
 
 
-def make_rooms(config: TrainingConfig, part: str) -> list:
-    """Generate the rooms of ``training``, ``validation`` or ``test``."""
-    return [generate_room(seed, config.rooms.points) for seed in config.rooms.seeds(part)]
+@dataclass
+class Run:
+    """
+    A run as it goes on.
+
+    :ivar config: its settings.
+    :ivar folder: where it lives.
+    :ivar model: SAC, whose actor is what is trained.
+    :ivar crew: who plays episodes.
+    :ivar progress: the bars.
+    :ivar name: identity of the run.
+    """
+
+    config: TrainingConfig
+    folder: Path
+    model: SAC
+    crew: Crew
+    progress: Progress
+    name: str
+
+    def __post_init__(self) -> None:
+        """Go on from the evaluations so far: the best of them stays the best."""
+        past = records(self.folder)
+        self.best = min((line['ratio'] for line in past if 'ratio' in line), default=np.inf)
+        self.began = time.monotonic() - (past[-1]['seconds'] if past else 0.0)
+        self.rooms = room_names(self.config.rooms, 'training')
+        self.trials = trials_of(self.config, 'validation')
+
+    @property
+    def state(self) -> Path:
+        """Return the file to resume from."""
+        return self.folder / 'state.safetensors'
+
+    def checkpoint(self) -> Checkpoint:
+        """Return the actor as it is now."""
+        return actor_checkpoint(self.model, self.config.agent, self.name, {
+            'interactions': self.model.num_timesteps, 'seed': self.config.seed,
+            'date': date.today().isoformat(), 'training': to_nested(self.config)})
+
+    def note(self, phase: str, **figures: float) -> None:
+        """Write a line of progress, with the losses that were logged last."""
+        losses = {name.rpartition('/')[2]: float(value) for name, value
+                  in self.model.logger.name_to_value.items() if name.endswith('loss')}
+        record = {'phase': phase, 'interactions': self.model.num_timesteps,
+                  'updates': int(self.model._n_updates),
+                  'seconds': round(time.monotonic() - self.began, 1), **losses, **figures}
+        with open(self.folder / 'progress.jsonl', 'a', encoding='utf-8') as file:
+            file.write(json.dumps(record) + '\n')
+
+    def evaluate(self, phase: str) -> float:
+        """Play the validation rooms; write the line, the state and, if best, the weights."""
+        checkpoint = self.checkpoint()
+        blob = checkpoint.to_bytes()
+        result = evaluate(self.crew, [replace(trial, weights=blob) for trial in self.trials])
+        for name, value in result.items():
+            self.model.logger.record(f'validation/{name}', value)
+        self.note(phase, **result)
+        if result['ratio'] < self.best:
+            self.best = result['ratio']
+            checkpoint.save(self.folder / 'best.safetensors')
+        self.save()
+        return result['ratio']
+
+    def save(self) -> None:
+        """Write what is needed to resume."""
+        save_state(self.model, self.state, self.name)
+
+
+def records(folder: Path) -> list[dict[str, Any]]:
+    """Read the evaluations of a run so far."""
+    path = folder / 'progress.jsonl'
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def trials_of(config: TrainingConfig, part: str) -> list[Trial]:
+    """Return one episode in each room of a set, turned by one rotation after the other."""
+    return [Trial(room, config.rooms.points, config.rooms.angles[index % len(config.rooms.angles)],
+                  replace(config.simulation, rig=replace(
+                      config.simulation.rig, cameras=min(4, config.simulation.rig.cameras))),
+                  index)
+            for index, room in enumerate(room_names(config.rooms, part))]
+
+
+def imitate(run: Run) -> None:
+    """Play rounds of demonstrations and fit the actor to what the expert did, all so far."""
+    settings, model = run.config.demonstrations, run.model
+    folder = run.folder / 'demonstrations'
+    task = run.progress.add_task('demonstrations', total=settings.rounds, error='')
+    for number in range(settings.rounds):
+        run.progress.update(task, completed=number)
+        path, fitted = folder / f'{number:04}.npz', folder / f'{number:04}.fitted'
+        if not path.exists():
+            tasks = demonstrations.tasks_of(run.config, run.rooms, number,
+                                            run.checkpoint().to_bytes())
+            demonstrations.save_round(path, list(run.crew.play(demonstrations.demonstrate, tasks)))
+        if fitted.exists():
+            continue
+        last = number + 1 == settings.rounds
+        steps = demonstrations.load_rounds(folder, number + 1)
+        loss = demonstrations.fit(model, steps, settings,
+                                  settings.last_epochs if last else settings.epochs)
+        model.num_timesteps = demonstrations.turns_played(steps)
+        ends = steps[demonstrations.ENDS][steps[demonstrations.LAST]][-settings.episodes:]
+        model.logger.record('demonstrations/loss', loss)
+        model.logger.record('demonstrations/depth_error_end', float(ends[:, 0].mean()))
+        if last or (number + 1) % settings.evaluate_every == 0:
+            ratio = run.evaluate('demonstrations')
+            run.progress.update(task, error=f'validation {ratio:.4f}, loss {loss:.3f}')
+        else:
+            run.note('demonstrations')
+            run.save()
+        model.logger.dump(model.num_timesteps)
+        fitted.touch()
+    run.progress.update(task, completed=settings.rounds)
 
 
 class Watch(BaseCallback):
-    """Evaluate as it learns, keep the best weights and enough state to resume."""
+    """Log the terms of the reward and evaluate as SAC learns."""
 
-    def __init__(self, config: TrainingConfig, folder: Path, run: str, progress: Progress
-                 ) -> None:
+    def __init__(self, run: Run, last: int) -> None:
         super().__init__()
-        self.config, self.folder, self.run, self.progress = config, folder, run, progress
-        self.engines = simulators(make_rooms(config, 'validation'), config.simulation)
-        self.began, self.best = time.monotonic(), np.inf
+        self.run, self.last = run, last
         self.due = self.evaluated = 0
 
     def _on_training_start(self) -> None:
-        """Show the bar; when resuming, the best so far stays the best."""
-        for record in _records(self.folder):
-            self.best = min(self.best, record['ratio'])
-            self.began = time.monotonic() - record['seconds']
-        self.evaluated = self.num_timesteps
-        self.due = self.num_timesteps + self.config.evaluate_every
-        self.task = self.progress.add_task(
-            'training', total=self.config.interactions, completed=self.num_timesteps, error='')
+        """Show the bar."""
+        self.evaluated, first = self.num_timesteps, self.last - self.run.config.interactions
+        self.due = self.num_timesteps + self.run.config.evaluate_every
+        self.task = self.run.progress.add_task(
+            'soft actor-critic', total=self.run.config.interactions,
+            completed=self.num_timesteps - first, error='')
 
     def _on_step(self) -> bool:
         """Move the bar, and evaluate when it is time."""
-        self.progress.update(self.task, completed=self.num_timesteps)
+        for name in TERMS:
+            self.logger.record_mean(
+                f'reward/{name}', float(np.mean([info[name] for info in self.locals['infos']])))
+        self.run.progress.update(self.task, completed=self.num_timesteps
+                                 - self.last + self.run.config.interactions)
         if self.num_timesteps >= self.due:
-            self.due += self.config.evaluate_every
+            self.due += self.run.config.evaluate_every
             self._evaluate()
         return True
 
@@ -90,34 +213,43 @@ class Watch(BaseCallback):
             self._evaluate()
 
     def _evaluate(self) -> None:
-        """Play the validation rooms; write the line, the state and, if best, the weights."""
-        provenance = {'interactions': self.num_timesteps, 'seed': self.config.seed,
-                      'date': date.today().isoformat(), 'training': to_nested(self.config)}
-        checkpoint = actor_checkpoint(self.model, self.config.agent, self.run, provenance)
-        result = evaluate(act_of(Policy(checkpoint)), self.engines)
-        for name, value in result.items():
-            self.logger.record(f'validation/{name}', value)
-        record = {'interactions': self.num_timesteps, 'updates': checkpoint.updates,
-                  'seconds': round(time.monotonic() - self.began, 1), **result}
-        with open(self.folder / 'progress.jsonl', 'a', encoding='utf-8') as file:
-            file.write(json.dumps(record) + '\n')
-        if result['ratio'] < self.best:
-            self.best = result['ratio']
-            checkpoint.save(self.folder / 'best.safetensors')
-        save_state(self.model, self.folder / 'state.safetensors', self.run)
+        """Play the validation rooms."""
+        ratio = self.run.evaluate('sac')
         self.evaluated = self.num_timesteps
-        self.progress.update(self.task, error=f'validation {result["ratio"]:.3f}')
+        self.run.progress.update(self.task, error=f'validation {ratio:.4f}')
 
 
-def _records(folder: Path) -> list[dict[str, Any]]:
-    """Read the evaluations of a run so far."""
-    path = folder / 'progress.jsonl'
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+def environments(config: TrainingConfig, rooms: Sequence[str]) -> VecMonitor:
+    """Return the environments of a run, each in a process of its own."""
+    def make():
+        torch.set_num_threads(1)
+        env = CameraPlacementEnv(Rooms(rooms, config.rooms.points), config.simulation,
+                                 fewest=config.fewest_cameras, rotations=config.rooms.angles)
+        return (CameraByCamera if config.agent.world else EncodedObservation)(env, config.agent)
+    return VecMonitor(SubprocVecEnv([make] * config.environments, start_method='spawn'))
 
 
-def act_of(policy: Policy):
-    """Let the evaluation call a policy: its most likely moves."""
-    return lambda cloud, positions, rng: policy.act(cloud, positions)
+def learn(run: Run) -> None:
+    """Let SAC play and learn, from where imitation has led."""
+    config, model = run.config, run.model
+    folder, rounds = run.folder / 'demonstrations', config.demonstrations.rounds
+    shown = demonstrations.load_rounds(folder, rounds) if rounds else None
+    last = config.interactions + (
+        0 if shown is None else demonstrations.turns_played(shown))
+    if model.num_timesteps >= last:
+        return
+    model.warm = shown is not None or bool(config.model)
+    # The replay buffer starts empty, also when the run goes on: fill it before learning from it.
+    if shown is None:
+        model.learning_starts += model.num_timesteps
+    else:
+        demonstrations.fill(model, shown)
+        imitation = demonstrations.Imitation(shown, model.device)
+        model.imitation_loss = lambda size: imitation.loss_of(model.actor, size)
+    model.set_env(environments(config, run.rooms))
+    model.learn(last - model.num_timesteps, callback=Watch(run, last), reset_num_timesteps=False,
+                tb_log_name='sac')
+    model.env.close()
 
 
 def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint:
@@ -132,42 +264,64 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
     """
     folder.mkdir(parents=True, exist_ok=True)
     (folder / 'config.yaml').write_text(yaml.safe_dump(to_nested(config), sort_keys=False))
-    rooms = make_rooms(config, 'training')
-    env = DummyVecEnv([
-        lambda: EncodedObservation(CameraPlacementEnv(rooms, config.simulation), config.agent)
-        for _ in range(config.environments)])
-    cameras = config.simulation.rig.cameras
-    steps = max(round(config.updates_per_turn * config.environments), 1)
-    model = make_sac(config.sac, config.agent, cameras, env, config.seed,
-                     str(folder / 'tensorboard'), train_freq=1, gradient_steps=steps)
-    state = folder / 'state.safetensors'
-    run = load_state(model, state) if state.exists() else new_run()
-    # The replay buffer starts empty, also when the run goes on: fill it before learning from it.
-    model.learning_starts += model.num_timesteps
     columns = (TextColumn('{task.description}'), MofNCompleteColumn(), TimeRemainingColumn(),
                TextColumn('{task.fields[error]}'))
-    with Progress(*columns) as progress:
-        left = config.interactions - model.num_timesteps
-        model.learn(max(left, 0), callback=Watch(config, folder, run, progress),
-                    reset_num_timesteps=False, tb_log_name='sac')
-    return report(config, folder, command)
+    with Crew(config.workers) as crew, Progress(*columns) as progress:
+        run = Run(config, folder, _model(config, folder), crew, progress, new_run())
+        if run.state.exists():
+            run.name = load_state(run.model, run.state)
+        imitate(run)
+        learn(run)
+        return report(run, command)
 
 
-def report(config: TrainingConfig, folder: Path, command: str) -> Checkpoint:
+def _model(config: TrainingConfig, folder: Path) -> SAC:
+    """Build SAC; its actor may start from given weights."""
+    steps = max(round(config.updates_per_turn * config.environments), 1)
+    # Where moves are tried, cameras choose one after the other.
+    cameras = 1 if config.agent.world else config.simulation.rig.cameras
+    model = make_sac(config.sac, config.agent, cameras, seed=config.seed,
+                     environments=config.environments, train_freq=1, gradient_steps=steps,
+                     tensorboard=str(folder / 'tensorboard'), **_replay(config))
+    model.set_logger(configure(str(folder / 'tensorboard'), ['tensorboard']))
+    if config.model:
+        load_actor(model, Checkpoint.load(find_model(config.model)))
+    return model
+
+
+def _replay(config: TrainingConfig) -> dict[str, Any]:
+    """Choose the replay buffer: clouds are rebuilt, what moves would change is small enough."""
+    if config.agent.world:
+        return {}
+    rooms, angles = room_names(config.rooms, 'training'), config.rooms.angles
+
+    def scene(number: int) -> Scene:
+        room, angle = divmod(number, len(angles))
+        return load_room(rooms[room], config.rooms.points, angles[angle])
+
+    rebuild = Rebuild(len(rooms) * len(angles), scene, config.agent)
+    return {'replay_buffer_class': TurnReplay, 'replay_buffer_kwargs': {
+        'rebuild': rebuild, 'words': rebuild.words}}
+
+
+def report(run: Run, command: str) -> Checkpoint:
     """Play the test rooms with the best weights and at random; write the figures into the card."""
-    best = Checkpoint.load(folder / 'best.safetensors')
+    config, best = run.config, Checkpoint.load(run.folder / 'best.safetensors')
     # Whatever it learned on, the figures are those of the engine at its best.
-    fine = replace(config.simulation, engine=replace(config.simulation.engine, preset='fine'))
-    engines = simulators(make_rooms(config, 'test'), fine)
-    records = _records(folder)
-    on_gpu = config.sac.device != 'cpu' and torch.cuda.is_available()
-    threads = f'CPU, {torch.get_num_threads()} threads'
-    hardware = torch.cuda.get_device_name() if on_gpu else threads
+    fine = EngineConfig(preset='fine')
+    trials = [replace(trial, simulation=replace(trial.simulation, engine=fine))
+              for trial in trials_of(config, 'test')]
+    blob = best.to_bytes()
+    on_gpu = run.model.device.type == 'cuda'
+    cpu = f'CPU, {config.workers or cores()} processes, {torch.get_num_threads()} threads'
+    lines = records(run.folder)
     provenance = {
-        **best.provenance, 'command': command, 'hardware': hardware,
-        'seconds': records[-1]['seconds'], 'curve': records,
-        'test': {'rooms': len(engines), 'policy': evaluate(act_of(Policy(best)), engines),
-                 'random_moves': evaluate(random_moves, engines)}}
+        **best.provenance, 'command': command,
+        'hardware': torch.cuda.get_device_name() if on_gpu else cpu,
+        'seconds': lines[-1]['seconds'], 'curve': lines,
+        'test': {'rooms': len(trials),
+                 'policy': evaluate(run.crew, [replace(one, weights=blob) for one in trials]),
+                 RANDOM_MOVES: evaluate(run.crew, trials)}}
     final = replace(best, provenance=provenance)
-    final.save(folder / 'best.safetensors')
+    final.save(run.folder / 'best.safetensors')
     return final

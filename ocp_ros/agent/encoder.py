@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The encoder: what the network reads, turn after turn of an episode."""
+
+from contextlib import suppress
+
+import numpy as np
+
+from ocp_ros.agent.config import AgentConfig
+from ocp_ros.agent.observation import encode
+from ocp_ros.agent.world import nothing_known, WorldInputs, WorldTurn
+from ocp_ros.scenes.scene import SceneError
+from ocp_ros.simulation.moves import bounded_moves
+
+#: Arrays that have a row for each camera.
+PER_CAMERA = ('cameras', 'directions', 'own')
+
+
+class EncodedTurn:
+    """
+    What the network reads of one turn, camera by camera.
+
+    Cameras are asked one after the other, each with those before it where they will be: two that
+    choose at once both go for the same gap.
+
+    :param config: what the network reads.
+    :param cloud: (M, 3) float32, metres, map frame: the points seen so far.
+    :param world: what moves would change; None where there is no room to be tried.
+    :param positions: (K, 3) metres: where the cameras are.
+    :param max_step: farthest a camera moves in one turn, metres.
+    """
+
+    def __init__(self, config: AgentConfig, cloud: np.ndarray, world: WorldTurn | None,
+                 positions: np.ndarray, max_step: float) -> None:
+        self._world, self._max_step = world, max_step
+        self.positions = positions.copy()
+        self._cloud = encode_cloud(cloud, positions, config) if config.cloud else {}
+
+    @property
+    def known(self) -> bool:
+        """Return whether there is a room in which moves can be tried."""
+        return self._world is not None
+
+    def inputs(self, camera: int) -> dict[str, np.ndarray]:
+        """Return the arrays of a single camera; see :class:`Encoder`."""
+        encoded = dict(self._cloud)
+        if 'cameras' in encoded:
+            encoded['cameras'] = encoded['cameras'][camera:camera + 1]
+        if self._world is None:
+            return encoded | nothing_known(1)
+        directions, own = self._world.inputs(camera)
+        return encoded | {'directions': directions[None], 'own': own[None]}
+
+    def move(self, camera: int, action: np.ndarray) -> np.ndarray:
+        """
+        Let a camera move, for those that are asked after it.
+
+        :param action: (2,) in units of the longest step.
+        :returns: (2,) the move it will make, in the same units: it stays over the floor.
+        """
+        step, here = bounded_moves(action, self._max_step), self.positions[camera:camera + 1, :2]
+        if self._world is not None:
+            target = self._world.space.moved(here, step, self._max_step)
+        else:
+            target = here + step
+        step = (target - here)[0]
+        self.positions[camera, :2] = target[0]
+        if self._world is not None:
+            self._world.place(camera, self.positions[camera])
+        return step / self._max_step
+
+
+def order_of(turn: int, cameras: int) -> np.ndarray:
+    """Return the order in which cameras are asked at a turn: nobody is always the first."""
+    return np.roll(np.arange(cameras), turn)
+
+
+class Encoder:
+    """
+    Encode what was seen, as the agent's settings ask for it.
+
+    The world-model inputs depend on what the cameras did since the episode began, the cloud's on
+    the turn alone. The arrays, for K cameras, are those of
+    :func:`~ocp_ros.agent.observation.encode` and of :class:`~ocp_ros.agent.world.WorldInputs`.
+
+    :param config: what the network reads.
+    :param max_range: effective range of the omnidirectional cameras, metres.
+    :param max_step: farthest a camera moves in one turn, metres.
+    :param wall_margin: cameras stay this far inside the observed bounding box, metres.
+    """
+
+    def __init__(self, config: AgentConfig, max_range: float = 4.0, max_step: float = 0.5,
+                 wall_margin: float = 0.1) -> None:
+        self.config, self.max_step = config, max_step
+        self._world = WorldInputs(max_range, max_step, wall_margin) if config.world else None
+
+    def reset(self) -> None:
+        """Forget the last episode."""
+        if self._world is not None:
+            self._world.reset()
+
+    def turn(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> EncodedTurn:
+        """
+        Take note of a turn, to encode it camera by camera.
+
+        :param cloud: (M, 3) float32, metres, map frame: the points seen so far.
+        :param positions: (K, 3) metres: where the cameras are.
+        :param turn: turns played so far.
+        :param turns: turns of the whole episode.
+        """
+        world = None
+        if self._world is not None:
+            with suppress(SceneError):
+                world = self._world.turn(cloud, positions, turn, turns)
+        return EncodedTurn(self.config, cloud, world, positions, self.max_step)
+
+    def __call__(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int
+                 ) -> dict[str, np.ndarray]:
+        """Encode a turn at once, as if all cameras chose at the same time; see :meth:`turn`."""
+        if self._world is None:
+            return encode_cloud(cloud, positions, self.config)
+        encoded = self.turn(cloud, positions, turn, turns)
+        each = [encoded.inputs(camera) for camera in range(len(positions))]
+        return each[0] | {name: np.concatenate([one[name] for one in each])
+                          for name in PER_CAMERA if name in each[0]}
+
+
+def encode_cloud(cloud: np.ndarray, positions: np.ndarray, config: AgentConfig
+                 ) -> dict[str, np.ndarray]:
+    """
+    Encode what was seen in a turn; see :func:`~ocp_ros.agent.observation.encode`.
+
+    :param cloud: (M, 3) float32, metres, map frame: the points seen so far, in any order.
+    :param positions: (K, 3) metres.
+    :param config: sizes.
+    """
+    positions = positions.astype(np.float32)
+    # Where nothing is seen, the cameras themselves are all that is known to be there.
+    known = cloud if len(cloud) else positions
+    bounds = np.stack([known.min(axis=0), known.max(axis=0)])
+    return encode(known, positions, bounds, config)

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Draw how training went: what was missed in rooms never seen, and the losses, against interactions.
+
+``python -m ocp_ros.report.training RUN [RUN ...] --out docs/training.png`` reads the folders that
+``ocp train`` left; runs of the same settings with other seeds are drawn as one band.
+"""
+
+import argparse
+from pathlib import Path
+import sys
+from typing import Any
+
+from matplotlib.figure import Figure
+import numpy as np
+import yaml
+
+from ocp_ros.training.train import records
+
+LOSSES = {'loss': 'imitation', 'actor_loss': 'actor', 'critic_loss': 'critic'}
+
+
+def label_of(folder: Path) -> str:
+    """Return what runs with the same settings, but for the seed, have in common."""
+    settings = yaml.safe_load((folder / 'config.yaml').read_text())
+    parts = []
+    if settings['demonstrations']['rounds']:
+        parts.append(f"{settings['demonstrations']['expert']} imitated")
+    if settings['interactions']:
+        parts.append('soft actor-critic')
+    return f"{settings['agent']['inputs']} inputs: {', then '.join(parts)}"
+
+
+def grouped(folders: list[Path]) -> dict[str, list[list[dict[str, Any]]]]:
+    """Return the lines of progress of some runs, by label."""
+    found: dict[str, list[list[dict[str, Any]]]] = {}
+    for folder in folders:
+        found.setdefault(label_of(folder), []).append(records(folder))
+    return found
+
+
+def band(runs: list[list[dict[str, Any]]], figure: str) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Put a figure of several runs on common numbers of interactions.
+
+    :returns: interactions (T,), and the figure of each run (S, T).
+    """
+    lines = [[(line['interactions'], line[figure]) for line in run if figure in line]
+             for run in runs]
+    lines = [np.array(line).T for line in lines if line]
+    if not lines:
+        return np.empty(0), np.empty((0, 0))
+    first, last = max(line[0, 0] for line in lines), min(line[0, -1] for line in lines)
+    common = np.unique(np.concatenate([line[0] for line in lines]))
+    common = common[(common >= first) & (common <= last)]
+    return common, np.array([np.interp(common, *line) for line in lines])
+
+
+def draw(path: Path, folders: list[Path]) -> None:
+    """
+    Draw some runs.
+
+    :param path: of the picture.
+    :param folders: of the runs.
+    """
+    figure = Figure(figsize=(11, 4.2), layout='constrained')
+    performance, losses = figure.subplots(1, 2)
+    for label, runs in grouped(folders).items():
+        turns, values = band(runs, 'ratio')
+        if len(turns):
+            seeds = f' ({len(values)} seeds)' if len(values) > 1 else ''
+            (line,) = performance.plot(turns, values.mean(axis=0), label=label + seeds)
+            performance.fill_between(turns, values.min(axis=0), values.max(axis=0), alpha=0.2,
+                                     color=line.get_color(), linewidth=0)
+        for name, short in LOSSES.items():
+            turns, values = band(runs, name)
+            if len(turns):
+                losses.plot(turns, np.abs(values).mean(axis=0),
+                            label=f'{label.partition(":")[0]}: {short}')
+    performance.set(yscale='log', xlabel='interactions', title='Rooms never seen',
+                    ylabel='depth error at the end / at the start')
+    losses.set(yscale='log', xlabel='interactions', ylabel='loss (absolute)', title='Losses')
+    for axes in (performance, losses):
+        axes.grid(alpha=0.3, which='both')
+        axes.legend(fontsize=8)
+    figure.savefig(path, dpi=110)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Draw the runs that are named."""
+    parser = argparse.ArgumentParser(description='Draw how training went.')
+    parser.add_argument('runs', type=Path, nargs='+', help='folders of ocp train')
+    parser.add_argument('--out', type=Path, default=Path('docs/training.png'))
+    arguments = parser.parse_args(argv)
+    draw(arguments.out, arguments.runs)
+    print(f'wrote {arguments.out}')
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

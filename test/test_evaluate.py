@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Policies judged room by room: pairs, ``ocp evaluate`` and the figure of training."""
+
+import json
+
+import numpy as np
+import pytest
+
+from ocp_ros.benchmark.paired import NEGLIGIBLE, pairs
+from ocp_ros.benchmark.protocol import CONTROL
+from ocp_ros.cli import main
+from ocp_ros.report.training import band
+from ocp_ros.report.training import main as draw
+from ocp_ros.scenes.files import save_scene
+from ocp_ros.scenes.rooms import generate_room
+
+
+def rows(errors):
+    """Return rows of planners from their errors by room: {(planner, budget): (R,)}."""
+    return [{'planner': planner, 'budget': budget, 'room': str(room), 'rotation': 0.0, 'seed': 0,
+             'depth_error': float(error)}
+            for (planner, budget), values in errors.items() for room, error in enumerate(values)]
+
+
+def test_pairs_say_who_is_better_and_whether_it_is_chance():
+    rng = np.random.default_rng(0)
+    hard = rng.lognormal(0.0, 2.0, 40)
+    found = pairs(rows({
+        ('mine', 0): 0.8 * hard, ('worse', 0): hard, ('same', 0): 0.8 * hard,
+        ('noise', 0): 0.8 * hard * rng.lognormal(0.0, 0.3, 40), (CONTROL, 1): hard}), 'mine')
+    assert set(found) == {'mine', 'worse', 'same', 'noise'}
+    worse = found['worse']
+    assert worse['wins'] == worse['rooms'] == 40 and worse['p'] < 1e-6
+    expected = np.exp(np.mean(np.log(0.8 * hard + NEGLIGIBLE) - np.log(hard + NEGLIGIBLE)))
+    assert worse['ratio'] == pytest.approx(expected) and 0.79 < worse['ratio'] < 0.9
+    low, high = worse['interval']
+    assert low <= worse['ratio'] <= high < 1.0
+    assert found['same']['p'] is None and found['same']['ratio'] == 1.0
+    low, high = found['noise']['interval']
+    assert low < 1.0 < high and found['noise']['p'] > 0.05
+    assert found['worse']['sum'] == pytest.approx(hard.sum())
+
+
+def test_planners_with_several_budgets_are_named_by_them():
+    found = pairs(rows({('mine', 0): [1.0, 2.0], ('tdsa', 100): [2.0, 1.0],
+                        ('tdsa', 1000): [1.0, 1.0]}), 'mine')
+    assert set(found) == {'mine', 'tdsa, 100', 'tdsa, 1,000'}
+    assert found['tdsa, 100']['wins'] == 1 and found['tdsa, 100']['p'] is None
+
+
+def test_evaluate_plays_scans_with_each_number_of_cameras(tmp_path, capsys):
+    scans = []
+    for seed in (8, 9):
+        save_scene(generate_room(seed, 1500), tmp_path / f'{seed}.ply')
+        scans.append(str(tmp_path / f'{seed}.ply'))
+    command = ['evaluate', '--planners', 'hand_rule,greedy_coverage', '--budgets', '20',
+               '--cameras', '1,2', '--workers', '1', '--out', str(tmp_path / 'out'), '--rooms']
+    assert main([*command, *scans]) == 0
+    found = json.loads((tmp_path / 'out' / 'evaluation.json').read_text())
+    assert set(found['cameras']) == {'1', '2'} and found['model'] == 'default'
+    for judged in found['cameras'].values():
+        assert set(judged['pairs']) == {'hand_rule', 'greedy_coverage'}
+        assert set(judged['rooms']['hand_rule, 0']) == {'8', '9'}
+        assert 0.0 < judged['slowest_turn']['hand_rule'] < 60.0
+    one, two = (found['cameras'][count]['pairs']['hand_rule']['sum'] for count in '12')
+    assert two < one
+    assert '1 cameras' in capsys.readouterr().out
+
+
+def test_bands_stand_on_common_numbers_of_interactions():
+    runs = [[{'interactions': 10, 'ratio': 1.0}, {'interactions': 30, 'ratio': 0.0}],
+            [{'interactions': 0, 'ratio': 3.0}, {'interactions': 20, 'ratio': 1.0},
+             {'interactions': 25, 'loss': 7.0}]]
+    turns, values = band(runs, 'ratio')
+    np.testing.assert_array_equal(turns, [10, 20])
+    np.testing.assert_allclose(values, [[1.0, 0.5], [2.0, 1.0]])
+    turns, values = band(runs, 'none')
+    assert len(turns) == 0
+
+
+def test_the_figure_of_training_is_drawn_from_what_runs_left(tmp_path):
+    for seed in (0, 1):
+        folder = tmp_path / f'run-{seed}'
+        folder.mkdir()
+        (folder / 'config.yaml').write_text(
+            'agent: {inputs: world}\ninteractions: 100\n'
+            'demonstrations: {rounds: 2, expert: hand_rule}\n')
+        (folder / 'progress.jsonl').write_text('\n'.join(json.dumps(
+            {'phase': 'sac', 'interactions': 10 * k, 'ratio': 1.0 / (k + seed),
+             'critic_loss': 1.0 / k}) for k in range(1, 5)))
+    picture = tmp_path / 'training.png'
+    assert draw([str(tmp_path / 'run-0'), str(tmp_path / 'run-1'), '--out', str(picture)]) == 0
+    assert picture.stat().st_size > 10_000
