@@ -66,9 +66,14 @@ def test_every_setting_has_a_default_in_its_own_range():
         assert len(item.metadata['description']) > 5
 
 
-def test_training_and_test_rooms_never_overlap():
-    with pytest.raises(ConfigurationError, match='rooms both in training and in test'):
-        from_nested(TrainingConfig, {'rooms': {'training_first': 10}})
+@pytest.mark.parametrize(('values', 'words'), [
+    ({'fewest_cameras': 5}, 'fewest_cameras: found 5 with simulation.rig.cameras 4'),
+    ({'interactions': 0}, 'interactions: found 0 and no demonstrations.rounds'),
+    ({'demonstrations': {'rounds': 1}, 'agent': {'inputs': 'cloud'}}, "agent.inputs 'cloud'"),
+    ({'demonstrations': {'expert': 'look_ahead'}}, "did you mean 'lookahead'")])
+def test_settings_of_a_run_that_contradict_each_other_are_refused(values, words):
+    with pytest.raises(ConfigurationError, match=words):
+        from_nested(TrainingConfig, values)
 
 
 @pytest.mark.parametrize('path', sorted((ROOT / 'config' / 'train').glob('*.yaml')),

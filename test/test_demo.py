@@ -19,7 +19,7 @@ from ocp_ros.nodes.processes import NodeProcess
 from ocp_ros.scenes.rooms import generate_room
 
 WASHITSU = ROOT.parent / 'shared' / 'data' / 'rooms' / 'washitsu.ply'
-READY = {'sim_node': 'cameras', 'policy_node': 'updates', 'trainer_node': 'updates so far'}
+READY = {'sim_node': 'cameras', 'policy_node': 'weights', 'trainer_node': 'updates so far'}
 
 
 def check(out, turns, cameras):
@@ -67,7 +67,7 @@ def test_an_interrupted_demo_leaves_no_node_behind(tmp_path, how):
     command = [sys.executable, '-m', 'ocp_ros.nodes.demo', '--out', str(tmp_path)]
     running = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     log = tmp_path / 'logs' / 'policy_node.log'
-    while not (log.exists() and 'updates' in log.read_text()):
+    while not (log.exists() and 'weights' in log.read_text()):
         assert running.poll() is None, running.stderr.read()
         try:
             running.wait(timeout=0.05)

@@ -145,7 +145,7 @@ class PolicyNode(Node):
                 UInt8MultiArray, topics.POLICY_WEIGHTS, self._on_weights, LATCHED)
         self._health = health.Health(self, self._status)
         weights = 'no weights' if path is None else \
-            f'{path.name}: {self.policy.checkpoint.updates} updates'
+            f'weights of {path.name}: {self.policy.checkpoint.updates} updates'
         planner = 'exploring' if self.config.explore else self.config.planner
         self.get_logger().info(f'{planner}, {weights}')
 
