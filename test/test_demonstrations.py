@@ -18,6 +18,7 @@ from ocp_ros.benchmark.rooms import space_of
 from ocp_ros.configuration import ConfigurationError, from_nested
 from ocp_ros.planners.online import HandRule, Learned, play
 from ocp_ros.planners.registry import settings_of
+from ocp_ros.scenes.source import make_room
 from ocp_ros.simulation.config import EngineConfig, EpisodeConfig, RigConfig, SimulationConfig
 from ocp_ros.simulation.env import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
@@ -44,7 +45,6 @@ from ocp_ros.training.demonstrations import (
     Walk,
 )
 from ocp_ros.training.encoded import CameraByCamera
-from ocp_ros.training.rooms import load_room
 from ocp_ros.training.sac import actor_checkpoint, make_sac
 from ocp_ros.training.train import train
 
@@ -80,7 +80,7 @@ def environment_of(task):
     cameras = int(rng.integers(config.fewest_cameras, MOST + 1))
     rotation = float(rng.choice(config.rooms.angles))
     env = CameraByCamera(CameraPlacementEnv(
-        [load_room(task.room, config.rooms.points, 0.0)], config.simulation,
+        [make_room(task.room, 0.0, config.rooms.points)], config.simulation,
         fewest=config.fewest_cameras, rotations=(rotation,)), config.agent)
     return env, env.reset(seed=int(rng.integers(1 << 31)), options={'cameras': cameras})[0]
 
@@ -431,7 +431,7 @@ def test_the_best_place_of_a_toy_room_is_learned(tmp_path):
             episodes=16, expert='hand_rule', stray=0.15, batch_size=32, learning_rate=3e-3))
     shown = kept([demonstrate(task) for task in tasks_of(config, [path], 0, b'')], tmp_path)
     model = make_sac(SAC, agent, 1, seed=0)
-    simulator = Simulator(load_room(path, 3000, 0.0), simulation)
+    simulator = Simulator(make_room(path, 0.0, 3000), simulation)
     grid = space_of(simulator).grid(300)
     least = simulator.evaluate_many(
         np.insert(grid, 2, simulator.height, axis=1)[:, None])[:, 1].min()

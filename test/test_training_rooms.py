@@ -11,7 +11,7 @@ from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.source import make_room
 from ocp_ros.scenes.splits import FRESH, SEEDS, TEST, TRAINING, VALIDATION
 from ocp_ros.training.config import RoomsConfig
-from ocp_ros.training.rooms import load_room, PARTS, room_names
+from ocp_ros.training.rooms import PARTS, room_names
 
 SETS = {'training': TRAINING, 'validation': VALIDATION, 'test': TEST, 'fresh': FRESH}
 
@@ -36,7 +36,7 @@ def test_generated_rooms_are_those_of_the_frozen_sets():
     assert room_names(config, 'training') == [str(seed) for seed in TRAINING[:5]]
     assert room_names(config, 'validation') == [str(seed) for seed in VALIDATION]
     assert room_names(config, 'test') == [str(seed) for seed in TEST]
-    scene = load_room(room_names(config, 'test')[0], 2000, 30.0)
+    scene = make_room(room_names(config, 'test')[0], 30.0, 2000)
     assert scene.name == f'room-{TEST[0]}@30'
     np.testing.assert_array_equal(scene.points, make_room(str(TEST[0]), 30.0, 2000).points)
 

@@ -12,12 +12,11 @@ what the room does not keep.
 """
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from ocp_ros.agent.observed import Memory, Observed, QUICK_POINTS, QUICK_ROWS
 from ocp_ros.geometry.blocks import count_bits
 from ocp_ros.geometry.visibility import FINE
-from ocp_ros.planners.online import cell_weight, Online, REFINING
+from ocp_ros.planners.online import cell_weight, Online, REFINING, shared_out
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.simulation.space import Space
 
@@ -134,7 +133,7 @@ class Lookahead(Online):
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`Online.move`."""
-        self._memory.visit(positions)
+        self.watch(positions)
         try:
             if turn >= REFINING * turns:
                 self._refine(cloud, positions, turn, turns)
@@ -166,9 +165,7 @@ class Lookahead(Online):
 
     def _settle(self, positions: np.ndarray) -> None:
         """Match the cameras with the chosen places, so that they walk least."""
-        targets = self._candidates.places[self._chosen]
-        way = np.linalg.norm(positions[:, None, :2] - targets[None], axis=2)
-        self._plan = targets[linear_sum_assignment(way)[1]]
+        self._plan = shared_out(positions, self._candidates.places[self._chosen])
 
     def _refine(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Anneal the plan, or the placement where there is none, among what can be reached."""

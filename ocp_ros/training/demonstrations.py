@@ -4,8 +4,8 @@ Demonstrations: episodes in which an expert says at each turn what it would do.
 
 Who moves the cameras is a mixture: at first the expert, then more and more the policy that learns
 from it, so that it also learns to get out of where its own moves lead (DAgger: Ross, Gordon and
-Bagnell, 2011). Experts are the lookahead planner, which knows no more than the policy, and any
-offline planner, which knows the room and goes straight to its answer.
+Bagnell, 2011). Experts are the hand rule and the other online planners, which know no more than
+the policy, and any offline planner, which knows the room and goes straight to its answer.
 """
 
 from collections.abc import Sequence
@@ -15,18 +15,17 @@ import io
 from pathlib import Path
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 from stable_baselines3 import SAC
 import torch
 
-from ocp_ros.agent.checkpoint import Checkpoint, write_atomically
-from ocp_ros.agent.policy import Policy
+from ocp_ros.agent.checkpoint import write_atomically
 from ocp_ros.agent.world import CHOICES, greedy
-from ocp_ros.planners.online import Online
+from ocp_ros.planners.online import Online, shared_out
 from ocp_ros.planners.registry import OFFLINE, ONLINE, settings_of
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
 from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.source import make_room
 from ocp_ros.simulation.config import SimulationConfig
 from ocp_ros.simulation.env import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
@@ -35,7 +34,7 @@ from ocp_ros.simulation.space import Space
 from ocp_ros.training.augmentation import random_symmetries, turn, turn_observation
 from ocp_ros.training.config import DemonstrationsConfig, TrainingConfig
 from ocp_ros.training.encoded import CameraByCamera
-from ocp_ros.training.rooms import load_room
+from ocp_ros.training.evaluation import policy_of
 
 #: Names of the arrays of an episode that are no inputs of the network.
 NO_INPUTS = MOVES, ACTIONS, REWARDS, LAST, ENDS = (
@@ -80,8 +79,7 @@ class Walk(Online):
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`~ocp_ros.planners.online.Online.move`."""
         if self._targets is None:
-            away = np.linalg.norm(positions[:, None, :2] - self._placement[None], axis=2)
-            self._targets = self._placement[linear_sum_assignment(away)[1]]
+            self._targets = shared_out(positions, self._placement)
         return self.towards(positions, self._targets) - positions[:, :2]
 
 
@@ -114,7 +112,6 @@ def demonstrate(task: Task) -> dict[str, np.ndarray]:
         (S + 1,) bool, the step that is not answered any more; ``ends`` (S + 1, 2), the depth
         error at the end and that of seeing nothing, metres.
     """
-    torch.set_num_threads(1)
     settings, simulation = task.config.demonstrations, task.config.simulation
     rng = np.random.default_rng(task.seed)
     cameras = int(rng.integers(task.config.fewest_cameras, simulation.rig.cameras + 1))
@@ -127,7 +124,7 @@ def demonstrate(task: Task) -> dict[str, np.ndarray]:
     episode = env.unwrapped.episode
     config = replace(simulation, rig=replace(simulation.rig, cameras=cameras))
     expert = Expert(settings, episode.simulator, config, rng)
-    policy = _policy(task.weights) if task.weights else None
+    policy = policy_of(task.weights) if task.weights else None
     steps: list[tuple] = []
     truncated = False
     while not truncated:
@@ -193,13 +190,7 @@ class Expert:
 @lru_cache(maxsize=64)
 def _room(name: str, points: int) -> Scene:
     """Keep some rooms ready."""
-    return load_room(name, points, 0.0)
-
-
-@lru_cache(maxsize=1)
-def _policy(weights: bytes) -> Policy:
-    """Read weights once."""
-    return Policy(Checkpoint.from_bytes(weights))
+    return make_room(name, 0.0, points)
 
 
 def tasks_of(config: TrainingConfig, rooms: Sequence[str], number: int, weights: bytes

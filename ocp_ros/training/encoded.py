@@ -10,6 +10,7 @@ import numpy as np
 from ocp_ros.agent import world
 from ocp_ros.agent.config import AgentConfig
 from ocp_ros.agent.encoder import EncodedTurn, Encoder, order_of, PER_CAMERA
+from ocp_ros.simulation.config import SimulationConfig
 from ocp_ros.simulation.reward import reward, RewardTerms
 
 LARGEST = 1000.0
@@ -74,6 +75,12 @@ def action_space(cameras: int) -> spaces.Box:
     return spaces.Box(-1.0, 1.0, (cameras, 2), np.float32)
 
 
+def encoder_of(agent: AgentConfig, config: SimulationConfig) -> Encoder:
+    """Return the encoder of a simulated rig."""
+    return Encoder(agent, float(config.rig.ranges.max()), config.episode.max_step,
+                   config.episode.wall_margin)
+
+
 class EncodedObservation(gym.Wrapper):
     """
     Store with each observation what the network reads: the observation cache.
@@ -88,8 +95,7 @@ class EncodedObservation(gym.Wrapper):
         super().__init__(env)
         config = env.unwrapped.config
         self._cameras = config.rig.cameras
-        self._encoder = Encoder(agent, float(config.rig.ranges.max()), config.episode.max_step,
-                                config.episode.wall_margin)
+        self._encoder = encoder_of(agent, config)
         self.observation_space = encoded_space(agent, self._cameras)
 
     def reset(self, **kwargs):
@@ -132,8 +138,7 @@ class CameraByCamera(gym.Wrapper):
     def __init__(self, env: gym.Env, agent: AgentConfig) -> None:
         super().__init__(env)
         config = env.unwrapped.config
-        self._encoder = Encoder(agent, float(config.rig.ranges.max()), config.episode.max_step,
-                                config.episode.wall_margin)
+        self._encoder = encoder_of(agent, config)
         self.observation_space, self.action_space = encoded_space(agent, 1), action_space(1)
         self.encoded: EncodedTurn | None = None
 

@@ -8,7 +8,6 @@ from functools import lru_cache
 import numpy as np
 
 from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.encoder import Encoder
 from ocp_ros.agent.policy import Policy
 from ocp_ros.planners.online import Learned, Online, play
 from ocp_ros.planners.registry import ONLINE, settings_of
@@ -18,6 +17,7 @@ from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.moves import bounded_moves
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.training.crew import Crew
+from ocp_ros.training.encoded import encoder_of
 
 #: The control that learning has to beat.
 RANDOM_MOVES = 'random_moves'
@@ -63,8 +63,8 @@ def play_trial(trial: Trial) -> tuple[float, float, float]:
     simulator = _prepared(trial.room, trial.points, trial.rotation, trial.simulation)
     settings = settings_of(trial.simulation, np.random.default_rng([trial.seed, 1]))
     if trial.weights:
-        policy = _policy(trial.weights)
-        policy.encoder = Encoder(policy.checkpoint.config, settings[2], settings[1], settings[3])
+        policy = policy_of(trial.weights)
+        policy.encoder = encoder_of(policy.checkpoint.config, trial.simulation)
         online: Online = Learned(policy, *settings)
     elif trial.planner == RANDOM_MOVES:
         online = RandomMoves(*settings)
@@ -83,7 +83,7 @@ def _prepared(room: str, points: int, rotation: float, config: SimulationConfig)
 
 
 @lru_cache(maxsize=1)
-def _policy(weights: bytes) -> Policy:
+def policy_of(weights: bytes) -> Policy:
     """Read weights once."""
     return Policy(Checkpoint.from_bytes(weights))
 

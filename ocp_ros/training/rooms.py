@@ -65,12 +65,7 @@ class Rooms(Sequence):
 
     def __getitem__(self, index: int) -> Scene:
         """Make a room."""
-        return load_room(self._names[index], self._points, 0.0)
-
-
-def load_room(name: str, points: int, rotation: float) -> Scene:
-    """Make a room of a set; see :func:`~ocp_ros.scenes.source.make_room`."""
-    return make_room(name, rotation, points)
+        return make_room(self._names[index], 0.0, self._points)
 
 
 def _of_s3dis(part: str) -> list[str]:

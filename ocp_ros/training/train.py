@@ -29,6 +29,7 @@ from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.configuration import ConfigurationError, from_nested, to_nested
 from ocp_ros.resources import find_model
 from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.source import make_room
 from ocp_ros.simulation.config import EngineConfig
 from ocp_ros.simulation.env import CameraPlacementEnv
 from ocp_ros.training import demonstrations
@@ -37,7 +38,7 @@ from ocp_ros.training.crew import cores, Crew
 from ocp_ros.training.encoded import CameraByCamera, EncodedObservation
 from ocp_ros.training.evaluation import evaluate, RANDOM_MOVES, Trial
 from ocp_ros.training.replay import Rebuild, TurnReplay
-from ocp_ros.training.rooms import load_room, room_names, Rooms
+from ocp_ros.training.rooms import room_names, Rooms
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
 from ocp_ros.training.state import load_state, new_run, save_state
 
@@ -297,7 +298,7 @@ def _replay(config: TrainingConfig) -> dict[str, Any]:
 
     def scene(number: int) -> Scene:
         room, angle = divmod(number, len(angles))
-        return load_room(rooms[room], config.rooms.points, angles[angle])
+        return make_room(rooms[room], angles[angle], config.rooms.points)
 
     rebuild = Rebuild(len(rooms) * len(angles), scene, config.agent)
     return {'replay_buffer_class': TurnReplay, 'replay_buffer_kwargs': {
