@@ -20,7 +20,7 @@ import torch
 
 from ocp_ros.agent.config import AgentConfig
 from ocp_ros.agent.encoder import encode_cloud
-from ocp_ros.geometry.blocks import no_bits, spatial_order, Subset
+from ocp_ros.geometry.blocks import spatial_order, Subset
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.training.augmentation import symmetric
 from ocp_ros.training.encoded import Known, padded
@@ -33,19 +33,13 @@ class Rebuild:
     """
     Build the encoded cloud of a turn from what is known.
 
-    :param scenes: how many there are.
     :param scene: makes the scene of a number.
     :param agent: what the network reads.
     """
 
-    def __init__(self, scenes: int, scene: Callable[[int], Scene], agent: AgentConfig) -> None:
-        self.scenes, self._agent = scenes, agent
+    def __init__(self, scene: Callable[[int], Scene], agent: AgentConfig) -> None:
+        self._agent = agent
         self._points = lru_cache(maxsize=None)(lambda number: _with_order(scene(number).points))
-
-    @property
-    def words(self) -> int:
-        """Return the most words of 64 bits that hold a flag for each point of a scene."""
-        return max(len(no_bits(len(self._points(number)[0]))) for number in range(self.scenes))
 
     def __call__(self, known: Known) -> dict[str, np.ndarray]:
         """Return what :func:`ocp_ros.agent.observation.encode` gives, padded."""
@@ -127,7 +121,8 @@ class TurnReplay(DictReplayBuffer):
     :param handle_timeout_termination: do not take for the end what ``TimeLimit.truncated`` in
         ``infos`` tells to be the end of the time only.
     :param rebuild: builds the encoded arrays of a turn from what is known.
-    :param words: most words of 64 bits that ``Known.observed`` has in any scene.
+    :param words: words of 64 bits that ``Known.observed`` has in a scene; where one has more, room
+        is made for them.
     :param cache_bytes: how much of what was rebuilt is kept.
     :param stored: keys of the observation that ``rebuild`` does not return: they are stored,
         floating-point numbers with half precision.
@@ -229,9 +224,6 @@ class TurnReplay(DictReplayBuffer):
             raise ValueError(f'infos: found {sorted(info)}; expected before and after among them; '
                              'let the environment put there what is known')
         for known in (info['before'], info['after']):
-            if len(known.observed) > self.words:
-                raise ValueError(f'observed: found {len(known.observed)} words; expected at most '
-                                 f"{self.words}; give the largest scene's number as words")
             if known.positions.shape != self.positions.shape[2:]:
                 raise ValueError(f'positions: found shape {known.positions.shape}; expected '
                                  f'{self.positions.shape[2:]}, a row for each camera that acts')
@@ -254,6 +246,8 @@ class TurnReplay(DictReplayBuffer):
         """Write a turn, which begins no transition yet, to the next slot."""
         slot = int(self.pos[env])
         at = slot, env
+        if len(known.observed) > self.words:
+            self._widen(len(known.observed))
         self.cache.drop(at)
         self.starts[at] = False
         self.scenes[at], self.counts[at] = known.scene, len(known.observed)
@@ -263,6 +257,13 @@ class TurnReplay(DictReplayBuffer):
             values[at] = observation[key][env]
         self.pos[env] = (slot + 1) % self.slots
         self.full[env] |= self.pos[env] == 0
+
+    def _widen(self, words: int) -> None:
+        """Make room for scenes of more points."""
+        written = self.slots if self.full.any() else int(self.pos.max())
+        wider = np.zeros((*self.observed.shape[:2], words), dtype=np.uint64)
+        wider[:written, :, :self.words] = self.observed[:written]
+        self.observed, self.words = wider, words
 
     def sample(self, batch_size: int, env=None) -> DictReplayBufferSamples:
         """

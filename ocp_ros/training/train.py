@@ -27,6 +27,7 @@ import yaml
 
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.configuration import ConfigurationError, from_nested, to_nested
+from ocp_ros.geometry.blocks import no_bits
 from ocp_ros.resources import find_model
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.source import make_room
@@ -300,9 +301,8 @@ def _replay(config: TrainingConfig) -> dict[str, Any]:
         room, angle = divmod(number, len(angles))
         return make_room(rooms[room], angles[angle], config.rooms.points)
 
-    rebuild = Rebuild(len(rooms) * len(angles), scene, config.agent)
     return {'replay_buffer_class': TurnReplay, 'replay_buffer_kwargs': {
-        'rebuild': rebuild, 'words': rebuild.words}}
+        'rebuild': Rebuild(scene, config.agent), 'words': len(no_bits(config.rooms.points))}}
 
 
 def report(run: Run, command: str) -> Checkpoint:
