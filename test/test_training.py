@@ -59,6 +59,12 @@ def environment(room, agent, **options):
     return EncodedObservation(CameraPlacementEnv([room], SIMULATION, 128, **options), agent)
 
 
+@pytest.fixture(autouse=True)
+def logs(tmp_path, monkeypatch):
+    """Let stable-baselines3 leave its logs where they are cleared away."""
+    monkeypatch.setenv('SB3_LOGDIR', str(tmp_path / 'sb3'))
+
+
 @pytest.fixture
 def env(room, agent):
     """Return such an environment for each kind of inputs."""
