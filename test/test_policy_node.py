@@ -188,7 +188,7 @@ def _overflowing(cloud):
 
 
 def _wrong_row_step(cloud):
-    cloud.row_step = 3
+    cloud.width, cloud.row_step = cloud.width - 1, 3
 
 
 def _of_a_whole_town(cloud):
