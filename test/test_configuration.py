@@ -85,7 +85,7 @@ def test_every_shipped_training_configuration_is_valid(path):
 @pytest.mark.parametrize('name', ['sim', 'policy', 'trainer'])
 def test_every_shipped_parameter_file_is_valid(name):
     pytest.importorskip('rclpy', reason='node parameters need ROS 2 (rclpy)')
-    from ocp_ros.nodes.policy_node import PolicyNodeConfig
+    from ocp_ros.nodes.policy_config import PolicyNodeConfig
     from ocp_ros.nodes.sim_node import SimNodeConfig
     from ocp_ros.nodes.trainer_node import TrainerNodeConfig
     classes = {'sim_node': SimNodeConfig, 'policy_node': PolicyNodeConfig,

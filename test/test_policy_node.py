@@ -31,7 +31,8 @@ from ocp_ros.nodes.conversions import (
     positions_to_msg,
     stamp_to_ns,
 )
-from ocp_ros.nodes.policy_node import make_planner, PLANNERS, PolicyNode, PolicyNodeConfig
+from ocp_ros.nodes.policy_config import PLANNERS, PolicyNodeConfig
+from ocp_ros.nodes.policy_node import make_planner, PolicyNode
 from ocp_ros.nodes.sim_node import SimNode
 from ocp_ros.planners.online import ALONE, play
 from ocp_ros.simulation.episode import Episode

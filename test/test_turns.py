@@ -173,6 +173,22 @@ def test_without_poses_nobody_knows_where_the_cameras_are(clock):
     assert taken(turns) == [] and not turns.due() and turns.positions is None
 
 
+def test_cameras_that_need_not_move_are_there_whether_or_not_they_say_so(clock):
+    turns = played(make(clock))
+    turns.on_poses(11 * S, THERE)
+    for topic in 'ab':
+        turns.on_cloud(topic, 12 * S, topic)
+    taken(turns)
+    turns.on_cloud('a', 12 * S, 'waits')
+    turns.sent(THERE + [0.03, 0.0, 0.0])
+    # Only newer clouds count.
+    turns.on_cloud('a', 12 * S - 1, 'old')
+    assert taken(turns) == [] and turns.positions is THERE
+    for topic in 'ab':
+        turns.on_cloud(topic, 12 * S + 1, 'new')
+    assert taken(turns) == [('a', 'new'), ('b', 'new')] and turns.due()
+
+
 def test_a_person_may_take_as_long_as_they_like(clock):
     turns = played(make(clock, arrival_timeout=math.inf))
     clock.now = 1e6

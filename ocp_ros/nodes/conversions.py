@@ -123,6 +123,19 @@ def positions_to_msg(positions: np.ndarray, header: Header,
     return message
 
 
+def moved_to(poses: PoseArray, positions: np.ndarray) -> PoseArray:
+    """
+    Pack cameras at other positions, turned as they are.
+
+    :param poses: where they are now.
+    :param positions: (K, 3), metres, in the same frame.
+    """
+    message = positions_to_msg(positions, poses.header)
+    for pose, now in zip(message.poses, poses.poses, strict=True):
+        pose.orientation = now.orientation
+    return message
+
+
 def msg_to_positions(message: PoseArray, cameras: int | None = None) -> np.ndarray:
     """
     Unpack camera positions.

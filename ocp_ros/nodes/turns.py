@@ -19,8 +19,8 @@ T = TypeVar('T')
 #: Nanoseconds: a stamp that goes back by more is that of a clock that was set, or of a recording
 #: that began anew.
 JUMP = 1_000_000_000
-#: Who sends the poses, among those whose stamps are compared with their own last ones.
-POSES = 'poses'
+#: Who sends the poses, among the topics, which have names.
+POSES = ''
 
 
 class Turns(Generic[T]):
@@ -34,7 +34,8 @@ class Turns(Generic[T]):
     :param cloud_timeout: clouds are waited for so long since the cameras stand, seconds; at least
         one has to be there in any case.
     :param clock: tells the seconds.
-    :ivar positions: (K, 3) metres, the newest since the last command; None while there are none.
+    :ivar positions: (K, 3) metres, where the cameras are; None while nobody has said so since they
+        were sent elsewhere.
     :ivar overdue: whether this turn goes on though the cameras have not arrived.
     :ivar late: turns that did.
     :ivar jumps: how often stamps went back.
@@ -55,15 +56,25 @@ class Turns(Generic[T]):
         #: Topics that some turn, maybe this one, did not wait for any longer.
         self._silent: set[str] = set()
         self.late = self.jumps = 0
-        self.sent(None)
-
-    def sent(self, targets: np.ndarray | None) -> None:
-        """Begin a turn: cameras were sent to (K, 3) metres; None if nobody knows where to."""
-        self._targets, self._sent_at = targets, self._clock()
-        self.positions: np.ndarray | None = None
         self.overdue = False
+        self.positions: np.ndarray | None = None
+        #: Where the cameras were sent, if anywhere, and when.
+        self._targets: np.ndarray | None = None
+        self._sent_at = clock()
         #: The first poses that show all cameras in place: stamp in nanoseconds, and when that was.
         self._stand: tuple[int, float] | None = None
+
+    def sent(self, targets: np.ndarray) -> None:
+        """
+        Begin a turn: the cameras were sent to (K, 3) metres.
+
+        Where they have been until now counts if they are there already: some rigs say where they
+        are when they move, and not otherwise.
+        """
+        self._targets, self._sent_at, self.overdue = targets, self._clock(), False
+        self._stand = (self._posed, self._sent_at) if self._arrived() else None
+        if self._stand is None:
+            self.positions = None
         self.again()
 
     def again(self) -> None:
@@ -157,6 +168,21 @@ class Turns(Generic[T]):
             return 'nothing came'
         behind = 0 if self._stand is None else self._stand[0] - self._heard[topic]
         return f'stamps {behind * 1e-9:.1f} s before the poses' if behind > 0 else 'nothing usable'
+
+    @property
+    def standing(self) -> bool:
+        """Return whether the cameras count as standing."""
+        return self._stand is not None
+
+    @property
+    def since(self) -> int:
+        """Return the stamp of the poses since which clouds count, nanoseconds."""
+        return self._stand[0]
+
+    @property
+    def lost(self) -> bool:
+        """Return whether nobody has said for long where the cameras are."""
+        return self.positions is None and self._clock() - self._sent_at >= self._cloud_timeout
 
     @property
     def stamp(self) -> int:
