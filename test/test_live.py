@@ -18,6 +18,7 @@ from std_msgs.msg import Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ocp_ros.configuration import ConfigurationError
+from ocp_ros.geometry.blocks import Subset
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.nodes import health, qos, topics
 from ocp_ros.nodes.conversions import (
@@ -37,7 +38,7 @@ from ocp_ros.simulation.simulator import Simulator
 S = 1_000_000_000
 CAMERAS = 3
 HEADINGS = np.array([[0.4, 0.1, 0.0], [-2.0, -0.2, 0.1], [3.0, 0.0, -0.3]])
-#: Frames, and columns of a rotation from the camera's body that make its axes.
+#: Frames that clouds come in.
 BODY, OPTICAL, MAP = 'camera_{}', 'camera_{}_optical', 'map'
 #: What a driver has to say where it sees nothing.
 NO_RETURN = np.array([[0.0, 0.0, 0.0], [np.nan, 1.0, 1.0], [9.0, 0.0, 0.0]])
@@ -99,9 +100,9 @@ class Rig(Node):
 
     def cloud(self, camera):
         """Return what a camera sees, in its frame."""
-        seen = self.episode.simulator.look(self.positions[camera], camera).seen
-        points = self.episode.scene.points[
-            type(self.episode.observed)(seen, self.episode.observed.order).mask]
+        simulator = self.episode.simulator
+        seen = simulator.look(self.positions[camera], camera).seen
+        points = simulator.scene.points[Subset(seen, simulator.visibility.order).mask]
         header = Header(stamp=ns_to_stamp(self.stamp), frame_id=self.frames[camera])
         if self.frames[camera] == MAP:
             return cloud_to_msg(points, header)
@@ -176,9 +177,9 @@ def test_a_live_rig_comes_to_its_final_placement(live, room):
 def test_a_command_keeps_how_the_cameras_are_turned(live):
     rig, _ = live.start()
     live.wait_for_turns(1)
-    graph_poses = positions_to_msg(rig.positions, Header(), HEADINGS).poses
+    turned = positions_to_msg(rig.positions, Header(), HEADINGS).poses
     assert [pose.orientation for pose in live.last(topics.CAMERA_COMMANDS).poses] == [
-        pose.orientation for pose in graph_poses]
+        pose.orientation for pose in turned]
 
 
 @pytest.mark.parametrize('frames', [(MAP,) * 3, (BODY,) * 3, (OPTICAL,) * 3])
