@@ -18,7 +18,8 @@ LAYERS = ['geometry', 'scenes', 'simulation', 'agent', 'planners', 'training', '
 BESIDE = {'configuration', 'resources', '__version__'}
 #: Packages that only some layers may import at all.
 ONLY = {
-    'rclpy': {'nodes'}, 'sensor_msgs': {'nodes'}, 'geometry_msgs': {'nodes'},
+    'rclpy': {'nodes'}, 'tf2_ros': {'nodes'}, 'sensor_msgs': {'nodes'},
+    'geometry_msgs': {'nodes'},
     'stable_baselines3': {'training'}, 'torch': {'agent', 'training', 'nodes'},
     'gymnasium': {'simulation', 'training'}, 'matplotlib': {'report'},
     'open3d': {'scenes', 'benchmark'}}

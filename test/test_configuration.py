@@ -82,10 +82,10 @@ def test_every_shipped_training_configuration_is_valid(path):
     assert np.isfinite(read_config(path).sac.learning_rate)
 
 
-@pytest.mark.parametrize('name', ['sim', 'policy', 'trainer'])
+@pytest.mark.parametrize('name', ['sim', 'policy', 'trainer', 'live'])
 def test_every_shipped_parameter_file_is_valid(name):
     pytest.importorskip('rclpy', reason='node parameters need ROS 2 (rclpy)')
-    from ocp_ros.nodes.policy_node import PolicyNodeConfig
+    from ocp_ros.nodes.policy_config import PolicyNodeConfig
     from ocp_ros.nodes.sim_node import SimNodeConfig
     from ocp_ros.nodes.trainer_node import TrainerNodeConfig
     classes = {'sim_node': SimNodeConfig, 'policy_node': PolicyNodeConfig,

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages to arrays and back, for any layout of a cloud."""
 
+from array import array
+from copy import deepcopy
+
 from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
@@ -10,9 +13,11 @@ import pytest
 pytest.importorskip('rclpy', reason='messages need ROS 2 (rclpy)')
 
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseArray, Quaternion
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
 
+from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.nodes.conversions import (
     bytes_to_msg,
     cloud_to_msg,
@@ -21,6 +26,7 @@ from ocp_ros.nodes.conversions import (
     msg_to_bytes,
     msg_to_cloud,
     msg_to_fields,
+    msg_to_poses,
     msg_to_positions,
     ns_to_stamp,
     positions_to_msg,
@@ -85,6 +91,215 @@ def test_a_cloud_whose_numbers_lie_is_refused_or_read_and_never_more(layout, dat
         assert found.nbytes <= 3 * len(message.data) + 12
 
 
+F4, F8, U1, U2, U4 = 'f4', 'f8', 'u1', 'u2', 'u4'
+DATATYPES = {'f4': PointField.FLOAT32, 'f8': PointField.FLOAT64, 'u1': PointField.UINT8,
+             'u2': PointField.UINT16, 'u4': PointField.UINT32}
+XYZ = {'x': (F4, 0), 'y': (F4, 4), 'z': (F4, 8)}
+#: What drivers document: fields with type and offset, point_step, rows and columns.
+DRIVERS = {
+    'RealSense': ({**XYZ, 'rgb': (F4, 16)}, 20, 48, 64),
+    'RealSense, padded': ({**XYZ, 'rgb': (F4, 16)}, 32, 48, 64),
+    'Azure Kinect': ({**XYZ, 'rgb': (F4, 16)}, 32, 60, 80),
+    'ZED': ({**XYZ, 'rgb': (F4, 12)}, 16, 36, 64),
+    'Velodyne': ({**XYZ, 'intensity': (F4, 12), 'ring': (U2, 16), 'time': (F4, 18)}, 22, 1, 999),
+    'Ouster': ({**XYZ, 'intensity': (F4, 16), 't': (U4, 20), 'reflectivity': (U2, 24),
+                'ring': (U2, 26), 'ambient': (U2, 28), 'range': (U4, 32)}, 48, 16, 64),
+    'Livox': ({**XYZ, 'intensity': (F4, 12), 'tag': (U1, 16), 'line': (U1, 17),
+               'timestamp': (F8, 18)}, 26, 1, 777),
+    'float64': ({'x': (F8, 0), 'y': (F8, 8), 'z': (F8, 16)}, 24, 1, 100),
+}
+
+
+def of_driver(driver, order='<', pad=0):
+    """Return what a driver sends, and the points in it with its "no return" among them."""
+    layout, step, height, width = DRIVERS[driver]
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(height * width, 3)).astype(np.float32)
+    points[::7], points[3::11, 2], points[5::13] = np.nan, np.inf, 0.0
+    raw = rng.integers(0, 256, (height, step * width + pad), dtype=np.uint8)
+    for k, name in enumerate('xyz'):
+        kind, offset = layout[name]
+        np.ndarray((height, width), order + kind, raw, offset, (raw.shape[1], step))[...] = (
+            points[:, k].reshape(height, width))
+    message = PointCloud2(
+        height=height, width=width, point_step=step, row_step=raw.shape[1],
+        is_bigendian=order == '>', is_dense=False,
+        fields=[PointField(name=name, offset=offset, datatype=DATATYPES[kind], count=1)
+                for name, (kind, offset) in layout.items()])
+    message.data = array('B', raw.tobytes())
+    return points, message
+
+
+@pytest.mark.parametrize('driver', DRIVERS)
+@pytest.mark.parametrize(('order', 'pad'), [('<', 0), ('>', 0), ('<', 40)])
+def test_clouds_of_known_drivers_are_read(driver, order, pad):
+    points, message = of_driver(driver, order, pad)
+    np.testing.assert_array_equal(msg_to_cloud(message), points[np.isfinite(points).all(axis=1)])
+
+
+@pytest.mark.parametrize('wrong', [0, 32 * 60 * 80, 3, 2 ** 32 - 1])
+def test_a_row_step_that_the_bytes_contradict_has_nothing_to_say(wrong):
+    """Simulators and drivers are known to send 0, or the size of the whole cloud."""
+    points, message = of_driver('Azure Kinect')
+    message.row_step = wrong
+    np.testing.assert_array_equal(msg_to_cloud(message), points[np.isfinite(points).all(axis=1)])
+
+
+def _fields_twice(cloud):
+    cloud.fields = [*cloud.fields, cloud.fields[1]]
+
+
+def _without_fields(cloud):
+    cloud.fields = []
+
+
+def _short(cloud):
+    cloud.data = cloud.data[:-1]
+
+
+def _long(cloud):
+    cloud.data = cloud.data + array('B', [0])
+
+
+def _without_data(cloud):
+    cloud.data = array('B')
+
+
+def _overflowing(cloud):
+    cloud.width = cloud.height = 65536
+
+
+def _of_no_step(cloud):
+    cloud.point_step = cloud.row_step = 0
+
+
+def _far_offset(cloud):
+    cloud.fields[2].offset = 2 ** 32 - 1
+
+
+def _row_step_of_less(cloud):
+    cloud.row_step, cloud.data = cloud.row_step - 1, cloud.data[:-cloud.height]
+
+
+def _of_two_numbers(cloud):
+    cloud.fields[0].count = 2
+
+
+@pytest.mark.parametrize('spoil', [
+    _fields_twice, _without_fields, _short, _long, _without_data, _overflowing, _of_no_step,
+    _far_offset, _row_step_of_less, _of_two_numbers])
+def test_what_is_known_to_kill_others_is_refused(spoil):
+    _, message = of_driver('Azure Kinect')
+    spoil(message)
+    with pytest.raises(MessageError, match='cloud: found .*; expected'):
+        msg_to_cloud(message)
+
+
+@pytest.mark.parametrize(('height', 'width', 'data'), [
+    (0, 0, 0), (1, 0, 0), (0, 5, 0), (3, 0, 30), (0, 2 ** 32 - 1, 0), (2 ** 32 - 1, 0, 0)])
+def test_a_cloud_of_no_points_is_one(height, width, data):
+    _, message = of_driver('ZED')
+    message.height, message.width, message.row_step = height, width, data // max(height, 1)
+    message.data = array('B', bytes(data))
+    assert msg_to_cloud(message).shape == (0, 3)
+
+
+def test_a_float64_that_no_float32_can_hold_is_no_point():
+    points, message = of_driver('float64')
+    message.data[:8] = array('B', np.float64(1e300).tobytes())
+    # A NaN that signals.
+    message.data[24:32] = array('B', b'\x01\x00\x00\x00\x00\x00\xf0\x7f')
+    points[:2] = np.nan
+    np.testing.assert_array_equal(msg_to_cloud(message), points[np.isfinite(points).all(axis=1)])
+
+
+NUMBERS = (0, 1, 3, 12, 255, 65536, 2 ** 31 - 1, 2 ** 31, 2 ** 32 - 1)
+FLOATS = (0.0, -0.0, 1.0, np.nan, np.inf, -np.inf, 1e300, 5e-324, -1e-7, 1e9)
+
+
+def spoilt_cloud(rng, messages):
+    """Return a cloud whose numbers, fields or bytes lie."""
+    message = deepcopy(messages[rng.integers(len(messages))])
+    for _ in range(rng.integers(1, 4)):
+        what = rng.choice(['number', 'field', 'twice', 'lost', 'cut', 'more', 'bytes', 'order'])
+        field = message.fields[rng.integers(len(message.fields))] if message.fields else None
+        if what == 'number':
+            name = rng.choice(['height', 'width', 'point_step', 'row_step'])
+            near = (getattr(message, name) + int(rng.integers(-1, 2))) % 2 ** 32
+            setattr(message, name, int(rng.choice([*NUMBERS, near, near])))
+        elif what == 'field' and field:
+            field.offset = int(rng.choice([*NUMBERS, 5, 8, 13]))
+            field.datatype = int(rng.choice([field.datatype, 7, 8, rng.integers(256)]))
+            field.count = int(rng.choice([0, 1, 1, 1, 2, 2 ** 32 - 1]))
+        elif what == 'twice' and field:
+            message.fields = [*message.fields, deepcopy(field)]
+        elif what == 'lost' and field:
+            message.fields = [other for other in message.fields if other is not field]
+        elif what == 'cut':
+            message.data = message.data[:rng.integers(len(message.data) + 1)]
+        elif what == 'more':
+            message.data = message.data + array('B', bytes(int(rng.integers(1, 100))))
+        elif what == 'bytes':
+            message.data = array('B', rng.bytes(len(message.data)))
+        else:
+            message.is_bigendian = not message.is_bigendian
+    return message
+
+
+def spoilt_poses(rng):
+    """Return poses with numbers that are none."""
+    message = positions_to_msg(rng.normal(size=(rng.integers(0, 5), 3)), Header())
+    for pose in message.poses:
+        part = pose.position if rng.random() < 0.5 else pose.orientation
+        if rng.random() < 0.7:
+            setattr(part, rng.choice(list('xyz')), float(rng.choice(FLOATS)))
+        if rng.random() < 0.4:
+            pose.orientation.w = float(rng.choice(FLOATS))
+    return message
+
+
+def spoilt_fields(rng):
+    """Return named numbers whose names or numbers are missing, twice there or none."""
+    names = list(rng.choice(['a', 'b', 'c', '', 'é'], rng.integers(0, 5)))
+    message = fields_to_msg(dict.fromkeys(names, 1.0))
+    if rng.random() < 0.4:
+        message.data = [*message.data, *rng.choice(FLOATS, rng.integers(0, 3))]
+    message.data = [float(rng.choice(FLOATS)) if rng.random() < 0.3 else x for x in message.data]
+    if rng.random() < 0.3:
+        message.layout.dim = message.layout.dim * int(rng.integers(0, 3))
+    if message.layout.dim and rng.random() < 0.3:
+        message.layout.dim[0].label += str(rng.choice([',', ',a', 'a,,', '\0']))
+    return message
+
+
+def test_spoilt_messages_are_refused_or_read_and_nothing_else():
+    rng = np.random.default_rng(20261121)
+    clouds = [of_driver(driver, order)[1] for driver in DRIVERS for order in '<>']
+    for cloud in clouds:
+        # A few rows tell as much.
+        cloud.height, cloud.data = 1, cloud.data[:cloud.row_step]
+    kinds = [(lambda: spoilt_cloud(rng, clouds), lambda m: [msg_to_cloud(m)]),
+             (lambda: spoilt_poses(rng), lambda m: [part for p in msg_to_poses(m) for part in p]),
+             (lambda: spoilt_poses(rng), lambda m: [msg_to_positions(m)]),
+             (lambda: spoilt_fields(rng),
+              lambda m: [np.array([msg_to_fields(m, ('a', 'b'))[name] for name in 'ab'])])]
+    outcomes = np.zeros((len(kinds), 2), dtype=int)
+    for number in range(2400):
+        kind = (0, 0, 0, 1, 2, 3)[number % 6]
+        spoil, read = kinds[kind]
+        message = spoil()
+        try:
+            arrays = read(message)
+        except MessageError as error:
+            assert '; expected' in str(error)
+            outcomes[kind, 0] += 1
+        else:
+            assert all(np.isfinite(found).all() for found in arrays)
+            outcomes[kind, 1] += 1
+    # Neither are all refused nor all read.
+    assert (outcomes > 20).all(), outcomes
+
+
 @given(count=st.integers(0, 50), seed=st.integers(0, 99))
 @budget(max_examples=20, deadline=None)
 def test_a_cloud_comes_back(count, seed):
@@ -99,6 +314,26 @@ def test_positions_and_stamps_come_back():
     assert stamp_to_ns(message.header.stamp) == 1_795_000_000_123_456_789
     assert message.header.stamp == Time(sec=1_795_000_000, nanosec=123_456_789)
     assert all(pose.orientation.w == 1.0 for pose in message.poses)
+
+
+def test_headings_come_back_as_rotations():
+    headings = np.random.default_rng(0).uniform(-1.5, 1.5, (4, 3))
+    message = positions_to_msg(np.zeros((4, 3)), Header(), headings)
+    # Who sends quaternions rounds them.
+    message.poses[1].orientation.w *= 1.001
+    for pose, heading in zip(msg_to_poses(message, 4), headings, strict=True):
+        np.testing.assert_allclose(pose.rotation, rotation_matrix(*heading), atol=2e-3)
+
+
+@pytest.mark.parametrize('xyzw', [(0, 0, 0, 0), (0, 0, 0, np.nan), (np.inf, 0, 0, 1),
+                                  (1e-9, 0, 0, 0)])
+def test_a_quaternion_that_says_nothing_is_refused(xyzw):
+    message = positions_to_msg(np.zeros((2, 3)), Header())
+    message.poses[1].orientation = Quaternion(**dict(zip('xyzw', map(float, xyzw))))
+    with pytest.raises(MessageError, match='poses: camera 1: found the quaternion .*; expected'):
+        msg_to_poses(message)
+    with pytest.raises(MessageError, match='poses: found 0 cameras; expected at least 1'):
+        msg_to_poses(PoseArray())
 
 
 def test_named_numbers_come_back_and_lies_are_refused():

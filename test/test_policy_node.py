@@ -31,7 +31,8 @@ from ocp_ros.nodes.conversions import (
     positions_to_msg,
     stamp_to_ns,
 )
-from ocp_ros.nodes.policy_node import make_planner, PLANNERS, PolicyNode, PolicyNodeConfig
+from ocp_ros.nodes.policy_config import PLANNERS, PolicyNodeConfig
+from ocp_ros.nodes.policy_node import make_planner, PolicyNode
 from ocp_ros.nodes.sim_node import SimNode
 from ocp_ros.planners.online import ALONE, play
 from ocp_ros.simulation.episode import Episode
@@ -188,7 +189,7 @@ def _overflowing(cloud):
 
 
 def _wrong_row_step(cloud):
-    cloud.row_step = 3
+    cloud.width, cloud.row_step = cloud.width - 1, 3
 
 
 def _of_a_whole_town(cloud):

@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from ocp_ros.geometry.blocks import no_bits, pack, unpack
 from ocp_ros.geometry.cameras import CameraModel, Pose
-from ocp_ros.geometry.clouds import fixed_size
+from ocp_ros.geometry.clouds import cell_numbers, fixed_size
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.surfels import SurfelSettings
 from ocp_ros.geometry.visibility import FAST, SurfelVisibility
@@ -22,8 +22,6 @@ from ocp_ros.simulation.simulator import ERROR_CUBE, View
 CELL = 0.5
 #: The most cells of the air: where there are more, their edge is doubled until there are not.
 MOST_CELLS = 20_000
-#: Cells are numbered by three numbers of 21 bits each.
-BITS, OFFSET = 21, 1 << 20
 #: The number of places that are no cells.
 NO_CELL = -1
 #: Points of a cloud per point wanted: of what is denser, points are left out before voxels are
@@ -189,6 +187,4 @@ def cells_of_the_air(bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     last = np.floor(bounds[1] / edge - 0.5).astype(np.int64)
     axes = [np.arange(first[k], last[k] + 1) for k in range(3)]
     index = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 3)
-    shifted = index + OFFSET
-    numbers = (shifted[:, 0] << 2 * BITS) | (shifted[:, 1] << BITS) | shifted[:, 2]
-    return ((index + 0.5) * edge).astype(np.float32), numbers
+    return ((index + 0.5) * edge).astype(np.float32), cell_numbers(index)

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clouds of a fixed size."""
+"""Clouds of a fixed size, and numbers for the cells of a grid."""
 
 import numpy as np
+
+#: Bits of the number of a cell along each axis, and how many cells a grid reaches to each side.
+BITS, REACH = 21, 1 << 20
 
 
 def fixed_size(points: np.ndarray, count: int) -> np.ndarray:
@@ -13,3 +16,14 @@ def fixed_size(points: np.ndarray, count: int) -> np.ndarray:
     :returns: (count, 3) float32.
     """
     return np.ascontiguousarray(points[np.arange(count) * len(points) // count], dtype=np.float32)
+
+
+def cell_numbers(cells: np.ndarray) -> np.ndarray:
+    """
+    Number the cells of a grid that is anchored to the origin, whatever its extent.
+
+    :param cells: (N, 3) int64, indices along x, y and z in [-2^20, 2^20).
+    :returns: (N,) int64, one number per cell.
+    """
+    shifted = cells + REACH
+    return (shifted[:, 0] << 2 * BITS) | (shifted[:, 1] << BITS) | shifted[:, 2]

@@ -3,6 +3,7 @@
 
 from array import array
 from collections.abc import Mapping
+import math
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
@@ -11,7 +12,11 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, UInt8MultiArray
 
+from ocp_ros.geometry.cameras import Pose as CameraPose
+
 NUMPY_TYPES = {PointField.FLOAT32: 'f4', PointField.FLOAT64: 'f8'}
+#: Quaternions that are shorter say nothing about a direction.
+SHORTEST = 1e-6
 
 
 class MessageError(ValueError):
@@ -54,39 +59,51 @@ def msg_to_cloud(message: PointCloud2) -> np.ndarray:
     """
     Unpack the positions of a cloud of any field layout.
 
+    Drivers are known to send a ``row_step`` of 0 or of the whole cloud; where the bytes are just
+    enough for the points, it has nothing to say.
+
     :returns: (N, 3) float32, metres, in the message's frame; points without a finite position
         (no return) are left out.
     :raises MessageError: if x, y or z is missing or the sizes contradict the data.
     """
-    fields = {field.name: field for field in message.fields}
-    order = '>' if message.is_bigendian else '<'
-    formats, offsets = [], []
-    for name in 'xyz':
-        if name not in fields:
-            raise MessageError(f'cloud: found the fields {sorted(fields)}; expected x, y and z')
-        field = fields[name]
-        if field.datatype not in NUMPY_TYPES or field.count > 1:
-            raise MessageError(f'cloud: found field {name} of datatype {field.datatype} x '
-                               f'{field.count}; expected one FLOAT32 or FLOAT64')
-        formats.append(order + NUMPY_TYPES[field.datatype])
-        offsets.append(field.offset)
-        if field.offset + np.dtype(formats[-1]).itemsize > message.point_step:
-            raise MessageError(f'cloud: found field {name} at offset {field.offset}; expected it '
-                               f'within point_step {message.point_step}')
-    if message.row_step < message.width * message.point_step or \
-            len(message.data) != message.row_step * message.height:
+    fields = [_field(message, name) for name in 'xyz']
+    height, width, step, size = (
+        message.height, message.width, message.point_step, len(message.data))
+    tight = size == height * width * step
+    row_step = width * step if tight else message.row_step
+    if row_step < width * step or size != row_step * height:
         raise MessageError(
-            f'cloud: found {len(message.data)} bytes and row_step {message.row_step}; expected '
-            f'{message.height} rows of at least {message.width} x {message.point_step} bytes')
-    if len(message.data) == 0:
+            f'cloud: found {size} bytes and row_step {row_step}; expected {height} rows of at '
+            f'least {width} x {step} bytes')
+    if height * width == 0:
         return np.empty((0, 3), dtype=np.float32)
-    dtype = np.dtype({'names': list('xyz'), 'formats': formats, 'offsets': offsets,
-                      'itemsize': message.point_step})
-    grid = np.ndarray((message.height, message.width), dtype, buffer=memoryview(message.data),
-                      strides=(message.row_step, message.point_step))
-    points = np.stack([grid[name].ravel() for name in 'xyz'], axis=-1).astype(np.float32)
+    points = np.empty((height, width, 3), dtype=np.float32)
+    order, data = '>' if message.is_bigendian else '<', memoryview(message.data)
+    # What does not fit becomes inf and goes with the points that have no position.
+    with np.errstate(over='ignore', invalid='ignore'):
+        for k, field in enumerate(fields):
+            points[..., k] = np.ndarray(
+                (height, width), order + NUMPY_TYPES[field.datatype], data, field.offset,
+                (row_step, step))
+    points = points.reshape(-1, 3)
     finite = np.isfinite(points).all(axis=1)
     return points if finite.all() else points[finite]
+
+
+def _field(message: PointCloud2, name: str) -> PointField:
+    """Return the one field of a name, which has to be a number within the point."""
+    found = [field for field in message.fields if field.name == name]
+    if len(found) != 1:
+        names = [field.name for field in message.fields]
+        raise MessageError(f'cloud: found the fields {names}; expected one each of x, y and z')
+    field = found[0]
+    if field.datatype not in NUMPY_TYPES or field.count > 1:
+        raise MessageError(f'cloud: found field {name} of datatype {field.datatype} x '
+                           f'{field.count}; expected one FLOAT32 or FLOAT64')
+    if field.offset + np.dtype(NUMPY_TYPES[field.datatype]).itemsize > message.point_step:
+        raise MessageError(f'cloud: found field {name} at offset {field.offset}; expected it '
+                           f'within point_step {message.point_step}')
+    return field
 
 
 def positions_to_msg(positions: np.ndarray, header: Header,
@@ -106,6 +123,19 @@ def positions_to_msg(positions: np.ndarray, header: Header,
     return message
 
 
+def moved_to(poses: PoseArray, positions: np.ndarray) -> PoseArray:
+    """
+    Pack cameras at other positions, turned as they are.
+
+    :param poses: where they are now.
+    :param positions: (K, 3), metres, in the same frame.
+    """
+    message = positions_to_msg(positions, poses.header)
+    for pose, now in zip(message.poses, poses.poses, strict=True):
+        pose.orientation = now.orientation
+    return message
+
+
 def msg_to_positions(message: PoseArray, cameras: int | None = None) -> np.ndarray:
     """
     Unpack camera positions.
@@ -122,6 +152,34 @@ def msg_to_positions(message: PoseArray, cameras: int | None = None) -> np.ndarr
     if not np.isfinite(positions).all():
         raise MessageError('poses: found NaN or inf; expected finite metres')
     return positions
+
+
+def msg_to_poses(message: PoseArray, cameras: int | None = None) -> list[CameraPose]:
+    """
+    Unpack where cameras are and how they are turned.
+
+    :param cameras: how many are expected; None for at least one.
+    :returns: a pose per camera, in the message's frame.
+    :raises MessageError: as :func:`msg_to_positions` and :func:`rotation_of`.
+    """
+    positions = msg_to_positions(message, cameras)
+    return [CameraPose(position, rotation_of(pose.orientation, f'poses: camera {k}'))
+            for k, (position, pose) in enumerate(zip(positions, message.poses, strict=True))]
+
+
+def rotation_of(quaternion: Quaternion, whose: str) -> np.ndarray:
+    """
+    Turn a quaternion of any length into a matrix.
+
+    :param whose: it is, for the error.
+    :returns: (3, 3) float64, from the body frame to that of the message.
+    :raises MessageError: if it is zero or not finite.
+    """
+    xyzw = np.array([quaternion.x, quaternion.y, quaternion.z, quaternion.w])
+    if not SHORTEST < (length := math.hypot(*xyzw)) < np.inf:
+        raise MessageError(f'{whose}: found the quaternion {xyzw.tolist()}; expected one of '
+                           'length 1; send x, y, z, w = 0, 0, 0, 1 for a level camera along x')
+    return Rotation.from_quat(xyzw / length).as_matrix()
 
 
 def fields_to_msg(fields: Mapping[str, float]) -> Float64MultiArray:

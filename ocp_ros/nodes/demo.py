@@ -19,7 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
 from ocp_ros.configuration import from_flat, to_nested
-from ocp_ros.nodes.policy_node import PLANNERS, PolicyNodeConfig
+from ocp_ros.nodes.policy_config import PLANNERS, PolicyNodeConfig
 from ocp_ros.nodes.processes import (
     end_on_signals,
     free_domain,

@@ -2,12 +2,12 @@
 """
 ``policy_node``: answers each observation with where the cameras shall go.
 
-It starts without open3d, stable-baselines3 or matplotlib. Whatever it needs to know about an
-episode comes with each turn, and what it remembers of the turns before only makes its answers
-better, so it can be killed and restarted at any time.
+The turns are those of a simulation, or of live cameras: see :mod:`ocp_ros.nodes.live`. It starts
+without open3d, stable-baselines3 or matplotlib. Whatever it needs to know about an episode comes
+with each turn, and what it remembers of the turns before only makes its answers better, so it can
+be killed and restarted at any time.
 """
 
-from dataclasses import dataclass
 import sys
 
 from geometry_msgs.msg import PoseArray
@@ -20,19 +20,20 @@ import torch
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.agent.encoder import Encoder
 from ocp_ros.agent.policy import Policy
-from ocp_ros.configuration import setting
 from ocp_ros.nodes import health, topics
 from ocp_ros.nodes.conversions import (
     MessageError,
+    moved_to,
     msg_to_bytes,
     msg_to_cloud,
     msg_to_fields,
     msg_to_positions,
     ns_of,
-    positions_to_msg,
     stamp_to_ns,
 )
+from ocp_ros.nodes.live import LiveTurns
 from ocp_ros.nodes.parameters import declare
+from ocp_ros.nodes.policy_config import LEARNED, PolicyNodeConfig
 from ocp_ros.nodes.qos import LATCHED, LOOP
 from ocp_ros.nodes.runner import run
 from ocp_ros.planners.lookahead import Lookahead
@@ -41,40 +42,6 @@ from ocp_ros.resources import find_model
 from ocp_ros.scenes.scene import LARGEST
 from ocp_ros.simulation.moves import bounded_moves, kept_inside
 from ocp_ros.simulation.space import Space
-
-LEARNED, LOOKAHEAD, BOTH = PLANNERS = 'learned', 'lookahead', 'learned+lookahead'
-
-
-@dataclass(frozen=True)
-class PolicyNodeConfig:
-    """Parameters of ``policy_node``."""
-
-    planner: str = setting(
-        LOOKAHEAD, 'who chooses the moves: learned, a trained policy; lookahead, planning on what '
-        'has been seen, which needs no weights and takes none that arrive; learned+lookahead, the '
-        'policy first and lookahead then', choices=PLANNERS)
-    model: str = setting(
-        'default', 'path to weights, or the name of a model of the package; lookahead does not '
-        'read it')
-    turns: int = setting(30, 'turns until the placement is final', 1, 100000)
-    max_step: float = setting(0.5, 'farthest a camera moves in one turn, metres', 0.001, 10.0)
-    max_range: float = setting(4.0, 'effective range of the cameras, metres', 0.1, 100.0)
-    wall_margin: float = setting(
-        0.1, 'cameras stay this far inside the observed bounding box, metres', 0.0, 5.0)
-    convergence_distance: float = setting(
-        0.02, 'moves shorter than this count as standing still, metres', 0.0, 1.0)
-    convergence_turns: int = setting(
-        3, 'turns of standing still that make the placement final, with planner: learned; '
-        'lookahead refines until the turns are used up', 1, 1000)
-    explore: bool = setting(
-        False, "draw moves from the policy's distribution, whoever is the planner, and never "
-        'settle: for training')
-    seed: int = setting(0, 'seed of exploration and lookahead', 0, 1 << 31)
-
-    @property
-    def weightless(self) -> bool:
-        """Return whether no policy is asked."""
-        return self.planner == LOOKAHEAD and not self.explore
 
 
 class Exploring(Learned):
@@ -136,10 +103,16 @@ class PolicyNode(Node):
         self._start_episode(episode=0)
         self._commands = self.create_publisher(PoseArray, topics.CAMERA_COMMANDS, LOOP)
         self._placement = self.create_publisher(PoseArray, topics.PLACEMENT, LATCHED)
-        # First, so that a new episode is known before its first turn is answered.
-        self.create_subscription(Float64MultiArray, topics.REWARD, self._on_reward, LOOP)
-        self.create_subscription(PoseArray, topics.CAMERA_POSES, self._on_poses, LOOP)
-        self.create_subscription(PointCloud2, topics.OBSERVATION, self._on_cloud, LOOP)
+        self._live: LiveTurns | None = None
+        if self.config.clouds:
+            self._live = LiveTurns(
+                self, self.config, self._commands, self._play, lambda: self._settled,
+                self._refuse)
+        else:
+            # First, so that a new episode is known before its first turn is answered.
+            self.create_subscription(Float64MultiArray, topics.REWARD, self._on_reward, LOOP)
+            self.create_subscription(PoseArray, topics.CAMERA_POSES, self._on_poses, LOOP)
+            self.create_subscription(PointCloud2, topics.OBSERVATION, self._on_cloud, LOOP)
         if self._learned is not None:
             self.create_subscription(
                 UInt8MultiArray, topics.POLICY_WEIGHTS, self._on_weights, LATCHED)
@@ -147,7 +120,8 @@ class PolicyNode(Node):
         weights = 'no weights' if path is None else \
             f'weights of {path.name}: {self.policy.checkpoint.updates} updates'
         planner = 'exploring' if self.config.explore else self.config.planner
-        self.get_logger().info(f'{planner}, {weights}')
+        cameras = f'live: {", ".join(self.config.clouds)}' if self._live else 'simulation'
+        self.get_logger().info(f'{planner}, {weights}, {cameras}')
 
     @property
     def policy(self) -> Policy | None:
@@ -202,13 +176,18 @@ class PolicyNode(Node):
                 if cloud.header.frame_id != poses.header.frame_id:
                     raise MessageError(f'cloud: found the frame {cloud.header.frame_id!r}; '
                                        f'expected that of the poses, {poses.header.frame_id!r}')
-                self._answer = self._decide(msg_to_cloud(cloud), msg_to_positions(poses), poses)
+                self._play(msg_to_cloud(cloud), poses)
             except MessageError as error:
                 self._refuse(error)
                 return
-            self._counts['turns_answered'] += 1
-            self._step += 1
         self._commands.publish(self._answer)
+
+    def _play(self, cloud: np.ndarray, poses: PoseArray) -> PoseArray:
+        """Answer a turn: the points (N, 3) seen so far, and where the cameras are."""
+        self._answer = self._decide(cloud, msg_to_positions(poses), poses)
+        self._counts['turns_answered'] += 1
+        self._step += 1
+        return self._answer
 
     def _decide(self, cloud: np.ndarray, positions: np.ndarray, poses: PoseArray) -> PoseArray:
         """Choose where the cameras go, and say so once it is where they stay."""
@@ -230,7 +209,7 @@ class PolicyNode(Node):
         target, _ = kept_inside(target, bounds, self.config.wall_margin)
         moved = np.linalg.norm(target - positions, axis=1).max()
         self._still = self._still + 1 if moved < self.config.convergence_distance else 0
-        return positions_to_msg(target, poses.header)
+        return moved_to(poses, target)
 
     def _moves(self, cloud: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """Ask the planner for the next moves, (K, 2) metres; where it fails, cameras stay."""
@@ -287,12 +266,13 @@ class PolicyNode(Node):
     def _status(self) -> health.Status:
         """Say what the planner is doing."""
         message = 'placement is final' if self._settled else 'answering turns'
+        wrong, live = ('', {}) if self._live is None else self._live.status()
         run, updates = '-', 0
         if self.policy is not None:
             run, updates = self.policy.checkpoint.run or '-', self.policy.checkpoint.updates
-        return health.OK, message, {
+        return health.WARN if wrong else health.OK, wrong or message, {
             'planner': self.config.planner, 'weights_run': run, 'weights_updates': updates,
-            'step': self._step, **self._counts}
+            'step': self._step, **self._counts, **live}
 
 
 def main(args: list[str] | None = None) -> int:

@@ -10,11 +10,17 @@ from rclpy.qos import (
 )
 
 
+def _profile(reliability: ReliabilityPolicy, durability: DurabilityPolicy, depth: int
+             ) -> QoSProfile:
+    """Return a profile that keeps the last few messages."""
+    return QoSProfile(
+        reliability=reliability, durability=durability, history=HistoryPolicy.KEEP_LAST,
+        depth=depth, liveliness=LivelinessPolicy.AUTOMATIC)
+
+
 def _reliable(durability: DurabilityPolicy, depth: int) -> QoSProfile:
     """Return a reliable profile that keeps the last few messages."""
-    return QoSProfile(
-        reliability=ReliabilityPolicy.RELIABLE, durability=durability,
-        history=HistoryPolicy.KEEP_LAST, depth=depth, liveliness=LivelinessPolicy.AUTOMATIC)
+    return _profile(ReliabilityPolicy.RELIABLE, durability, depth)
 
 
 #: Turns, commands and rewards: every one counts.
@@ -25,3 +31,6 @@ RECORDER = _reliable(DurabilityPolicy.VOLATILE, 200)
 
 #: The latest state for whoever comes late: scene, placement, weights, markers.
 LATCHED = _reliable(DurabilityPolicy.TRANSIENT_LOCAL, 1)
+
+#: Clouds of live cameras, from drivers of any profile: the newest counts, and no other.
+SENSOR = _profile(ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE, 1)

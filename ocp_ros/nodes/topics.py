@@ -10,6 +10,7 @@ DEPTH_ERROR = 'depth_error'
 SCENE = 'scene'
 MARKERS = 'markers'
 PLACEMENT = 'placement'
+INSTRUCTIONS = 'instructions'
 POLICY_WEIGHTS = 'policy_weights'
 
 #: A 64-bit float cannot hold today's nanoseconds, so stamps come in two numbers each:

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The observed cloud of a rig that runs, fused as the clouds come in, in bounded memory."""
+
+import numpy as np
+
+from ocp_ros.geometry.clouds import cell_numbers, REACH
+
+#: So many voxels touch in the origin and stay apart however large they are.
+FEWEST = 8
+
+
+class FusedCloud:
+    """
+    One point per voxel: the first that came, so the cloud is stable and only ever grows.
+
+    Where there would be more than ``most`` points, the voxels' edge is doubled and the cloud
+    thinned again, until there are not. Voxels nest, so what has been seen stays seen.
+
+    :param voxel: edge of the voxels at first, metres.
+    :param most: the most points to keep.
+    :raises ValueError: if the voxels have no size or there may be fewer points than 8.
+    """
+
+    def __init__(self, voxel: float, most: int) -> None:
+        if not 0.0 < voxel < np.inf:
+            raise ValueError(f'voxel: found {voxel}; expected metres above 0')
+        if most < FEWEST:
+            raise ValueError(f'most: found {most} points; expected at least {FEWEST}')
+        self.voxel, self.most = voxel, most
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget every point, and how large the voxels have become."""
+        #: Edge of the voxels now, metres.
+        self.edge = self.voxel
+        self._points = np.empty((0, 3), dtype=np.float32)
+        #: Voxels that have a point, in rising order.
+        self._numbers = np.empty(0, dtype=np.int64)
+
+    def __len__(self) -> int:
+        """Return the number of points."""
+        return len(self._points)
+
+    @property
+    def points(self) -> np.ndarray:
+        """Return the points in the order in which they came: (N, 3) float32, metres."""
+        return self._points
+
+    def add(self, points: np.ndarray) -> None:
+        """
+        Add what a camera sees.
+
+        :param points: (M, 3) float32, metres, always in the same frame.
+        :raises ValueError: if a coordinate is not finite or too far out to number its voxel; then
+            nothing is added.
+        """
+        points, numbers = self._thinned(np.asarray(points, dtype=np.float32))
+        new = ~self._known(numbers)
+        self._points = np.concatenate([self._points, points[new]])
+        self._numbers = np.sort(np.concatenate([self._numbers, numbers[new]]))
+        while len(self._points) > self.most:
+            self.edge *= 2.0
+            self._points, numbers = self._thinned(self._points)
+            self._numbers = np.sort(numbers)
+
+    def _known(self, numbers: np.ndarray) -> np.ndarray:
+        """Tell of voxels (M,) whether they have a point."""
+        if len(self._numbers) == 0:
+            return np.zeros(len(numbers), dtype=bool)
+        at = np.searchsorted(self._numbers, numbers)
+        return self._numbers[np.minimum(at, len(self._numbers) - 1)] == numbers
+
+    def _thinned(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Keep the first point of each voxel; return the points and their voxels' numbers."""
+        reach = REACH * self.edge
+        if not (np.abs(points) < reach).all():
+            raise ValueError(
+                f'points: found coordinates up to {np.abs(points).max()} m; expected finite ones '
+                f'within {reach:.0f} m of the origin; check the unit and the frame')
+        numbers = cell_numbers(np.floor(points / np.float64(self.edge)).astype(np.int64))
+        _, first = np.unique(numbers, return_index=True)
+        first.sort()
+        return points[first], numbers[first]

@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+When a turn of real cameras is due.
+
+A turn begins when a command is sent and is due when every camera stands where it was sent and
+every topic has delivered a cloud since. Nobody is waited for without end: neither for cameras that
+do not arrive nor for topics that are silent. Only stamps are compared with stamps; how long
+something takes is measured on this machine's own clock, which nobody sets.
+"""
+
+from collections.abc import Callable
+import time
+from typing import Generic, TypeVar
+
+import numpy as np
+
+T = TypeVar('T')
+
+#: Nanoseconds: a stamp that goes back by more is that of a clock that was set, or of a recording
+#: that began anew.
+JUMP = 1_000_000_000
+#: Who sends the poses, among the topics, which have names.
+POSES = ''
+
+
+class Turns(Generic[T]):
+    """
+    Wait for cameras and clouds; of each topic only the newest cloud is kept.
+
+    :param topics: the names of those that send clouds.
+    :param arrival_distance: a camera this near to where it was sent, seen from above, is there,
+        metres.
+    :param arrival_timeout: cameras are waited for so long, seconds.
+    :param cloud_timeout: clouds are waited for so long since the cameras stand, seconds; at least
+        one has to be there in any case.
+    :param clock: tells the seconds.
+    :ivar positions: (K, 3) metres, where the cameras are; None while nobody has said so since they
+        were sent elsewhere.
+    :ivar overdue: whether this turn goes on though the cameras have not arrived.
+    :ivar late: turns that did.
+    :ivar jumps: how often stamps went back.
+    """
+
+    def __init__(self, topics: list[str], arrival_distance: float, arrival_timeout: float,
+                 cloud_timeout: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._topics, self._clock = topics, clock
+        self._arrival_distance, self._arrival_timeout, self._cloud_timeout = (
+            arrival_distance, arrival_timeout, cloud_timeout)
+        #: Newest stamp of whoever sends anything, nanoseconds.
+        self._heard: dict[str, int] = {}
+        #: Stamp of the newest poses, or from which on time has begun anew, nanoseconds.
+        self._posed = 0
+        #: Of each topic the newest cloud, and the stamp of the one that this turn has used.
+        self._waiting: dict[str, tuple[int, T]] = {}
+        self._used: dict[str, int] = {}
+        #: Topics that some turn, maybe this one, did not wait for any longer.
+        self._silent: set[str] = set()
+        self.late = self.jumps = 0
+        self.overdue = False
+        self.positions: np.ndarray | None = None
+        #: Where the cameras were sent, if anywhere, and when.
+        self._targets: np.ndarray | None = None
+        self._sent_at = clock()
+        #: The first poses that show all cameras in place: stamp in nanoseconds, and when that was.
+        self._stand: tuple[int, float] | None = None
+
+    def sent(self, targets: np.ndarray) -> None:
+        """
+        Begin a turn: the cameras were sent to (K, 3) metres.
+
+        Where they have been until now counts if they are there already: some rigs say where they
+        are when they move, and not otherwise.
+        """
+        self._targets, self._sent_at, self.overdue = targets, self._clock(), False
+        self._stand = (self._posed, self._sent_at) if self._arrived() else None
+        if self._stand is None:
+            self.positions = None
+        self.again()
+
+    def again(self) -> None:
+        """Ask for new clouds: those of this turn were of no use."""
+        self._waiting.clear()
+        self._used.clear()
+
+    def on_poses(self, stamp: int, positions: np.ndarray) -> bool:
+        """
+        Take note of where the cameras are.
+
+        :param stamp: nanoseconds.
+        :param positions: (K, 3) metres.
+        :returns: whether this is news.
+        """
+        if not self._is_news(POSES, stamp):
+            return False
+        self.positions, self._posed = positions, stamp
+        if self._arrived():
+            self._stand = self._stand or (stamp, self._clock())
+        elif not self.overdue:
+            self._stand = None
+            self._used.clear()
+        return True
+
+    def _arrived(self) -> bool:
+        """Tell whether every camera is where it was sent."""
+        if self._targets is None:
+            return True
+        away = np.linalg.norm((self.positions - self._targets)[:, :2], axis=1)
+        return bool((away <= self._arrival_distance).all())
+
+    def on_cloud(self, topic: str, stamp: int, cloud: T) -> None:
+        """Keep a cloud, whatever it is, in place of the one of its topic that waits."""
+        if self._is_news(topic, stamp):
+            self._waiting[topic] = stamp, cloud
+
+    def _is_news(self, source: str, stamp: int) -> bool:
+        """Tell whether a stamp is no older than the last one, or from another time altogether."""
+        last = self._heard.get(source, stamp)
+        if last - JUMP <= stamp < last:
+            return False
+        if stamp < last:
+            self.jumps += 1
+            self._heard.clear()
+            self.again()
+            self._posed = stamp
+            if self._stand is not None:
+                self._stand = stamp, self._clock()
+        self._heard[source] = stamp
+        return True
+
+    def take(self) -> tuple[str, T] | None:
+        """Take a cloud that this turn can use: the first of its topic since the cameras stand."""
+        if self._standing():
+            for topic in self._topics:
+                if topic in self._waiting and topic not in self._used and (
+                        self._waiting[topic][0] >= self._stand[0]):
+                    self._used[topic], cloud = self._waiting.pop(topic)
+                    self._silent.discard(topic)
+                    return topic, cloud
+        return None
+
+    def refuse(self, topic: str) -> None:
+        """Ask for another cloud of a topic: the one that was taken is of no use."""
+        del self._used[topic]
+
+    def due(self) -> bool:
+        """Tell whether all clouds of this turn are here, or some and time is up."""
+        up = self._standing() and self._clock() - self._stand[1] >= self._cloud_timeout
+        if up:
+            self._silent |= set(self._topics) - set(self._used)
+        return len(self._used) == len(self._topics) or (up and bool(self._used))
+
+    def _standing(self) -> bool:
+        """Tell whether the cameras stand, or have been waited for long enough."""
+        if self._stand is None and self.positions is not None and (
+                self._clock() - self._sent_at >= self._arrival_timeout):
+            self._stand = self._posed, self._clock()
+            self.overdue = True
+            self.late += 1
+        return self._stand is not None
+
+    def silent(self) -> dict[str, str]:
+        """Return the topics that were not waited for any longer, and what is known of each."""
+        return {topic: self._last_sign(topic) for topic in self._topics if topic in self._silent}
+
+    def _last_sign(self, topic: str) -> str:
+        """Say what a topic that was silent has last sent."""
+        if topic not in self._heard:
+            return 'nothing came'
+        behind = 0 if self._stand is None else self._stand[0] - self._heard[topic]
+        return f'stamps {behind * 1e-9:.1f} s before the poses' if behind > 0 else 'nothing usable'
+
+    @property
+    def standing(self) -> bool:
+        """Return whether the cameras count as standing."""
+        return self._stand is not None
+
+    @property
+    def since(self) -> int:
+        """Return the stamp of the poses since which clouds count, nanoseconds."""
+        return self._stand[0]
+
+    @property
+    def lost(self) -> bool:
+        """Return whether nobody has said for long where the cameras are."""
+        return self.positions is None and self._clock() - self._sent_at >= self._cloud_timeout
+
+    @property
+    def stamp(self) -> int:
+        """Return the stamp of the newest cloud that was taken, nanoseconds."""
+        return max(self._used.values())

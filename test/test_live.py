@@ -1,0 +1,382 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``policy_node`` with live cameras on real DDS: a rig that carries out commands, or does not."""
+
+from array import array
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray, Quaternion
+from rclpy.node import Node
+from rclpy.qos import qos_check_compatible, QoSCompatibility
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header, String
+from visualization_msgs.msg import Marker, MarkerArray
+
+from ocp_ros.configuration import ConfigurationError
+from ocp_ros.geometry.blocks import Subset
+from ocp_ros.geometry.cameras import rotation_matrix
+from ocp_ros.nodes import health, qos, topics
+from ocp_ros.nodes.conversions import (
+    cloud_to_msg,
+    msg_to_cloud,
+    msg_to_positions,
+    ns_to_stamp,
+    positions_to_msg,
+    stamp_to_ns,
+)
+from ocp_ros.nodes.instructions import FINAL, instructions, STAY
+from ocp_ros.nodes.policy_node import PolicyNode
+from ocp_ros.simulation.config import EngineConfig, RigConfig, SimulationConfig
+from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.simulator import Simulator
+
+S = 1_000_000_000
+CAMERAS = 3
+HEADINGS = np.array([[0.4, 0.1, 0.0], [-2.0, -0.2, 0.1], [3.0, 0.0, -0.3]])
+#: Frames that clouds come in.
+BODY, OPTICAL, MAP = 'camera_{}', 'camera_{}_optical', 'map'
+#: What a driver has to say where it sees nothing.
+NO_RETURN = np.array([[0.0, 0.0, 0.0], [np.nan, 1.0, 1.0], [9.0, 0.0, 0.0]])
+
+
+class Rig(Node):
+    """
+    Cameras in a simulated room: they send what they see and where they are, and go where told.
+
+    :param episode: its cameras are turned as ``HEADINGS`` have it.
+    :param frames: of the cameras' clouds.
+    """
+
+    def __init__(self, episode, frames, **kwargs):
+        super().__init__('rig', **kwargs)
+        self.episode, self.frames = episode, [f.format(k) for k, f in enumerate(frames)]
+        self.stamp, self.obeys, self.silent = 1000 * S, True, set()
+        self.spoil = {}
+        self.commands, self.target = [], None
+        self._poses = self.create_publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
+        # Drivers come with any profile.
+        self._clouds = [self.create_publisher(
+            PointCloud2, f'points_{k}', (qos.LOOP, qos.SENSOR, qos.LATCHED)[k])
+            for k in range(len(frames))]
+        self.create_subscription(PoseArray, topics.CAMERA_COMMANDS, self._on_command, qos.LOOP)
+        self.create_timer(0.02, self.send)
+
+    @property
+    def positions(self):
+        """Return where the cameras are."""
+        return self.episode.turn.positions
+
+    @property
+    def turns(self):
+        """Return how many turns have been commanded; a command may come again."""
+        return len({stamp_to_ns(message.header.stamp) for message in self.commands})
+
+    def _on_command(self, message):
+        """Go where the cameras shall go, unless somebody else moves them."""
+        self.commands.append(message)
+        self.target = msg_to_positions(message)
+        if self.obeys:
+            self.go()
+
+    def go(self):
+        """Carry out the latest command."""
+        self.episode.move((self.target - self.positions)[:, :2])
+        self.send()
+
+    def send(self):
+        """Send where the cameras are and what they see."""
+        self.stamp += 20_000_000
+        header = Header(stamp=ns_to_stamp(self.stamp), frame_id='map')
+        self._poses.publish(positions_to_msg(self.positions, header, HEADINGS))
+        for camera in set(range(len(self.frames))) - self.silent:
+            message = self.cloud(camera)
+            self.spoil.get(camera, lambda message: None)(message)
+            self._clouds[camera].publish(message)
+
+    def cloud(self, camera):
+        """Return what a camera sees, in its frame."""
+        simulator = self.episode.simulator
+        seen = simulator.look(self.positions[camera], camera).seen
+        points = simulator.scene.points[Subset(seen, simulator.visibility.order).mask]
+        header = Header(stamp=ns_to_stamp(self.stamp), frame_id=self.frames[camera])
+        if self.frames[camera] == MAP:
+            return cloud_to_msg(points, header)
+        points = (points - self.positions[camera]) @ rotation_matrix(*HEADINGS[camera])
+        points = np.concatenate([points, NO_RETURN])
+        if self.frames[camera].endswith('optical'):
+            points = np.stack([-points[:, 1], -points[:, 2], points[:, 0]], axis=1)
+        return cloud_to_msg(points, header)
+
+
+@pytest.fixture
+def live(graph, probe, room):
+    """Return what starts a rig and a node, which is in a hurry, and records what it says."""
+    config = SimulationConfig(rig=RigConfig(cameras=CAMERAS), engine=EngineConfig(
+        preset='fast', error_rows=32, coverage_cell=0.5))
+    probe.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
+    probe.listen(PointCloud2, topics.OBSERVATION, qos.LOOP)
+    for kind, topic in ((PoseArray, topics.PLACEMENT), (String, topics.INSTRUCTIONS),
+                        (MarkerArray, topics.MARKERS)):
+        probe.listen(kind, topic, qos.LATCHED)
+
+    def start(frames=(BODY, OPTICAL, MAP), **parameters):
+        episode = Episode(Simulator(room, config), np.random.default_rng(0))
+        probe.rig = graph.add(lambda **kwargs: Rig(
+            episode, frames, **{**kwargs, 'parameter_overrides': []}))
+        probe.policy = graph.add(PolicyNode, **{
+            'cloud_topics': ', '.join(f'points_{k}' for k in range(len(frames))),
+            'arrival_timeout': 60.0, 'cloud_timeout': 60.0, 'voxel_size': 0.001, **parameters})
+        return probe.rig, probe.policy
+
+    def wait_for_turns(count):
+        graph.until(lambda: probe.policy._counts['turns_answered'] >= count)
+
+    probe.start, probe.wait_for_turns = start, wait_for_turns
+    return probe
+
+
+def off(points, others):
+    """Return how far the farthest of some points is from its nearest among others."""
+    return cKDTree(others).query(points)[0].max()
+
+
+def test_a_live_rig_comes_to_its_final_placement(live, room):
+    rig, policy = live.start(turns=6)
+    first = rig.episode.turn
+    placement = live.last(topics.PLACEMENT)
+    assert placement.header.frame_id == 'map'
+    np.testing.assert_allclose(msg_to_positions(placement), rig.positions, atol=1e-6)
+    assert rig.episode.turn.depth_error < 0.8 * first.depth_error
+    assert policy._counts['refused_messages'] == 0
+    live.wait_for_turns(10)
+    level, message, values = policy._status()
+    assert (level, message) == (health.OK, 'placement is final')
+    assert (values['silent_topics'], values['late_turns'], values['clock_jumps']) == ('', 0, 0)
+    # It holds the cameras.
+    np.testing.assert_allclose(msg_to_positions(live.last(topics.CAMERA_COMMANDS)),
+                               msg_to_positions(placement), atol=1e-6)
+    # Six turns, and the one that was the last: each with the cloud it was decided on.
+    observations, stamps = live.received[topics.OBSERVATION], [
+        stamp_to_ns(message.header.stamp) for message in live.received[topics.CAMERA_COMMANDS]]
+    assert len(observations) == 7
+    assert [stamp_to_ns(message.header.stamp) for message in observations] == sorted(
+        set(stamps))[:7]
+    assert {message.header.frame_id for message in observations} == {'map'}
+    clouds = [msg_to_cloud(message) for message in observations]
+    assert all(len(more) >= len(less) for less, more in zip(clouds, clouds[1:]))
+    # What the cameras see is where it is, and the sensors' word for nothing is not among it.
+    assert off(clouds[-1], room.points) < 1e-4
+    assert values['fused_points'] == len(clouds[-1])
+
+
+def test_a_command_keeps_how_the_cameras_are_turned(live):
+    rig, _ = live.start()
+    live.wait_for_turns(1)
+    turned = positions_to_msg(rig.positions, Header(), HEADINGS).poses
+    assert [pose.orientation for pose in live.last(topics.CAMERA_COMMANDS).poses] == [
+        pose.orientation for pose in turned]
+
+
+@pytest.mark.parametrize('frames', [(MAP,) * 3, (BODY,) * 3, (OPTICAL,) * 3])
+def test_clouds_of_any_frame_make_the_same_fused_cloud(live, frames):
+    rig, _ = live.start(frames)
+    expected = rig.episode.observed_cloud
+    found = msg_to_cloud(live.last(topics.OBSERVATION))
+    assert off(found, expected) < 1e-4 and off(expected, found) < 1e-4
+
+
+def test_points_out_of_range_of_their_camera_are_left_out(live):
+    rig, _ = live.start((BODY,) * 3, min_range=1.0, max_range=2.0)
+    positions = rig.positions
+    found = msg_to_cloud(live.last(topics.OBSERVATION))
+    away = np.linalg.norm(found[:, None] - positions[None], axis=2)
+    assert ((away > 0.999) & (away < 2.001)).any(axis=1).all()
+    assert 0 < len(found) < len(rig.episode.observed_cloud)
+
+
+def test_one_silent_camera_does_not_stop_the_others(live, capfd):
+    rig, policy = live.start(cloud_timeout=0.1, turns=3)
+    rig.silent = {1}
+    live.last(topics.PLACEMENT)
+    live.graph.until(lambda: policy._status()[:2] == (
+        health.WARN, 'no clouds: points_1 (nothing came)'))
+    assert policy._status()[2]['silent_topics'] == 'points_1'
+    live.listen(DiagnosticArray, '/diagnostics', 10)
+    policy._health.publish()
+    assert live.last('/diagnostics').status[0].level == health.WARN
+    assert 'no clouds: points_1 (nothing came); expected a cloud' in capfd.readouterr().err
+    # It is welcome back.
+    rig.silent = set()
+    live.graph.until(lambda: policy._status()[0] == health.OK)
+
+
+def test_a_rig_that_does_not_arrive_is_commanded_from_where_it_is(live, capfd):
+    rig, policy = live.start(arrival_timeout=0.1, turns=3)
+    rig.obeys = False
+    where = rig.positions
+    live.last(topics.PLACEMENT)
+    # Camera moves that are too short to matter are not waited for.
+    assert policy._status()[2]['late_turns'] > 0
+    for command in live.received[topics.CAMERA_COMMANDS]:
+        assert np.linalg.norm(msg_to_positions(command) - where, axis=1).max() < 0.5 + 1e-6
+    assert 'cameras: found them on their way after 0.1 s' in capfd.readouterr().err
+
+
+@pytest.mark.parametrize('jump', [-500 * S, 500 * S])
+def test_a_clock_that_jumps_stops_nothing(live, jump):
+    rig, policy = live.start(turns=4)
+    live.wait_for_turns(2)
+    rig.stamp += jump
+    live.last(topics.PLACEMENT)
+    assert bool(policy._status()[2]['clock_jumps']) == (jump < 0)
+
+
+def test_the_node_can_be_killed_and_restarted(live, graph):
+    rig, policy = live.start(turns=4)
+    live.wait_for_turns(2)
+    graph.remove(policy)
+    commands = len(rig.commands)
+    graph.add(PolicyNode, cloud_topics='points_0,points_1,points_2', turns=4)
+    live.last(topics.PLACEMENT)
+    assert len(rig.commands) > commands + 3
+
+
+def _short(cloud):
+    cloud.data = cloud.data[:-5]
+
+
+def _nowhere(cloud):
+    cloud.header.frame_id = 'kitchen'
+
+
+def _far_away(cloud):
+    cloud.data[:4] = array('B', np.float32(3e38).tobytes())
+
+
+@pytest.mark.parametrize(('spoil', 'words'), [
+    (_short, 'cloud: found '), (_nowhere, "cloud: found the frame 'kitchen'")])
+def test_a_camera_that_sends_nonsense_does_not_stop_the_others(live, capfd, spoil, words):
+    rig, policy = live.start(cloud_timeout=0.1)
+    rig.spoil = {0: spoil}
+    live.wait_for_turns(3)
+    assert policy._counts['refused_messages'] >= 3
+    live.graph.until(lambda: policy._status()[:2] == (
+        health.WARN, 'no clouds: points_0 (nothing usable)'))
+    assert 'message refused: ' + words in capfd.readouterr().err
+
+
+def test_a_stray_point_is_left_out(live, room):
+    rig, policy = live.start()
+    rig.spoil = dict.fromkeys(range(CAMERAS), _far_away)
+    assert off(msg_to_cloud(live.last(topics.OBSERVATION)), room.points) < 1e-4
+    assert policy._counts['refused_messages'] == 0
+
+
+@pytest.mark.parametrize('wrong', [np.nan, np.inf, 0.0])
+def test_poses_that_say_nothing_are_refused(live, wrong):
+    rig, policy = live.start()
+    poses = live.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
+    message = positions_to_msg(rig.positions, Header(frame_id='map'))
+    if wrong == 0.0:
+        message.poses[1].orientation = Quaternion(w=0.0)
+    else:
+        message.poses[1].position.x = wrong
+    poses.publish(message)
+    live.graph.until(lambda: policy._counts['refused_messages'] == 1)
+    live.wait_for_turns(policy._counts['turns_answered'] + 2)
+
+
+@pytest.mark.parametrize(('cameras', 'frame'), [(2, 'map'), (3, 'odom')])
+def test_another_rig_is_refused_once_one_is_commanded(live, capfd, cameras, frame):
+    rig, policy = live.start()
+    live.wait_for_turns(1)
+    poses = live.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
+    poses.publish(positions_to_msg(np.zeros((cameras, 3)), Header(frame_id=frame)))
+    live.graph.until(lambda: policy._counts['refused_messages'] == 1)
+    words = (f"poses: found {cameras} cameras in the frame '{frame}'; expected 3 in 'map', as "
+             'before; for another rig start policy_node again')
+    assert words in capfd.readouterr().err
+    live.wait_for_turns(policy._counts['turns_answered'] + 2)
+
+
+def test_a_fused_cloud_that_is_no_room_is_begun_anew(live, room):
+    rig, policy = live.start()
+    live.wait_for_turns(1)
+    policy._live._fused.add(np.array([[900.0, 0.0, 0.0]]))
+    live.graph.until(lambda: policy._counts['refused_messages'] == 1)
+    live.received[topics.OBSERVATION].clear()
+    assert off(msg_to_cloud(live.last(topics.OBSERVATION)), room.points) < 1e-4
+
+
+def test_nobody_says_where_the_cameras_are(live):
+    rig, policy = live.start(cloud_timeout=0.1)
+    graph = live.graph
+    graph.remove(rig)
+    graph.until(lambda: policy._status()[:2] == (health.WARN, 'nothing on camera_poses'))
+
+
+def test_live_cameras_need_no_simulation(live):
+    _, policy = live.start()
+    heard = {subscription.topic_name for subscription in policy.subscriptions}
+    assert heard & {'/reward', '/observation', '/camera_poses', '/points_0'} == {
+        '/camera_poses', '/points_0'}
+
+
+def test_a_person_is_told_what_to_do_and_has_time(live):
+    rig, policy = live.start(manual=True, turns=2, arrival_timeout=0.1, cloud_timeout=0.1)
+    rig.obeys = False
+    for turn in range(2):
+        live.wait_for_turns(turn + 1)
+        text, drawn = live.received[topics.INSTRUCTIONS], live.received[topics.MARKERS]
+        live.graph.until(lambda: len(text) == len(drawn) == rig.turns == turn + 1)
+        assert text[-1].data == instructions(rig.positions, rig.target, 0.05) != STAY
+        arrows = [arrow for arrow in drawn[-1].markers if arrow.action == Marker.ADD]
+        assert {arrow.type for arrow in arrows} == {Marker.ARROW}
+        assert [f'camera {arrow.id}' for arrow in arrows] == [
+            line.split(':')[0] for line in text[-1].data.splitlines()]
+        np.testing.assert_allclose(
+            [(arrow.points[1].x, arrow.points[1].y) for arrow in arrows],
+            rig.target[[arrow.id for arrow in arrows], :2])
+        # Nothing happens while nobody moves, however long it takes.
+        stamp = rig.stamp
+        live.graph.until(lambda: rig.stamp > stamp + S // 2)
+        assert policy._counts['turns_answered'] == turn + 1
+        rig.go()
+    live.graph.until(lambda: len(text) == len(drawn) == 3)
+    assert text[-1].data == FINAL
+    assert {arrow.action for arrow in drawn[-1].markers} == {Marker.DELETE}
+    np.testing.assert_allclose(
+        msg_to_positions(live.last(topics.PLACEMENT)), rig.positions, atol=1e-6)
+
+
+def test_instructions_are_plain_words():
+    positions = np.array([[1.0, 2.0, 1.9], [1.0, 1.0, 1.9], [2.8, 1.85, 1.9], [0.3, 0.0, 1.9]])
+    moves = np.array([[0.03, 0.0, 0.0], [0.0, 0.5, 0.0], [0.4, -0.1, 0.0], [-0.304, 0.0, 0.0]])
+    assert instructions(positions, positions + moves, 0.05) == (
+        'camera 1: 0.50 m towards +y, to (1.00, 1.50)\n'
+        'camera 2: 0.40 m towards +x and 0.10 m towards -y, to (3.20, 1.75)\n'
+        'camera 3: 0.30 m towards -x, to (0.00, 0.00)')
+    assert instructions(positions, positions, 0.05) == STAY
+
+
+@pytest.mark.parametrize(('parameters', 'words'), [
+    ({'cloud_topics': 'a b'}, 'cloud_topics: found .*; expected names of topics'),
+    ({'cloud_topics': 'points,points'}, 'cloud_topics: found .*; expected each once'),
+    ({'cloud_topics': 'points,/points'}, 'cloud_topics: found .*; expected each once'),
+    ({'cloud_topics': 'observation'}, 'cloud_topics: found .* and not /observation'),
+    ({'manual': True}, 'manual: found true without cloud_topics; expected live cameras'),
+    ({'min_range': 5.0}, 'min_range: found 5.0 m with max_range 4.0 m; expected less')])
+def test_settings_that_cannot_be_are_refused(graph, parameters, words):
+    with pytest.raises(ConfigurationError, match=words):
+        graph.add(PolicyNode, **parameters)
+
+
+def test_drivers_of_every_profile_are_heard():
+    from rclpy.qos import qos_profile_sensor_data
+    for driver in (qos_profile_sensor_data, qos.LOOP, qos.LATCHED, qos.SENSOR):
+        assert qos_check_compatible(driver, qos.SENSOR)[0] == QoSCompatibility.OK

@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When a turn of real cameras is due, told by a clock that the tests turn by hand."""
+
+import math
+
+from hypothesis import given
+from hypothesis import settings as budget
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from ocp_ros.nodes.turns import Turns
+
+S = 1_000_000_000
+HERE = np.array([[1.0, 1.0, 1.9], [3.0, 1.0, 1.9]])
+THERE = HERE + [[0.4, 0.0, 0.0], [0.0, -0.3, 0.0]]
+
+
+class Clock:
+    """Tell a time that the test sets."""
+
+    now = 0.0
+
+    def __call__(self):
+        """Return the time."""
+        return self.now
+
+
+@pytest.fixture
+def clock():
+    """Return a clock at 0."""
+    return Clock()
+
+
+def make(clock, topics=('a', 'b'), arrival_timeout=20.0):
+    """Return turns of cameras that may be 5 cm off, and clouds that may take 2 s."""
+    return Turns(list(topics), 0.05, arrival_timeout, 2.0, clock)
+
+
+def taken(turns):
+    """Take all clouds that can be taken."""
+    return list(iter(turns.take, None))
+
+
+def played(turns):
+    """Play the first turn, at 10 s by the stamps: the cameras are sent from HERE to THERE."""
+    turns.on_poses(10 * S, HERE)
+    for topic in 'ab':
+        turns.on_cloud(topic, 10 * S, topic)
+    assert taken(turns) == [('a', 'a'), ('b', 'b')] and turns.due()
+    turns.sent(THERE)
+    return turns
+
+
+def test_the_first_turn_is_due_when_every_topic_has_delivered(clock):
+    turns = make(clock)
+    turns.on_cloud('a', 9 * S, 'too old')
+    assert not turns.due()
+    turns.on_poses(10 * S, HERE)
+    assert taken(turns) == [] and not turns.due()
+    turns.on_cloud('a', 10 * S, 1)
+    assert taken(turns) == [('a', 1)] and not turns.due()
+    turns.on_cloud('b', 11 * S, 2)
+    assert taken(turns) == [('b', 2)] and turns.due()
+    assert turns.stamp == 11 * S and not turns.silent()
+
+
+def test_a_turn_waits_until_every_camera_is_there(clock):
+    turns = played(make(clock))
+    for stamp, positions in ((11, HERE), (12, THERE + [[0.0] * 3, [0.06, 0.0, 0.0]])):
+        turns.on_poses(stamp * S, positions)
+        for topic in 'ab':
+            turns.on_cloud(topic, stamp * S, stamp)
+        assert taken(turns) == [] and not turns.due()
+    # How high they are makes no difference.
+    turns.on_poses(13 * S, THERE + [0.04, 0.0, 0.5])
+    assert taken(turns) == [] and not turns.due()
+    for topic in 'ab':
+        turns.on_cloud(topic, 13 * S, 13)
+    assert taken(turns) == [('a', 13), ('b', 13)] and turns.due()
+    np.testing.assert_allclose(turns.positions, THERE + [0.04, 0.0, 0.5])
+
+
+def test_only_the_newest_cloud_of_a_topic_waits(clock):
+    turns = played(make(clock))
+    for stamp in (14, 16, 15.5):
+        turns.on_cloud('a', int(stamp * S), stamp)
+    turns.on_poses(14 * S, THERE)
+    assert taken(turns) == [('a', 16)]
+    turns.on_cloud('a', 17 * S, 17)
+    assert taken(turns) == []
+
+
+def test_cameras_that_leave_again_are_waited_for_again(clock):
+    turns = played(make(clock))
+    turns.on_poses(11 * S, THERE)
+    turns.on_cloud('a', 11 * S, 1)
+    assert taken(turns) == [('a', 1)]
+    turns.on_poses(12 * S, HERE)
+    turns.on_cloud('b', 12 * S, 2)
+    assert taken(turns) == [] and not turns.due()
+    turns.on_poses(13 * S, THERE)
+    for topic in 'ab':
+        turns.on_cloud(topic, 13 * S, 3)
+    assert taken(turns) == [('a', 3), ('b', 3)] and turns.due()
+
+
+def test_a_silent_topic_is_not_waited_for_without_end(clock):
+    turns = played(make(clock))
+    turns.on_poses(11 * S, THERE)
+    turns.on_cloud('a', 11 * S, 1)
+    taken(turns)
+    clock.now = 1.9
+    assert not turns.due() and not turns.silent()
+    clock.now = 2.0
+    assert turns.due()
+    assert turns.silent() == {'b': 'stamps 1.0 s before the poses'}
+    # It stays among the silent ones until it delivers something that can be used.
+    turns.sent(HERE)
+    turns.on_poses(12 * S, HERE)
+    assert not turns.due() and turns.silent() == {'b': 'stamps 2.0 s before the poses'}
+    turns.on_cloud('b', 12 * S, 2)
+    taken(turns)
+    assert not turns.silent()
+
+
+def test_no_turn_without_a_cloud(clock):
+    turns = played(make(clock))
+    turns.on_poses(11 * S, THERE)
+    clock.now = 1000.0
+    assert not turns.due() and list(turns.silent()) == ['a', 'b']
+    turns.on_cloud('b', 11 * S, 1)
+    taken(turns)
+    assert turns.due() and list(turns.silent()) == ['a']
+
+
+def test_a_cloud_that_is_refused_is_as_good_as_none(clock):
+    turns = make(clock)
+    turns.on_poses(10 * S, HERE)
+    for topic in 'ab':
+        turns.on_cloud(topic, 10 * S, topic)
+    taken(turns)
+    turns.refuse('a')
+    assert not turns.due()
+    clock.now = 2.0
+    assert turns.due() and turns.silent() == {'a': 'nothing usable'}
+    turns.refuse('b')
+    assert not turns.due()
+
+
+def test_a_turn_goes_on_though_the_cameras_do_not_arrive(clock):
+    turns = played(make(clock))
+    half = 0.5 * (HERE + THERE)
+    turns.on_poses(11 * S, half)
+    turns.on_cloud('a', 11 * S, 1)
+    clock.now = 19.9
+    assert taken(turns) == [] and not turns.due()
+    clock.now = 20.0
+    assert taken(turns) == [('a', 1)] and turns.overdue and turns.late == 1
+    # It stays so, whatever they do now.
+    turns.on_poses(12 * S, half + 0.1)
+    turns.on_cloud('b', 12 * S, 2)
+    assert taken(turns) == [('b', 2)] and turns.due()
+    np.testing.assert_allclose(turns.positions, half + 0.1)
+    turns.sent(THERE)
+    assert not turns.overdue and turns.late == 1
+
+
+def test_without_poses_nobody_knows_where_the_cameras_are(clock):
+    turns = played(make(clock))
+    clock.now = 1000.0
+    turns.on_cloud('a', 900 * S, 1)
+    assert taken(turns) == [] and not turns.due() and turns.positions is None
+
+
+def test_cameras_that_need_not_move_are_there_whether_or_not_they_say_so(clock):
+    turns = played(make(clock))
+    turns.on_poses(11 * S, THERE)
+    for topic in 'ab':
+        turns.on_cloud(topic, 12 * S, topic)
+    taken(turns)
+    turns.on_cloud('a', 12 * S, 'waits')
+    turns.sent(THERE + [0.03, 0.0, 0.0])
+    # Only newer clouds count.
+    turns.on_cloud('a', 12 * S - 1, 'old')
+    assert taken(turns) == [] and turns.positions is THERE
+    for topic in 'ab':
+        turns.on_cloud(topic, 12 * S + 1, 'new')
+    assert taken(turns) == [('a', 'new'), ('b', 'new')] and turns.due()
+
+
+def test_a_person_may_take_as_long_as_they_like(clock):
+    turns = played(make(clock, arrival_timeout=math.inf))
+    clock.now = 1e6
+    turns.on_poses(11 * S, HERE)
+    turns.on_cloud('a', 12 * S, 1)
+    assert taken(turns) == [] and not turns.due()
+
+
+@pytest.mark.parametrize('first', ['poses', 'a'])
+def test_stamps_that_go_back_are_noticed_and_stop_nothing(clock, first):
+    turns = played(make(clock))
+    turns.on_poses(100 * S, THERE)
+    turns.on_cloud('a', 101 * S, 'from before')
+    order = ['poses', 'a'] if first == 'poses' else ['a', 'poses']
+    for number, source in enumerate(order):
+        stamp = 5 * S + number
+        if source == 'poses':
+            turns.on_poses(stamp, THERE)
+        else:
+            turns.on_cloud('a', stamp, 'anew')
+    turns.on_cloud('b', 5 * S + 2, 'anew')
+    turns.on_cloud('a', 5 * S + 3, 'anew')
+    assert taken(turns) == [('a', 'anew'), ('b', 'anew')] and turns.due()
+    assert turns.jumps == 1 and turns.stamp == 5 * S + 3
+
+
+def test_stamps_that_go_back_while_the_cameras_are_on_their_way(clock):
+    turns = played(make(clock))
+    turns.on_poses(100 * S, HERE)
+    turns.on_cloud('a', 5 * S, 'anew')
+    clock.now = 20.0
+    assert taken(turns) == [('a', 'anew')] and turns.overdue and turns.jumps == 1
+
+
+def test_a_little_disorder_is_no_jump(clock):
+    turns = played(make(clock))
+    turns.on_poses(11 * S, THERE)
+    assert not turns.on_poses(11 * S - S // 2, HERE)
+    np.testing.assert_allclose(turns.positions, THERE)
+    turns.on_cloud('a', 11 * S, 1)
+    turns.on_cloud('a', 11 * S - S // 2, 2)
+    assert taken(turns) == [('a', 1)] and turns.jumps == 0
+
+
+def test_a_camera_whose_clock_is_wrong_is_named(clock):
+    turns = make(clock)
+    turns.on_poses(1000 * S, HERE)
+    for stamp in range(1000, 1003):
+        turns.on_cloud('a', stamp * S, 1)
+        turns.on_cloud('b', (stamp - 900) * S, 2)
+        taken(turns)
+    clock.now = 2.0
+    assert turns.due() and turns.silent() == {'b': 'stamps 898.0 s before the poses'}
+
+
+@given(seed=st.integers(0, 2 ** 32 - 1))
+@budget(max_examples=60, deadline=None)
+def test_whatever_happened_a_rig_that_works_gets_its_turn(seed):
+    rng, clock = np.random.default_rng(seed), Clock()
+    turns = make(clock)
+    for _ in range(rng.integers(1, 60)):
+        clock.now += rng.exponential(1.0)
+        stamp = int(rng.choice([0, 5 * S, 100 * S, 2 ** 62]) + rng.integers(0, 3 * S))
+        what = rng.integers(6)
+        if what == 0:
+            turns.on_poses(stamp, rng.choice([HERE, THERE]))
+        elif what < 3:
+            turns.on_cloud('ab'[what - 1], stamp, 'noise')
+        elif what == 3:
+            if (cloud := turns.take()) is not None and rng.random() < 0.5:
+                turns.refuse(cloud[0])
+        elif what == 4 and turns.due():
+            turns.sent(THERE)
+        elif what == 5:
+            turns.again()
+    # From now on everything is as it should be, for the time of one turn.
+    for tick in range(40):
+        clock.now += 0.1
+        stamp = 50 * S + tick * S // 10
+        turns.on_poses(stamp, THERE)
+        for topic in 'ab':
+            turns.on_cloud(topic, stamp, 'good')
+        taken(turns)
+        if turns.due():
+            break
+    assert turns.due()
