@@ -227,10 +227,20 @@ def voxel_size_for(points: np.ndarray, max_points: int) -> float:
     :returns: metres.
     """
     low, high = MIN_VOXEL, 2.0 * LARGEST
+    x, y, z = np.maximum(np.ptp(points, axis=0), MIN_VOXEL)
+    # A room has about the surface of its bounding box.
+    middle = np.sqrt(2.0 * (x * y + y * z + z * x) / max_points)
+    attempt = 0
     while high / low > 1.02:
-        middle = np.sqrt(low * high)
-        if len(np.unique(_voxel_keys(points, middle))) > max_points:
+        middle, attempt = np.clip(middle, low * 1.004, high / 1.004), attempt + 1
+        found = len(np.unique(_voxel_keys(points, middle)))
+        if found > max_points:
             low = middle
         else:
             high = middle
+        # Of a surface there are fewer cubes by the square of their edge; where that leads nowhere,
+        # halving does.
+        middle *= np.sqrt(found / max_points) * (1.005 if found > max_points else 1.0 / 1.005)
+        if attempt % 4 == 0:
+            middle = np.sqrt(low * high)
     return float(high)
