@@ -9,7 +9,7 @@ from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.rig_file import Rig
 from ocp_ros.simulation.space import Space
-from ocp_ros.simulation.surfaces import STAND_OFF, Surface
+from ocp_ros.simulation.surfaces import floor_height, STAND_OFF, Surface
 
 #: Places that are looked at, and metres between the levels where cameras may hang at any height.
 DENSE, LEVELS = 4000, 0.3
@@ -43,7 +43,7 @@ def places_in(rig: Rig, scene: Scene, space: Space, surface: Surface | None) -> 
     :param surface: the ceiling or the walls; None for mounts without.
     """
     on, heights = rig.mount
-    floor = scene.bounds[0, 2]
+    floor = floor_height(scene)
     if on == 'walls':
         return _along_walls(floor + np.array(heights), space, surface)
     if on == 'free':

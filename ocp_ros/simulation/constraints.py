@@ -17,13 +17,15 @@ from ocp_ros.simulation.surfaces import (
     Air,
     ceiling_of,
     Contact,
+    floor_height,
     REACH,
     Surface,
     walls_of,
 )
 
-#: Metres and radians that a camera may be off its height and its pitch.
-LEEWAY = 0.01
+#: Metres and radians that a camera may be off its height and its pitch, and metres that distances
+#: may fall short: who hangs exactly where it is asked for is not a rounding away from it.
+LEEWAY, SHORT, ROUNDING = 0.01, 0.001, 1e-5
 #: Metres from a camera on a wall into the room, where there has to be floor.
 INTO_THE_ROOM = 0.3
 #: Neighbours that are looked at first where some belong to the surface that a camera hangs on.
@@ -50,10 +52,11 @@ def check_heights(scene: Scene, rig: Rig) -> None:
 
     :raises ConfigurationError: if the cameras' least height is not inside the room.
     """
-    if rig.mount.heights is not None and rig.mount.heights[0] >= scene.size[2]:
+    height = float(scene.bounds[1, 2]) - floor_height(scene)
+    if rig.mount.heights is not None and rig.mount.heights[0] >= height:
         raise rig.document.error(
             ('mount', 'height'), f'{rig.mount.heights[0]:g} m',
-            f'less than the {scene.size[2]:.2f} m that {scene.name} is high', 'lower it')
+            f'less than the {height:.2f} m that {scene.name} is high', 'lower it')
 
 
 class Allowed:
@@ -68,7 +71,7 @@ class Allowed:
 
     def __init__(self, scene: Scene, rig: Rig) -> None:
         self.scene, self.rig = scene, rig
-        self.floor, self.top = (float(z) for z in scene.bounds[:, 2])
+        self.floor, self.top = floor_height(scene), float(scene.bounds[1, 2])
         check_heights(scene, rig)
         high = self.top - self.floor if rig.mount.heights is None else rig.mount.heights[1]
         height = self.floor + max(high, LEAST_VIEW)
@@ -137,13 +140,14 @@ class Allowed:
             raise ValueError(f'poses: found {len(poses)} cameras; expected at most '
                              f'{len(self.rig.cameras)}, those of the rig that are to be placed')
         chosen = [self.rig.cameras[camera] for camera in cameras]
-        checks = list(self._checks(poses, [camera.model for camera in chosen]))
+        # The floor that is known ends up to a cell before the walls.
+        checks = list(self._checks(poses, [camera.model for camera in chosen], EDGE))
         found = [f'{camera.name}: {check.says(k)}' for k, camera in enumerate(chosen)
                  for check in checks if check.broken[k]]
         for k, camera in enumerate(chosen):
             for other in range(k):
                 away = float(np.linalg.norm(poses[k, :3] - poses[other, :3]))
-                if away < self.rig.spacing:
+                if away < self.rig.spacing - SHORT:
                     found.append(f'{camera.name}: {self._too_near(away, chosen[other].name)}')
         return found
 
@@ -151,19 +155,24 @@ class Allowed:
         """
         Tell where one camera may hang; how far it is from others is not looked at.
 
+        What is allowed breaks nothing. A search is held to the floor that is known, while whoever
+        hangs already has the benefit of the doubt next to walls: through one whose glass no scan
+        shows there is much to be seen.
+
         :param poses: (M, 6) metres, map frame, and radians, or (M, 3).
         :param model: the camera; one whose pitch matters unless told otherwise.
         :returns: (M,) bool.
         """
         poses = _checked(poses)
-        checks = self._checks(poses, [model] * len(poses))
+        checks = self._checks(poses, [model] * len(poses), ROUNDING)
         return ~np.any([check.broken for check in checks], axis=0)
 
-    def _checks(self, poses: np.ndarray, models: Sequence[CameraModel | None]) -> Iterator[Check]:
-        """Yield all constraints of single cameras."""
+    def _checks(self, poses: np.ndarray, models: Sequence[CameraModel | None], beyond: float
+                ) -> Iterator[Check]:
+        """Yield all constraints of single cameras, so many metres beyond the floor included."""
         positions = poses[:, :3]
         contact = None if self.surface is None else self.surface.at(positions)
-        yield (outside := self._outside(positions, contact))
+        yield (outside := self._outside(positions, contact, beyond))
         yield Check(self.air.closed(positions) & ~outside.broken, lambda k: (
             'found a place inside furniture or behind it; expected one in the air of the room; '
             'move it into the open'))
@@ -175,17 +184,16 @@ class Allowed:
         yield from self._pitch(poses, models)
         for fixed in self.rig.fixed:
             away = np.linalg.norm(positions - fixed.pose[:3], axis=1)
-            yield Check(away < self.rig.spacing, lambda k, away=away, fixed=fixed: (
+            yield Check(away < self.rig.spacing - SHORT, lambda k, away=away, fixed=fixed: (
                 self._too_near(away[k], fixed.camera.name)))
 
-    def _outside(self, positions: np.ndarray, contact: Contact | None) -> Check:
+    def _outside(self, positions: np.ndarray, contact: Contact | None, beyond: float) -> Check:
         """Check that there is floor below or, for walls, in front, and the room's own height."""
         places, z = positions[:, :2], positions[:, 2]
         if self.rig.mount.on == 'walls':
             places = places + INTO_THE_ROOM * contact.normals[:, :2]
-        # The floor that is known ends a cell before the walls.
         away = np.linalg.norm(self.space.inside(places) - places, axis=1)
-        return Check((away > EDGE) | (z < self.floor) | (z > self.top), lambda k: (
+        return Check((away > beyond) | (z < self.floor) | (z > self.top), lambda k: (
             f'found {_place(positions[k])}, which is not over floor that {self.scene.name} shows; '
             'expected a place in the room and not in furniture; move it into the open'))
 
@@ -206,7 +214,7 @@ class Allowed:
             nearest[left] = np.where(others, away, np.inf).min(axis=1)
             # All neighbours so far belong to the surface itself: look at more.
             left, count = left[full & ~others.any(axis=1)], 4 * count
-        return Check(nearest < least, lambda k: (
+        return Check(nearest < least - SHORT, lambda k: (
             f'found {nearest[k]:.2f} m to the nearest surface; expected at least {least:.2f} m '
             '(keep_clear); move it away'))
 

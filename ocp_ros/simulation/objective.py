@@ -14,6 +14,7 @@ from ocp_ros.simulation.config import EngineConfig, RigConfig, SimulationConfig
 from ocp_ros.simulation.constraints import check_heights
 from ocp_ros.simulation.rig_file import Region, Rig
 from ocp_ros.simulation.simulator import Simulator, View
+from ocp_ros.simulation.surfaces import floor_height
 
 #: What it costs to miss all of what a region says must be seen; the room itself costs 1.
 MUST = 10.0
@@ -59,8 +60,11 @@ def simulator_of(scene: Scene, rig: Rig, engine: EngineConfig) -> Simulator:
     :raises ConfigurationError: if the cameras' height is not inside the room.
     """
     check_heights(scene, rig)
-    # Where cameras may hang at several heights, the plane of the simulator is not theirs.
-    height = rig.mount.heights[0] if rig.mount.on == 'plane' else 0.5 * float(scene.size[2])
+    # The simulator measures from the lowest point; the plane of cameras that hang at several
+    # heights is not theirs.
+    height = 0.5 * float(scene.size[2])
+    if rig.mount.on == 'plane':
+        height = floor_height(scene) + rig.mount.heights[0] - float(scene.bounds[0, 2])
     config = SimulationConfig(RigConfig(cameras=len(rig.models), height=height), engine)
     return Simulator(scene, config, rig.models)
 
@@ -88,7 +92,7 @@ class Objective:
     def _points_of(self, region: Region) -> np.ndarray:
         """Return the points in a region: (W,) packed bits."""
         scene = self.simulator.scene
-        inside = region.zone.contains(scene.points, float(scene.bounds[0, 2]))
+        inside = region.zone.contains(scene.points, floor_height(scene))
         if not inside.any():
             low, high = (', '.join(f'{value:.2f}' for value in corner) for corner in scene.bounds)
             raise ConfigurationError(

@@ -25,6 +25,8 @@ HEADROOM, HEADROOM_SHARE, WALL_SHARE = 2.0, 0.8, 0.8
 #: Metres: least edge of the columns that a ceiling or wall is looked for in; how far below the
 #: highest point around it a ceiling, and the top of a wall, may be.
 COLUMN, CEILING_DROP, WALL_DROP = 0.2, 0.25, 0.5
+#: Share of a room's height that its floor is looked for in, and metres that it is thick.
+LOWER_PART, LAYER = 0.4, 0.1
 #: Square metres: what is smaller is no ceiling and no wall.
 LEAST_AREA = 1.0
 #: Metres: the ball that is carried through the air of a room, and the least edge of its cells.
@@ -114,6 +116,26 @@ class Surface:
         return cKDTree(self.points[:, :2])
 
 
+def floor_height(scene: Scene) -> float:
+    """
+    Find the floor: the fullest level layer in the lower part of a room.
+
+    Its lowest point is not: scans have stray points, and reflections below the floor.
+
+    :returns: z of its middle, metres, map frame.
+    """
+    z, level = scene.points[:, 2], np.abs(scene.normals_or_estimate[:, 2]) >= LEVEL
+    low, high = np.percentile(z, [0.1, 99.9])
+    level &= z <= low + LOWER_PART * (high - low)
+    if not level.any():
+        return float(scene.bounds[0, 2])
+    heights, areas = np.sort(z[level]), scene.pitch[level][np.argsort(z[level])] ** 2
+    above = np.searchsorted(heights, heights + LAYER, side='right')
+    total = np.concatenate([[0.0], np.cumsum(areas)])
+    first = int(np.argmax(total[above] - total[:-1]))
+    return float(np.median(heights[first:above[first]]))
+
+
 def gap_of(scene: Scene) -> float:
     """Return how far apart the points of a closed surface may be, metres."""
     return max(COLUMN, 2.0 * float(np.median(scene.pitch)))
@@ -147,7 +169,8 @@ def ceiling_of(scene: Scene) -> Surface:
     """
     points, columns = scene.points, _Columns(scene)
     top = ndimage.maximum_filter(columns.highest(points), 3)[columns.of(points)]
-    floor, height = scene.bounds[0, 2], scene.size[2]
+    floor = floor_height(scene)
+    height = np.percentile(points[:, 2], 99.0) - floor
     chosen = ((np.abs(scene.normals_or_estimate[:, 2]) >= LEVEL)
               & (points[:, 2] >= top - CEILING_DROP)
               & (points[:, 2] >= floor + min(HEADROOM, HEADROOM_SHARE * height)))
@@ -161,12 +184,13 @@ def walls_of(scene: Scene) -> Surface:
     :returns: their points with level normals.
     """
     points, columns = scene.points, _Columns(scene)
+    floor = floor_height(scene)
     steep = np.abs(scene.normals_or_estimate[:, 2]) <= STEEP
     around = int(np.ceil(0.4 / columns.edge))
     top = ndimage.maximum_filter(columns.highest(points), 2 * around + 1)[columns.of(points)]
     reached = columns.highest(points[steep])[columns.of(points)]
     chosen = (steep & (reached >= top - WALL_DROP)
-              & (reached >= scene.bounds[0, 2] + WALL_SHARE * scene.size[2]))
+              & (reached >= floor + WALL_SHARE * (np.percentile(points[:, 2], 99.0) - floor)))
     return _surface(scene, chosen, scene.normals_or_estimate * np.array([1.0, 1.0, 0.0]))
 
 
