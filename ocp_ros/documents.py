@@ -14,10 +14,14 @@ import re
 from typing import Any
 
 from jsonschema import Draft202012Validator, ValidationError
+from jsonschema.validators import extend
 import yaml
 
 from ocp_ros.configuration import ConfigurationError
 
+#: To JSON Schema 3.0 is an integer; to those who count with it, it is not.
+Validator = extend(Draft202012Validator, type_checker=Draft202012Validator.TYPE_CHECKER.redefine(
+    'integer', lambda _, value: isinstance(value, int) and not isinstance(value, bool)))
 #: Keys and places in lists that lead to a value.
 Way = tuple[str | int, ...]
 #: Bytes: larger files are something else.
@@ -171,23 +175,30 @@ def check(document: Document, schema: dict[str, Any]) -> None:
     :param schema: JSON Schema 2020-12 without references.
     :raises ConfigurationError: for what stands first in the file, in one sentence.
     """
-    errors = list(Draft202012Validator(schema).iter_errors(document.data))
+    errors = list(Validator(schema).iter_errors(document.data))
     if errors:
         # An unknown key is often the one that is missing, misspelt.
-        first = min(errors, key=lambda error: (document.line(tuple(error.absolute_path)),
+        first = min(errors, key=lambda error: (document.line(_way(error)),
                                                error.validator != 'additionalProperties'))
         raise _refused(document, schema, first)
+
+
+def _way(error: ValidationError) -> Way:
+    """Return where the value stands that a schema found something about."""
+    way = tuple(error.absolute_path)
+    if error.validator == 'additionalProperties':
+        return (*way, next(key for key in error.instance if key not in error.schema['properties']))
+    return way
 
 
 def _refused(document: Document, schema: dict[str, Any], error: ValidationError
              ) -> ConfigurationError:
     """Say what a schema found in our words."""
-    way, part = tuple(error.absolute_path), error.schema
+    way, part = _way(error), error.schema
     if error.validator == 'additionalProperties':
         known = list(part['properties'])
-        key = next(key for key in error.instance if key not in known)
-        return document.error((*way, key), f'the unknown key {key!r}',
-                              'one of ' + ', '.join(known), nearest(key, known, 'remove it'))
+        return document.error(way, f'the unknown key {way[-1]!r}', 'one of ' + ', '.join(known),
+                              nearest(way[-1], known, 'remove it'))
     if error.validator == 'required':
         key = next(key for key in error.validator_value if key not in error.instance)
         needed = part['properties'][key]
@@ -214,6 +225,31 @@ def _words(schema: dict[str, Any], error: ValidationError) -> tuple[str, str]:
             if 'examples' in part:
                 remedy = f'write, for example, {key}: {shown(part["examples"][0])}'
     return expected, remedy
+
+
+class _Dumper(yaml.SafeDumper):
+    """YAML with quotes round every text that is none without them when it is read again."""
+
+
+def _represent_text(dumper: _Dumper, text: str) -> yaml.ScalarNode:
+    """Write a text."""
+    plain = yaml.ScalarNode('tag:yaml.org,2002:str', text)
+    style = None if isinstance(_scalar(plain), str) else '"'
+    return dumper.represent_scalar('tag:yaml.org,2002:str', text, style=style)
+
+
+_Dumper.add_representer(str, _represent_text)
+
+
+def written(data: Any, suffix: str) -> str:
+    """
+    Return plain data as a file that :func:`read_document` reads.
+
+    :param suffix: ``.json`` for JSON, YAML for any other.
+    """
+    if suffix == '.json':
+        return json.dumps(data, indent=1, allow_nan=False) + '\n'
+    return yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=99)
 
 
 def nearest(word: str, known, otherwise: str) -> str:

@@ -122,6 +122,7 @@ BAD = {
                                  "did you mean 'realsense_d455'"),
     'a count of none': ('count: 3', 'count: 0', 'line 2, cameras[0].count', 'count: 3'),
     'a count of halves': ('count: 3', 'count: 2.5', 'line 2, cameras[0].count', 'count: 3'),
+    'a count with a point': ('count: 3', 'count: 3.0', 'line 2, cameras[0].count', 'count: 3'),
     'too many': ('count: 3', 'count: 63', 'line 1, cameras', 'lower a count'),
     'a unit': ('max_range: 5.0', 'max_range: 5 m', 'line 3, cameras[1].max_range',
                'write, for example, max_range: 5.0'),

@@ -185,7 +185,7 @@ def model_of(document: Document, way: Way) -> CameraModel:
     given = {key: float(np.deg2rad(value)) if key.endswith('fov') else value
              for key, value in given.items()}
     if 'resolution' in given:
-        given['resolution'] = tuple(int(pixels) for pixels in given['resolution'])
+        given['resolution'] = tuple(given['resolution'])
     sensor = given.pop('sensor', None)
     if sensor is None:
         for key in ('horizontal_fov', 'vertical_fov', 'max_range'):
@@ -222,7 +222,7 @@ def rig_from(document: Document) -> Rig:
     data = document.data
     cameras, fixed = _cameras(document)
     regions = tuple(_regions(document))
-    seen_by = int(data.get('seen_by', 1))
+    seen_by = data.get('seen_by', 1)
     if seen_by > len(cameras) + len(fixed):
         raise document.error(('seen_by',), str(seen_by), f'at most {len(cameras) + len(fixed)}, '
                              'as many as there are cameras', 'lower it or add cameras')
@@ -237,18 +237,27 @@ def _cameras(document: Document) -> tuple[tuple[Camera, ...], tuple[Fixed, ...]]
     """Read the cameras of both kinds, each with a name of its own."""
     groups, fixed = document.data['cameras'], document.data.get('fixed', [])
     movable = [('cameras', k) for k, group in enumerate(groups)
-               for _ in range(int(group.get('count', 1)))]
+               for _ in range(group.get('count', 1))]
     if len(movable) + len(fixed) > MOST_CAMERAS:
         raise document.error(('cameras',), f'{len(movable) + len(fixed)} cameras',
                              f'at most {MOST_CAMERAS}, those in place included', 'lower a count')
     ways = [*movable, *(('fixed', k) for k in range(len(fixed)))]
-    cameras = tuple(
-        Camera(name, document.part(*way).data.get('sensor', ''), model_of(document, way))
-        for way, name in zip(ways, names_of(document, ways)))
+    cameras = tuple(cameras_at(document, ways))
     count = len(movable)
     return cameras[:count], tuple(
         Fixed(camera, pose_of(data), document.where('fixed', k))
         for k, (camera, data) in enumerate(zip(cameras[count:], fixed)))
+
+
+def cameras_at(document: Document, ways: list[Way]) -> Iterator[Camera]:
+    """
+    Read cameras, each with a name of its own.
+
+    :param ways: where each stands in the document; those of one group have one way.
+    :raises ConfigurationError: where a name is given twice or a camera makes no sense.
+    """
+    for way, name in zip(ways, names_of(document, ways)):
+        yield Camera(name, document.part(*way).data.get('sensor', ''), model_of(document, way))
 
 
 def names_of(document: Document, ways: list[Way]) -> Iterator[str]:
