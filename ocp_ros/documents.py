@@ -82,16 +82,17 @@ def read_document(path: str | Path, schema: dict[str, Any]) -> Document:
     """
     path = Path(path)
     lines: dict[Way, int] = {}
+    text = _text(path)
     try:
-        node = yaml.compose(_text(path), Loader=yaml.BaseLoader)
+        node = yaml.compose(text, Loader=yaml.BaseLoader)
         data = None if node is None else _plain(node, (), lines, path.name)
     except yaml.YAMLError as error:
         mark = getattr(error, 'problem_mark', None)
-        place = f': line {mark.line + 1}' if mark is not None else ''
+        line = text[:getattr(error, 'position', 0)].count('\n') if mark is None else mark.line
         reason = getattr(error, 'problem', None) or str(error).partition('\n')[0]
         raise ConfigurationError(
-            f'{path.name}{place}: found no valid YAML ({reason}); expected keys and values such '
-            'as count: 3; correct the line') from error
+            f'{path.name}: line {line + 1}: found no valid YAML ({reason}); expected keys '
+            'and values such as count: 3; correct the line') from error
     except RecursionError as error:
         raise ConfigurationError(
             f'{path.name}: line 1: found lists in lists without end; expected a few levels; write '

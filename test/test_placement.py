@@ -95,7 +95,7 @@ def test_poses_are_rounded_to_what_can_be_mounted(mixed):
     assert np.abs(np.rad2deg(np.sin(turn))).max() <= 0.6e-3
     assert placement.cameras[1].angles[0] == pytest.approx(np.rad2deg(3.5) - 360.0, abs=1e-3)
     assert placement.cameras[0].position == (2.0, 2.0, 1.9)
-    with pytest.raises(ValueError, match='zip'):
+    with pytest.raises(ValueError, match='poses: found 2; expected 3, one for each'):
         placement_of(mixed, POSES[:2])
     level = placement_of(rig_of(2), POSES[:2, :3])
     assert level.poses.shape == (2, 6) and not level.poses[:, 3:].any()
@@ -251,7 +251,7 @@ def test_the_table_has_a_row_for_each_camera(mixed):
 def test_the_rectangle_is_that_of_the_walls_however_the_room_stands(angle):
     room = generate_room(3, 8000)
     low, high = np.percentile(room.points, [0.3, 99.7], axis=0)
-    walls = walls_around(turned(room, angle).points)
+    walls = walls_around(turned(room, angle))
     assert [wall.letter for wall in walls] == ['A', 'B', 'C', 'D']
     assert [wall.length for wall in walls] == pytest.approx(
         [*(high - low)[:2], *(high - low)[:2]], abs=0.05)
@@ -262,8 +262,26 @@ def test_the_rectangle_is_that_of_the_walls_however_the_room_stands(angle):
 def test_stray_points_seen_through_a_window_do_not_move_the_walls():
     box = box_room()
     stray = np.array([[9.0, 7.0, 1.0]]) + np.random.default_rng(0).uniform(size=(20, 3))
-    for wall, length in zip(walls_around(np.concatenate([box.points, stray])), (6, 4, 6, 4)):
-        assert wall.length == pytest.approx(length, abs=0.02)
+    room = Scene(np.concatenate([box.points, stray]).astype('f4'), 'box')
+    for wall, length in zip(walls_around(room), (6, 4, 6, 4)):
+        assert wall.length == pytest.approx(length, abs=0.02) and wall.stands
+
+
+def test_a_side_without_a_wall_is_said_to_be_none():
+    points = box_room().points
+    room = Scene(points[(points[:, 0] < 5.95) | (points[:, 2] < 0.05)], 'open')
+    assert [wall.stands for wall in walls_around(room)] == [True, False, True, True]
+    assert [wall.length for wall in walls_around(room)] == pytest.approx([6, 4, 6, 4], abs=0.02)
+    placement = placement_of(rig_of(1), np.array([[3.0, 2.0, 1.9]]))
+    assert 'B 4.00 m (no wall stands there' in instructions(room, placement, 'plan.png')
+
+
+def test_the_rectangle_lies_along_the_walls_and_not_along_the_scan():
+    points = box_room(4.0, 4.0).points
+    corner = points[(points[:, :2].sum(axis=1) < 4.05)]
+    walls = walls_around(turned(Scene(corner, 'corner'), 10.0))
+    out = np.rad2deg(np.arctan2(walls[0].outward[1], walls[0].outward[0]))
+    assert out == pytest.approx(100.0, abs=0.2)
 
 
 @pytest.mark.parametrize(('sensor', 'pose', 'words'), [
@@ -277,26 +295,28 @@ def test_stray_points_seen_through_a_window_do_not_move_the_walls():
         '20 cm from wall B, 50 cm from wall A', '200 cm above the floor', 'face wall B squarely, '
         'then turn 20 degrees to the right', '10 degrees up, rolled 5 degrees clockwise seen from '
         'behind')),
-    ('d455', [3.0, 1.0, 2.7, 90, 90, 0], ('100 cm from wall C, 300 cm from wall B',
+    ('d455', [3.1, 1.0, 2.7, 90, 90, 0], ('100 cm from wall C, 290 cm from wall B',
                                           '270 cm above the floor', 'top of the picture to wall '
                                           'A', '90 degrees down')),
     ('d455', [2.9, 1.0, 0.3, 90, -90, 0], ('100 cm from wall C, 290 cm from wall D',
                                            '30 cm above the floor', 'top of the picture to wall '
                                            'C', '90 degrees up')),
+    ('omni', [2.9, -0.5, 1.9, 0, 0, 0], ('50 cm beyond wall C, 290 cm from wall D',
+                                         '190 cm above the floor', 'any way round', 'upright')),
     ('omni', [2.9, 1.0, 1.9, 90, 10, 0], ('100 cm from wall C, 290 cm from wall D',
                                           '190 cm above the floor', 'any way round', 'upright'))])
 def test_an_installer_is_told_in_words(sensor, pose, words):
     pose = np.array([*pose[:3], *np.deg2rad(pose[3:])])
     placed, = placement_of(rig_of(1, sensor), pose[None]).cameras
-    walls = walls_around(box_room().points)
+    walls = walls_around(box_room())
     assert words_for(placed, walls, 0.0)[2:] == words
     # A room that stands elsewhere and otherwise on the map is hung up alike.
     angle = np.deg2rad(20.0)
     position = rotation_matrix(angle) @ pose[:3] + [5, 7, 2]
     moved = np.array([*position, pose[3] + angle, *pose[4:]])
     placed, = placement_of(rig_of(1, sensor), moved[None]).cameras
-    room = turned(box_room(), 20.0)
-    assert words_for(placed, walls_around(room.points + [5, 7, 2]), 2.0)[2:] == words
+    room = Scene(turned(box_room(), 20.0).points + np.array([5, 7, 2], dtype='f4'), 'moved')
+    assert words_for(placed, walls_around(room), 2.0)[2:] == words
 
 
 def test_the_installers_page_names_walls_and_cameras(mixed):

@@ -175,6 +175,7 @@ BAD = {
     'more cameras than there are': ('seen_by: 2', 'seen_by: 6', 'line 17, seen_by', 'add cameras'),
     'a key twice': ('seen_by: 2', 'pitch: 10', 'line 17', 'remove one of the two'),
     'an open bracket': ('seen_by: 2', 'seen_by: [2', 'line 18', 'correct the line'),
+    'a zero byte': ('seen_by: 2', 'seen_by: \0', 'line 17', 'correct the line'),
     'a tab': ('seen_by: 2', '\tseen_by: 2', 'line 17', 'correct the line'),
     'an alias': ('seen_by: 2', 'seen_by: &a 2\nkeep: *a', 'line 17', 'write it out'),
     'a tag': ('seen_by: 2', 'seen_by: !!python/name:os.system 2', 'line 17', 'remove the tag'),

@@ -234,9 +234,12 @@ class Allowed:
                 # Where a height says so, cameras hang lower, on rods.
                 below = self.surface.height_above(positions[:, :2]) - positions[:, 2]
                 on_it = (below > 0.0) & (below <= (REACH if heights is None else np.inf))
+            surface = 'wall' if on == 'walls' else on
+            near = 'above it' if on == 'ceiling' and heights is not None else (
+                f'within {REACH:g} m')
             yield Check(~on_it, lambda k: (
-                f'found a place that is not on the {on} (mount.on); expected one at most '
-                f'{REACH:g} m off; hang it there'))
+                f'found no {surface} {near} (mount.on); expected one that {self.scene.name} '
+                'shows; hang it there'))
 
     def _pitch(self, poses: np.ndarray, models: Sequence[CameraModel | None]) -> Iterator[Check]:
         """Check how far cameras look down that do not see all around."""

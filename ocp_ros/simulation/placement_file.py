@@ -106,12 +106,16 @@ def placement_of(rig: Rig, poses: np.ndarray, **more: Any) -> Placement:
 
     :param poses: (K, 6) metres, map frame, and radians; (K, 3) where no camera has a heading.
     :param more: other fields of :class:`Placement`.
+    :raises ValueError: if there are not as many poses as cameras to be placed.
     """
     poses = np.asarray(poses, dtype=np.float64)
+    if len(poses) != len(rig.cameras):
+        raise ValueError(f'poses: found {len(poses)}; expected {len(rig.cameras)}, one for each '
+                         'camera that is to be placed')
     full = np.zeros((len(poses), 6))
     full[:, :poses.shape[1]] = poses
     mounts = [*[rig.mount.on] * len(rig.cameras), *[FIXED] * len(rig.fixed)]
-    placed = zip(rig.all_cameras, [*full, *rig.fixed_poses], mounts, strict=True)
+    placed = zip(rig.all_cameras, [*full, *rig.fixed_poses], mounts)
     return Placement(tuple(_rounded(*one) for one in placed), rig, **more)
 
 
