@@ -28,6 +28,7 @@ setup(
         (f'share/{NAME}', ['package.xml']),
         share('launch', '*.launch.py'),
         share('config', '*.*'),
+        share('config/rig', '*.yaml'),
         share('config/train', '*.yaml'),
         share('models', '*.*'),
     ],
@@ -35,7 +36,7 @@ setup(
     install_requires=[
         'setuptools', 'numpy>=1.26', 'numba', 'scipy', 'torch', 'safetensors', 'gymnasium', 'cma',
         'stable-baselines3', 'tensorboard', 'open3d', 'plyfile', 'laspy[lazrs]', 'matplotlib',
-        'plotly', 'rich', 'pyyaml'],
+        'plotly', 'rich', 'pyyaml', 'jsonschema'],
     extras_require={'test': ['pytest', 'pytest-timeout', 'hypothesis'], 'ray': ['ray']},
     entry_points={
         'console_scripts': [

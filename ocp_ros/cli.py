@@ -39,6 +39,13 @@ def _evaluate(arguments: argparse.Namespace) -> None:
     evaluate(arguments, command_of(arguments.argv))
 
 
+def _score(arguments: argparse.Namespace) -> None:
+    """Judge a placement of a rig in a room."""
+    from ocp_ros.report.compare import command_of
+    from ocp_ros.report.score import score
+    score(arguments, command_of(arguments.argv))
+
+
 def _list_rooms(arguments: argparse.Namespace) -> None:
     """Print kinds and sizes of generated rooms."""
     from rich.console import Console
@@ -135,6 +142,22 @@ def _add_evaluate(commands) -> None:
     judged.set_defaults(run=_evaluate)
 
 
+def _add_score(commands) -> None:
+    """Add ``ocp score``."""
+    judged = commands.add_parser('score', help='judge cameras that hang, or shall hang, in a room')
+    judged.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
+    judged.add_argument('placement', type=Path, metavar='PLACEMENT',
+                        help='YAML or JSON: docs/placement.md')
+    judged.add_argument('--rig', type=Path,
+                        help='what is asked for, in place of what the placement says: docs/rig.md')
+    judged.add_argument('--json', action='store_true', help='print JSON and nothing else')
+    judged.add_argument('--export', type=Path, metavar='DIR',
+                        help='write placement, CSV, launch file, xacro and installer page here')
+    judged.add_argument('--scale', type=float, help='metres per unit of the scan')
+    judged.add_argument('--up', choices=('x', 'y', 'z'), help='axis of the scan that points up')
+    judged.set_defaults(run=_score)
+
+
 def _names(text: str) -> tuple[str, ...]:
     """Read names with commas between."""
     return tuple(text.split(','))
@@ -188,6 +211,7 @@ def parser() -> argparse.ArgumentParser:
                          help='write tables and figures here')
     compare.set_defaults(run=_benchmark)
     _add_evaluate(commands)
+    _add_score(commands)
     _add_rooms(commands)
     return top
 

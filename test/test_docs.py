@@ -38,7 +38,8 @@ def test_every_topic_and_field_is_documented():
 
 
 @pytest.mark.parametrize('page', ['README.md', 'CONTRIBUTING.md', 'docs/ros.md', 'docs/engine.md',
-                                  'docs/sensors.md', 'docs/planners.md', 'docs/rooms.md'])
+                                  'docs/sensors.md', 'docs/planners.md', 'docs/rooms.md',
+                                  'docs/rig.md', 'docs/placement.md'])
 def test_links_and_folders_exist(page):
     path = ROOT / page
     text = path.read_text()
@@ -56,6 +57,42 @@ def python_example(page):
     text = (ROOT / page).read_text()
     code = re.search(r'((?:    (?:from ocp_ros|import ).*\n)+\n(?:    .*\n)+)', text).group(1)
     return re.sub('^    ', '', code, flags=re.M)
+
+
+def yaml_example(page, first):
+    """Return the YAML of a page that begins with a line."""
+    lines = (ROOT / page).read_text().split(f'    {first}', 1)[1].splitlines()
+    count = next(k for k, line in enumerate(lines[1:], start=1) if not line.startswith('    '))
+    return '\n'.join([first, *(line[4:] for line in lines[1:count])])
+
+
+def test_the_example_of_a_rig_has_every_key_and_each_is_explained(tmp_path):
+    from ocp_ros.simulation.rig_file import load_rig
+    from ocp_ros.simulation.schemas import CAMERA, FIXED, NO_GO, REGION, RIG
+    (tmp_path / 'rig.yaml').write_text(yaml_example('docs/rig.md', 'cameras:'))
+    rig = load_rig(tmp_path / 'rig.yaml')
+    assert set(rig.document.data) == set(RIG['properties']) and len(rig.all_cameras) == 5
+    text = (ROOT / 'docs' / 'rig.md').read_text()
+    for part in (RIG, CAMERA, FIXED, NO_GO, REGION):
+        for key in part['properties']:
+            assert f'`{key}`' in text, key
+
+
+def test_the_example_of_a_placement_is_one_and_every_key_is_explained(tmp_path):
+    from ocp_ros.simulation.placement_file import load_placement
+    from ocp_ros.simulation.schemas import ENGINE, PLACED, PLACEMENT, ROOM
+    (tmp_path / 'placement.yaml').write_text(yaml_example('docs/placement.md', 'cameras:'))
+    assert load_placement(tmp_path / 'placement.yaml').poses.shape == (2, 6)
+    text = ''.join((ROOT / 'docs' / page).read_text() for page in ('placement.md', 'rig.md'))
+    for part in (PLACEMENT, PLACED, ROOM, ENGINE):
+        for key in part['properties']:
+            assert f'`{key}`' in text, key
+
+
+def test_the_example_with_a_rig_runs(capsys):
+    exec(python_example('docs/rig.md'), {})
+    loss, error, broken = map(float, capsys.readouterr().out.split())
+    assert 0.0 < loss < 1.0 and error > 0.0 and broken == 0.0
 
 
 def test_the_example_with_sensors_runs(capsys):

@@ -16,6 +16,7 @@ from ocp_ros.geometry.blocks import (
     blocks_in_view,
     count_bits,
     pack,
+    seen_by,
     spatial_order,
     Subset,
     unpack,
@@ -134,6 +135,14 @@ def test_subsets_are_sets_of_the_callers_points(seed, count):
     assert np.array_equal(subsets[0].mask, one) and np.array_equal(both.mask, one | other)
     assert len(both) == (one | other).sum() and len(Subset.none(order)) == 0
     assert both >= subsets[0] and (subsets[0] >= both) == np.array_equal(one, one | other)
+
+
+@given(seed=seeds, count=st.integers(1, 600), views=st.integers(1, 6), most=st.integers(1, 4))
+def test_points_seen_by_so_many_are_counted(seed, count, views, most):
+    flags = np.random.default_rng(seed).uniform(size=(views, count)) < 0.4
+    levels = seen_by([pack(row) for row in flags], most)
+    for k, bits in enumerate(levels, start=1):
+        assert np.array_equal(unpack(bits, count), flags.sum(axis=0) >= k)
 
 
 def test_the_coverage_grid_fills_the_box():

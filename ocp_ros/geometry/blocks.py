@@ -6,6 +6,7 @@ Subsets of such points are packed bits, one word of 64 bits for 64 points: a uni
 instructions, and a room of 25,000 points takes 3 kB.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from numba import njit
@@ -134,6 +135,22 @@ def count_bits(words):
         word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
         total += (word * np.uint64(0x0101010101010101)) >> np.uint64(56)
     return total
+
+
+def seen_by(views: Sequence[np.ndarray], most: int) -> list[np.ndarray]:
+    """
+    Find what at least so many of some views hold.
+
+    :param views: K subsets of the same points, (W,) uint64 packed bits each, K >= 1.
+    :param most: M >= 1.
+    :returns: M subsets (W,) uint64: what at least 1, 2, ... M views hold.
+    """
+    levels = [np.zeros_like(views[0]) for _ in range(most)]
+    for view in views:
+        for k in range(most - 1, 0, -1):
+            levels[k] |= levels[k - 1] & view
+        levels[0] |= view
+    return levels
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,8 +28,6 @@ class Scorer:
         self._views: OrderedDict[tuple[int, bytes], View] = OrderedDict()
         nothing = simulator.nothing().bits.nbytes + len(simulator.grid) // 8
         self._most = max(REMEMBERED // nothing, 64)
-        #: Where all cameras are alike, who stands where makes no difference.
-        self._mixed = len(simulator.config.rig.models) > 1
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
     def __call__(self, placements: Sequence[np.ndarray]) -> Scores:
@@ -72,7 +70,8 @@ class Scorer:
 
     def _key(self, camera: int, pose: np.ndarray) -> tuple[int, bytes]:
         """Return what a view is remembered by."""
-        return camera if self._mixed else 0, pose.tobytes()
+        # Where cameras are alike, who stands where makes no difference.
+        return self.simulator.kind(camera), pose.tobytes()
 
     def _map(self, function, items: Sequence) -> list:
         """Apply a function to all items, in threads where there are several of both."""

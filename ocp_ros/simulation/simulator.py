@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ocp_ros.geometry.blocks import no_bits, Subset
-from ocp_ros.geometry.cameras import OMNIDIRECTIONAL, Pose
+from ocp_ros.geometry.cameras import CameraModel, OMNIDIRECTIONAL, Pose
 from ocp_ros.geometry.coverage import coverage_grid, space_coverage
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.visibility import CubeVisibility, PRESETS, SurfelVisibility
@@ -61,17 +61,22 @@ class Simulator:
 
     :param scene: the room.
     :param config: the rig and the engine's settings.
+    :param models: what each camera sees, or one model for all, in place of what ``config.rig``
+        says, which knows presets alone.
     :raises SceneError: if the cameras' plane is not inside the room.
     """
 
-    def __init__(self, scene: Scene, config: SimulationConfig) -> None:
+    def __init__(self, scene: Scene, config: SimulationConfig,
+                 models: Sequence[CameraModel] | None = None) -> None:
         self.scene, self.config = scene, config
+        self.models = tuple(config.rig.models if models is None else models)
         self.height = float(scene.bounds[0, 2] + config.rig.height)
         if self.height >= scene.bounds[1, 2]:
             raise SceneError(
                 f'{scene.name}: found a room {scene.size[2]:.2f} m high; expected more than the '
                 f"cameras' height of {config.rig.height:.2f} m; lower rig.height")
-        self._lenses = [model.lens for model in config.rig.models]
+        self._lenses = [model.lens for model in self.models]
+        self._kinds = [self.models.index(model) for model in self.models]
         self.grid, self.cell_volume = coverage_grid(scene.bounds, config.engine.coverage_cell)
         self.visibility = self._make_visibility()
         order = self.visibility.order
@@ -102,6 +107,10 @@ class Simulator:
         """Return the empty subset of the scene's points."""
         return Subset.none(self.visibility.order)
 
+    def kind(self, camera: int) -> int:
+        """Return the first camera of the rig that sees as this one does."""
+        return self._kinds[camera] if len(self._kinds) > 1 else 0
+
     def look(self, pose: np.ndarray, camera: int = 0) -> View:
         """
         Compute what one camera sees.
@@ -110,7 +119,7 @@ class Simulator:
         :param camera: which camera of the rig; all see alike where the rig has one kind.
         """
         view = View(no_bits(len(self.scene)), no_bits(len(self.grid)))
-        lens = self._lenses[camera if len(self._lenses) > 1 else 0]
+        lens = self._lenses[self.kind(camera)]
         # How an omnidirectional camera is turned makes no difference.
         turned = pose[:3] if lens.kind == OMNIDIRECTIONAL else pose
         self.visibility.look(Pose.of(turned), lens, *view)
@@ -137,7 +146,7 @@ class Simulator:
         """
         if len(placement) > len(self._lenses) > 1:
             raise ValueError(f'placement: found {len(placement)} cameras; expected at most '
-                             f'{len(self._lenses)}, one for each of rig.sensors')
+                             f'{len(self._lenses)}, one for each camera of the rig')
         return self.judge([self.look(pose, camera) for camera, pose in enumerate(placement)])
 
     def evaluate_many(self, placements: np.ndarray, threads: int = 1) -> np.ndarray:

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A placement for those who carry it out: files for people, spreadsheets and ROS 2."""
+
+import csv
+import io
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from ocp_ros.report.installer import draw_plan, instructions
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.simulation.placement_file import numbers_of, Placed, Placement, save_placement
+
+#: From a camera's body (x forward, y left, z up) to its picture (z forward, x right, y down):
+#: roll, pitch, yaw in radians, REP-103.
+OPTICAL = (-0.5 * np.pi, 0.0, -0.5 * np.pi)
+COLUMNS = ('number', 'name', 'sensor', 'frame', 'x', 'y', 'z', 'yaw', 'pitch', 'roll', 'mount',
+           'horizontal_fov', 'vertical_fov', 'min_range', 'max_range')
+LAUNCH = '''"""Where the cameras hang, as static transforms: ros2 launch ./cameras.launch.py."""
+
+from launch import LaunchDescription
+from launch_ros.actions import Node
+
+# Parent, child, x, y, z in metres, roll, pitch, yaw in radians.
+FRAMES = [
+%s]
+OPTIONS = ('--frame-id', '--child-frame-id', '--x', '--y', '--z', '--roll', '--pitch', '--yaw')
+
+
+def generate_launch_description():
+    """Publish all frames."""
+    return LaunchDescription([
+        Node(package='tf2_ros', executable='static_transform_publisher', name=f'{frame[1]}_frame',
+             arguments=[word for pair in zip(OPTIONS, map(str, frame)) for word in pair])
+        for frame in FRAMES])
+'''
+XACRO = """<?xml version="1.0"?>
+<!-- Include this file in a robot and write <xacro:ocp_cameras parent=%s/> -->
+<robot xmlns:xacro="http://www.ros.org/wiki/xacro">
+  <xacro:macro name="ocp_cameras" params="parent">
+%s  </xacro:macro>
+</robot>
+"""
+JOINT = """    <link name="%s"/>
+    <joint name="%s_joint" type="fixed">
+      <parent link=%s/>
+      <child link="%s"/>
+      <origin xyz="%s" rpy="%s"/>
+    </joint>
+"""
+
+
+def export(folder: Path, scene: Scene, placement: Placement) -> list[Path]:
+    """
+    Write a placement in all forms.
+
+    :param folder: it is made where it is not there.
+    :returns: the files.
+    :raises OSError: if one cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    texts = {'cameras.csv': table_of(placement), 'cameras.launch.py': launch_of(placement),
+             'cameras.urdf.xacro': xacro_of(placement),
+             'installer.md': instructions(scene, placement, 'plan.png')}
+    for name in ('placement.yaml', 'placement.json'):
+        save_placement(folder / name, placement)
+    for name, text in texts.items():
+        (folder / name).write_text(text)
+    draw_plan(folder / 'plan.png', scene, placement)
+    return [folder / name for name in ('placement.yaml', 'placement.json', *texts, 'plan.png')]
+
+
+def table_of(placement: Placement) -> str:
+    """Return the cameras as CSV: metres, degrees, one row each."""
+    file = io.StringIO()
+    rows = csv.DictWriter(file, COLUMNS, extrasaction='ignore', lineterminator='\n')
+    rows.writeheader()
+    for number, placed in enumerate(placement.cameras, start=1):
+        rows.writerow({
+            'number': number, 'name': placed.camera.name, 'frame': placement.frame,
+            'mount': placed.mount, **numbers_of(placed.camera),
+            **dict(zip('xyz', placed.position)),
+            **dict(zip(('yaw', 'pitch', 'roll'), placed.angles))})
+    return file.getvalue()
+
+
+def _angles(placed: Placed) -> tuple[float, float, float]:
+    """Return roll, pitch, yaw in radians: turns about the fixed axes x, y, z, as ROS has them."""
+    yaw, pitch, roll = np.deg2rad(placed.angles)
+    return float(roll), float(pitch), float(yaw)
+
+
+def launch_of(placement: Placement) -> str:
+    """Return a ROS 2 launch file that publishes camera_<i> and camera_<i>_optical."""
+    lines = []
+    for number, placed in enumerate(placement.cameras, start=1):
+        body = f'camera_{number}'
+        position, angles = map(float, placed.position), _angles(placed)
+        lines += [(placement.frame, body, *position, *(round(angle, 9) for angle in angles)),
+                  (body, f'{body}_optical', 0.0, 0.0, 0.0,
+                   *(round(angle, 9) for angle in OPTICAL))]
+    return LAUNCH % ''.join(f'    {line!r},\n' for line in lines)
+
+
+def xacro_of(placement: Placement) -> str:
+    """Return a xacro macro with a link and a joint for camera_<i> and camera_<i>_optical."""
+    joints = []
+    for number, placed in enumerate(placement.cameras, start=1):
+        body = f'camera_{number}'
+        for parent, child, position, angles in (
+                ('${parent}', body, placed.position, _angles(placed)),
+                (body, f'{body}_optical', (0.0, 0.0, 0.0), OPTICAL)):
+            xyz, rpy = (' '.join(f'{value:.9g}' for value in values)
+                        for values in (position, angles))
+            joints.append(JOINT % (child, child, quoteattr(parent), child, xyz, rpy))
+    return XACRO % (quoteattr(placement.frame), ''.join(joints))

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``ocp score``: how good is a placement of a rig in a room, and what would make it better."""
+
+import argparse
+from dataclasses import replace
+from datetime import datetime, timezone
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from ocp_ros import __version__
+from ocp_ros.configuration import ConfigurationError
+from ocp_ros.report.exports import export
+from ocp_ros.report.verdict import broken_by, improvements, scores_of
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.source import make_room
+from ocp_ros.simulation.constraints import Allowed
+from ocp_ros.simulation.objective import Objective, simulator_of
+from ocp_ros.simulation.placement_file import load_placement, Placement
+from ocp_ros.simulation.rig_file import load_rig
+
+#: Points of a room where the placement does not say.
+POINTS = 25000
+#: Scores that differ by more than this are not the same.
+SAME = 1e-6
+
+
+def created_by(command: str) -> dict[str, str]:
+    """Return who made a placement, for its file."""
+    return {'date': datetime.now(timezone.utc).isoformat(timespec='seconds'),
+            'command': command, 'version': __version__}
+
+
+def room_named(name: str, points: int = POINTS, scale: float = 1.0, up: str = 'z'
+               ) -> tuple[Scene, dict[str, Any]]:
+    """
+    Read or generate a room, and say which it is as placement files do.
+
+    :param name: path of a scan, or seed of a generated room.
+    :raises SceneError: if the scan cannot be used.
+    """
+    scene = make_room(name, 0.0, points, scale, up)
+    if name.isdecimal():
+        return scene, {'seed': int(name), 'points': points,
+                       'sha256': hashlib.sha256(scene.points.tobytes()).hexdigest()}
+    content = hashlib.sha256(Path(name).read_bytes()).hexdigest()
+    return scene, {'file': name, 'sha256': content, 'points': points, 'scale': scale, 'up': up}
+
+
+def score(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
+    """
+    Judge a placement and print what there is to say about it.
+
+    :param arguments: of ``ocp score``.
+    :param command: the command line, for the record.
+    :returns: what ``--json`` prints.
+    """
+    folder = arguments.export
+    if folder is not None and folder.exists() and not folder.is_dir():
+        raise ConfigurationError(f'--export: found the file {folder}; expected a folder; name one')
+    rig = load_rig(arguments.rig) if arguments.rig else None
+    placement = load_placement(arguments.placement, rig)
+    scene, room = _room(arguments, placement)
+    rig = placement.rig_in(scene)
+    allowed = Allowed(scene, rig)
+    objective = Objective(simulator_of(scene, rig, placement.engine), rig)
+    poses = placement.poses
+    views = objective.look(poses)
+    scores = scores_of(objective, views)
+    found = {'room': room, 'scores': scores,
+             'broken': broken_by(objective, allowed, poses, scores),
+             **improvements(objective, allowed, poses, views),
+             'notes': _notes(placement, room, scores)}
+    if folder is not None:
+        judged = replace(placement, rig=rig, room=room, scores=scores, created=created_by(command))
+        found['written'] = [str(path) for path in export(folder, scene, judged)]
+    if arguments.json:
+        print(json.dumps(found, indent=1))
+    else:
+        show(found, placement)
+    return found
+
+
+def _room(arguments: argparse.Namespace, placement: Placement) -> tuple[Scene, dict[str, Any]]:
+    """Read the room as the placement's scores took it, unless the command line says otherwise."""
+    given = {key: value for key in ('scale', 'up')
+             if (value := getattr(arguments, key)) is not None}
+    if given and arguments.room.isdecimal():
+        raise ConfigurationError(
+            f'--{next(iter(given))}: found it with the generated room {arguments.room}; expected '
+            'a scan, since generated rooms are in metres, z up; leave it out')
+    known = {key: placement.room[key] for key in ('points', 'scale', 'up')
+             if key in placement.room}
+    if arguments.room.isdecimal():
+        known = {key: value for key, value in known.items() if key == 'points'}
+    return room_named(arguments.room, **{**known, **given})
+
+
+def _notes(placement: Placement, room: dict[str, Any], scores: dict[str, Any]) -> list[str]:
+    """Say where the file is about something else than what was judged."""
+    before = placement.scores.get('loss')
+    if placement.room.get('sha256') not in (None, room['sha256']):
+        return ['the file was made for a room of other content; its own scores are not these']
+    if isinstance(before, float) and abs(before - scores['loss']) > SAME:
+        return [f'the file says loss {before:.6f}; found {scores["loss"]:.6f}: rig, points or '
+                'engine are not those that it was scored with']
+    return []
+
+
+def show(found: dict[str, Any], placement: Placement) -> None:
+    """Print a verdict."""
+    console, scores = Console(width=100), found['scores']
+    cameras = Table('camera', 'place (m)', 'yaw, pitch, roll', 'takes from the error',
+                    'only it sees', title='Cameras')
+    for placed, added in zip(placement.cameras, scores['cameras']):
+        name = f'{added["name"]} (in place)' if placed.mount == 'fixed' else added['name']
+        cameras.add_row(name, ', '.join(f'{value:.2f}' for value in placed.position),
+                        ', '.join(f'{value:.0f}' for value in placed.angles),
+                        f'{added["depth_error"]:.2f} m', _percent(added['only']))
+    console.print(cameras)
+    least = scores['seen_by']
+    by = 'a camera' if least == 1 else f'{least} cameras'
+    console.print(f'depth error {scores["depth_error"]:.3f} m of '
+                  f'{scores["depth_error_of_nothing"]:.3f} m; space coverage '
+                  f'{scores["space_coverage"]:.1f} of {scores["volume"]:.1f} m³; '
+                  f'{_percent(scores["seen"])} of the points seen by {by}; loss '
+                  f'{scores["loss"]:.4f}')
+    console.print('seen by ' + ', '.join(f'{count}: {_percent(points / scores["points"])}'
+                                         for count, points in scores['overlap'].items()))
+    for region in scores['regions']:
+        must = f', {_percent(region["must_see"])} asked for' if region['must_see'] else ''
+        console.print(f'region {region["name"]}: {_percent(region["seen"])} seen{must}')
+    _show_rest(console, found)
+
+
+def _show_rest(console: Console, found: dict[str, Any]) -> None:
+    """Print what is wrong and what would be better."""
+    broken, missed, more = found['broken'], found['missed'], found['one_more']
+    console.print('every constraint is kept' if not broken else 'broken constraints:')
+    for sentence in broken:
+        console.print(f'  {sentence}', style='red', markup=False, highlight=False)
+    console.print(f'missed: {_percent(missed["share"])} of the points; '
+                  f'{_percent(missed["hopeless"])} no candidate sees either')
+    for part in missed['places']:
+        corners = (', '.join(f'{value:.2f}' for value in part[key]) for key in ('low', 'high'))
+        console.print(f'  {_percent(part["share"])} from ({next(corners)}) to ({next(corners)})')
+    if more is None:
+        console.print('one more camera: there is no allowed place for it')
+    else:
+        place = ', '.join(f'{value:.2f}' for value in more['position'])
+        console.print(f'one more {more["sensor"]} helps most at ({place}), yaw {more["yaw"]:.0f}, '
+                      f'pitch {more["pitch"]:.0f}: depth error {more["depth_error"]:.3f} m, '
+                      f'{more["gain"]:.3f} m less')
+    for note in found['notes']:
+        console.print(f'note: {note}', markup=False)
+    for path in found.get('written', ()):
+        console.print(f'wrote {path}', markup=False, highlight=False, soft_wrap=True)
+
+
+def _percent(share: float) -> str:
+    """Return a share as per cent."""
+    return f'{100.0 * share:.1f} %'

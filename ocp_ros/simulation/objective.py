@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a placement of a rig is worth: the depth error, and what the rig's regions ask for."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ocp_ros.configuration import ConfigurationError
+from ocp_ros.geometry.blocks import count_bits, no_bits, pack, seen_by, Subset
+from ocp_ros.geometry.coverage import space_coverage
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.simulation.config import EngineConfig, RigConfig, SimulationConfig
+from ocp_ros.simulation.constraints import check_heights
+from ocp_ros.simulation.rig_file import Region, Rig
+from ocp_ros.simulation.simulator import Simulator, View
+from ocp_ros.simulation.surfaces import floor_height
+
+#: What it costs to miss all of what a region says must be seen; the room itself costs 1.
+MUST = 10.0
+#: Overlap is counted up to as many cameras.
+COUNTED = 3
+
+
+class Worth(NamedTuple):
+    """
+    What a placement is worth; a place counts as seen where ``seen_by`` cameras see it.
+
+    :ivar loss: what a search minimises: depth error / depth error of seeing nothing
+        + sum of weight x unseen share + 10 x what is missing of each share that must be seen.
+    :ivar depth_error: metres.
+    :ivar space_coverage: cubic metres.
+    :ivar regions: (R,) share of each region's points that are seen.
+    :ivar seen: the points that are seen.
+    """
+
+    loss: float
+    depth_error: float
+    space_coverage: float
+    regions: np.ndarray
+    seen: Subset
+
+
+class Contribution(NamedTuple):
+    """
+    What one camera adds to the others.
+
+    :ivar depth_error: metres, the error without it minus the error with it.
+    :ivar only: share of all points that no other camera sees.
+    """
+
+    depth_error: float
+    only: float
+
+
+def simulator_of(scene: Scene, rig: Rig, engine: EngineConfig) -> Simulator:
+    """
+    Build the engine of a rig in a room: its cameras are the K to be placed, then the F in place.
+
+    :raises ConfigurationError: if the cameras' height is not inside the room.
+    """
+    check_heights(scene, rig)
+    # The simulator measures from the lowest point; the plane of cameras that hang at several
+    # heights is not theirs.
+    height = 0.5 * float(scene.size[2])
+    if rig.mount.on == 'plane':
+        height = floor_height(scene) + rig.mount.heights[0] - float(scene.bounds[0, 2])
+    config = SimulationConfig(RigConfig(cameras=len(rig.models), height=height), engine)
+    return Simulator(scene, config, rig.models)
+
+
+class Objective:
+    """
+    Judge placements of a rig in one room; the cameras in place count, and are looked from once.
+
+    :param simulator: from :func:`simulator_of`.
+    :param rig: the same rig.
+    :raises ConfigurationError: if a region holds no points of the room.
+    """
+
+    def __init__(self, simulator: Simulator, rig: Rig) -> None:
+        self.simulator, self.rig = simulator, rig
+        count = len(rig.cameras)
+        self.fixed = [simulator.look(pose, count + k) for k, pose in enumerate(rig.fixed_poses)]
+        self._nothing = View(no_bits(len(simulator.scene)), no_bits(len(simulator.grid)))
+        self._order = simulator.visibility.order
+        self._regions = [self._points_of(region) for region in rig.regions]
+        self._sizes = np.array([count_bits(bits) for bits in self._regions], dtype=np.float64)
+        self._weights = np.array([region.weight for region in rig.regions])
+        self._must = np.array([region.must_see for region in rig.regions])
+
+    def _points_of(self, region: Region) -> np.ndarray:
+        """Return the points in a region: (W,) packed bits."""
+        scene = self.simulator.scene
+        inside = region.zone.contains(scene.points, floor_height(scene))
+        if not inside.any():
+            low, high = (', '.join(f'{value:.2f}' for value in corner) for corner in scene.bounds)
+            raise ConfigurationError(
+                f'{region.where}: found no points of {scene.name} in it; expected some, within '
+                f'({low}) to ({high}); correct its corners, or weigh what the scan shows')
+        return pack(inside[self._order])
+
+    def look(self, poses: np.ndarray) -> list[View]:
+        """
+        Compute what the cameras to be placed see.
+
+        :param poses: (K, 6) metres, map frame, and radians, or (K, 3); or fewer rows.
+        """
+        return [self.simulator.look(pose, camera) for camera, pose in enumerate(poses)]
+
+    def judge(self, views: Sequence[View]) -> Worth:
+        """
+        Judge cameras by what they see.
+
+        :param views: of some of the cameras to be placed, from :meth:`look` or
+            :meth:`~ocp_ros.simulation.simulator.Simulator.look`.
+        """
+        views, simulator = self._with_fixed(views), self.simulator
+        seen = self._seen(views)
+        covered = seen_by([view.covered for view in views], self.rig.seen_by)[-1]
+        error = simulator.depth_error(seen)
+        shares = np.array([count_bits(seen & bits) for bits in self._regions]) / self._sizes
+        loss = (error / simulator.depth_error.worst + self._weights @ (1.0 - shares)
+                + MUST * np.maximum(self._must - shares, 0.0).sum())
+        return Worth(float(loss), error, space_coverage(covered, simulator.cell_volume), shares,
+                     Subset(seen, self._order))
+
+    def evaluate(self, poses: np.ndarray) -> Worth:
+        """Judge poses (K, 6), metres, map frame, and radians."""
+        return self.judge(self.look(poses))
+
+    def overlap(self, views: Sequence[View]) -> list[int]:
+        """
+        Count how many cameras see each point.
+
+        :param views: as for :meth:`judge`.
+        :returns: points seen by 0, 1, 2 and by 3 or more.
+        """
+        seen = [view.seen for view in self._with_fixed(views)]
+        levels = [count_bits(bits) for bits in seen_by(seen, COUNTED)]
+        at_least = np.array([len(self.simulator.scene), *levels, 0])
+        return [int(count) for count in at_least[:-1] - at_least[1:]]
+
+    def contributions(self, views: Sequence[View]) -> list[Contribution]:
+        """
+        Compare what all cameras are worth with what they are without each.
+
+        :param views: as for :meth:`judge`.
+        :returns: for each view, and then for each camera in place.
+        """
+        error, everyone = self.simulator.depth_error, self._with_fixed(views)
+        once, twice = seen_by([view.seen for view in everyone], 2)
+        with_all = error(self._seen(everyone))
+        views, found = [*views, *self.fixed], []
+        for k, view in enumerate(views):
+            others = [*views[:k], *views[k + 1:]] or [self._nothing]
+            only = count_bits(view.seen & once & ~twice) / len(self.simulator.scene)
+            found.append(Contribution(error(self._seen(others)) - with_all, float(only)))
+        return found
+
+    def with_one_more(self, views: Sequence[View], more: Sequence[View]) -> np.ndarray:
+        """
+        Return the depth error with each of some further cameras.
+
+        :param views: as for :meth:`judge`.
+        :param more: of M cameras, of which one is added.
+        :returns: (M,) metres.
+        """
+        levels = self._levels(self._with_fixed(views))
+        before = levels[-2] if len(levels) > 1 else ~np.zeros_like(levels[0])
+        return np.array([self.simulator.depth_error(levels[-1] | before & view.seen)
+                         for view in more])
+
+    def _with_fixed(self, views: Sequence[View]) -> list[View]:
+        """Return views and those of the cameras in place, one at least."""
+        return [*views, *self.fixed] or [self._nothing]
+
+    def _levels(self, views: Sequence[View]) -> list[np.ndarray]:
+        """Return the points that at least 1, 2, ... ``seen_by`` views hold, as packed bits."""
+        return seen_by([view.seen for view in views], self.rig.seen_by)
+
+    def _seen(self, views: Sequence[View]) -> np.ndarray:
+        """Return the points that enough views hold, as packed bits."""
+        return self._levels(views)[-1]

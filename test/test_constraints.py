@@ -1,0 +1,286 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where cameras may hang: in the air of the room, on their mount, away from all else."""
+
+from dataclasses import replace
+
+from conftest import box_room, box_sides, l_shaped
+from hypothesis import given, settings, strategies
+import numpy as np
+import pytest
+
+from ocp_ros.configuration import ConfigurationError
+from ocp_ros.geometry.sensors import SENSORS
+from ocp_ros.scenes.rooms import generate_room, plan_of
+from ocp_ros.scenes.scene import Scene, turned
+from ocp_ros.simulation.constraints import Allowed
+from ocp_ros.simulation.rig_file import rig_of
+from ocp_ros.simulation.surfaces import floor_height
+
+MOUNTS = {
+    'plane': {'on': 'plane', 'height': 1.9}, 'ceiling': {'on': 'ceiling'},
+    'rods': {'on': 'ceiling', 'height': 2.0}, 'walls': {'on': 'walls', 'height': [1.7, 2.3]},
+    'wall at a height': {'on': 'walls', 'height': 2.0}, 'free': {'on': 'free', 'height': [1, 2.2]}}
+D455 = SENSORS['realsense_d455'].model
+
+
+@pytest.fixture(scope='module')
+def rooms():
+    """Return an empty box, an L, a scanned and a turned room; their floors at several heights."""
+    office = generate_room(3, 8000)
+    low = Scene(office.points - np.array([3.0, 40.0, 5.0]), 'low')
+    return {'box': box_room(), 'L': l_shaped(), 'office': office, 'turned': turned(office, 33.0),
+            'low': low}
+
+
+@pytest.fixture(scope='module')
+def furnished():
+    """Return a box with closed cabinets of 1.2 x 0.8 x 2.1 m, in a corner and in the middle."""
+    size, points = np.array([1.2, 0.8, 2.1]), box_room().points
+    for low in ([0.0, 0.0, 0.0], [3.0, 1.6, 0.0]):
+        # A scan does not show what is behind, nor the sides against the walls and the floor.
+        cabinet = box_sides(size, low + 0.5 * size)
+        cabinet = cabinet[(cabinet > 0.01).all(axis=1)]
+        hidden = ((points > np.array(low) - 0.01) & (points < low + size - 0.01)).all(axis=1)
+        points = np.concatenate([points[~hidden], cabinet])
+    return Scene(points.astype(np.float32), 'furnished')
+
+
+def allowed_of(scene, mount='free', sensor='d455', cameras=1, **more):
+    """Return the constraints of a rig."""
+    return Allowed(scene, rig_of(cameras, sensor, mount=MOUNTS[mount], **more))
+
+
+def level(*position, yaw=0.0, pitch=0.0):
+    """Return one pose (1, 6), angles in degrees."""
+    return np.array([[*position, *np.deg2rad([yaw, pitch, 0.0])]])
+
+
+@pytest.mark.parametrize('mount', MOUNTS)
+@pytest.mark.parametrize('room', ['box', 'L', 'office', 'turned', 'low'])
+@pytest.mark.parametrize('sensor', ['d455', 'omnidirectional', 'vlp16'])
+def test_every_candidate_is_allowed_and_breaks_nothing(rooms, room, mount, sensor):
+    allowed = allowed_of(rooms[room], mount, sensor, pitch=[5, 50])
+    model = allowed.rig.models[0]
+    poses = allowed.candidates(model, 300)
+    assert 20 < len(poses) <= 300 and poses.shape[1] == 6
+    assert allowed.allowed(poses, model).all()
+    for pose in poses[::7]:
+        assert allowed.broken(pose[None]) == []
+    places = np.unique(poses[:, :3], axis=0)
+    assert len(places) == len(poses) if sensor != 'd455' else 2 * len(places) < len(poses)
+    above = places[:, 2] - (-5.0 if room == 'low' else 0.0)
+    low, high = np.broadcast_to(MOUNTS[mount].get('height', [2.0, 3.0]), 2)
+    assert (above > low - 0.02).all() and (above < high + 0.02).all()
+
+
+@settings(deadline=None, max_examples=30)
+@given(spacing=strategies.floats(0.0, 2.0), keep_clear=strategies.floats(0.0, 0.5),
+       low=strategies.floats(-20.0, 60.0), most=strategies.integers(1, 200),
+       mount=strategies.sampled_from(sorted(MOUNTS)), number=strategies.integers(0, 4))
+def test_candidates_obey_whatever_is_asked(rooms, spacing, keep_clear, low, most, mount, number):
+    room = list(rooms.values())[number]
+    middle = room.bounds.mean(axis=0)
+    allowed = allowed_of(room, mount, spacing=spacing, keep_clear=keep_clear,
+                         pitch=[low, low + 10.0], no_go=[{'box': [
+                             (middle - [1.0, 0.5, 9.0]).tolist(), (middle + 9.0).tolist()]}])
+    poses = allowed.candidates(D455, most)
+    assert 1 <= len(poses) <= most
+    assert allowed.allowed(poses, D455).all()
+    assert allowed.broken(poses[:1]) == [] and allowed.broken(poses[-1:]) == []
+
+
+def test_the_floor_is_a_layer_and_not_the_lowest_point(rooms):
+    assert floor_height(rooms['box']) == 0.0
+    stray = np.random.default_rng(0).uniform([0, 0, -0.9], [6, 4, 0.7], (400, 3))
+    for name, floor in (('office', 0.0), ('low', -5.0)):
+        points = rooms[name].points
+        noisy = Scene(np.concatenate([points, stray + points.min(axis=0)]).astype('f4'), 'noisy')
+        assert noisy.bounds[0, 2] < floor - 0.8
+        assert floor_height(noisy) == pytest.approx(floor, abs=0.03)
+        assert Allowed(noisy, rig_of(1)).candidates(D455, 5)[0, 2] == pytest.approx(
+            floor + 1.9, abs=0.03)
+
+
+def test_candidates_reach_all_over_the_room(rooms):
+    for mount in MOUNTS:
+        poses = allowed_of(rooms['L'], mount, 'omnidirectional').candidates(D455, 1000)
+        places = np.unique(poses[:, :2], axis=0)
+        for corner in ([0, 0], [6, 0], [6, 2], [3, 4], [0, 4]):
+            assert np.linalg.norm(places - corner, axis=1).min() < 0.8, (mount, corner)
+        assert not ((places > [3.05, 2.05]).all(axis=1)).any()
+
+
+def test_cameras_on_walls_look_into_the_room(rooms):
+    for name in ('box', 'turned'):
+        poses = allowed_of(rooms[name], 'walls').candidates(D455, 400)
+        ahead = poses[:, :3] + 0.5 * np.column_stack(
+            [np.cos(poses[:, 3]), np.sin(poses[:, 3]), np.zeros(len(poses))])
+        points = rooms[name].points
+        before, after = (np.array([np.linalg.norm(points - place, axis=1).min()
+                                   for place in places]) for places in (poses[:, :3], ahead))
+        assert (before < 0.2).all() and np.mean(after > before) > 0.95
+
+
+@pytest.mark.parametrize(('mount', 'pose', 'words'), [
+    ('plane', level(3, 2, 1.9), []),
+    ('plane', level(3, 2, 1.7), ['1.70 m above the floor; expected 1.90 m (mount.height); raise']),
+    ('plane', level(0.1, 2, 1.9), ['0.10 m to the nearest surface; expected at least 0.20 m '
+                                   '(keep_clear); move it away']),
+    ('plane', level(7, 2, 1.9), ['(7.00, 2.00, 1.90), which is not over floor that box shows; '
+                                 'expected a place in the room and not in furniture; move it']),
+    ('plane', level(3, 2, 1.9, pitch=80), ['a pitch of 80 degrees; expected 0 to 60 (pitch); '
+                                           'tilt it']),
+    ('plane', level(3, 2, 1.9, pitch=-5), ['a pitch of -5 degrees']),
+    ('ceiling', level(3, 2, 2.7), []), ('ceiling', level(3, 2, 2.6), []),
+    ('ceiling', level(3, 2, 2.3), ['no ceiling within 0.25 m (mount.on); expected one that box']),
+    ('ceiling', level(0.1, 2, 2.7), ['0.10 m to the nearest surface']),
+    ('rods', level(3, 2, 2.0), []),
+    ('rods', level(3, 2, 2.2), ['2.20 m above the floor; expected 2.00 m']),
+    ('walls', level(0.1, 2, 2.0), []), ('walls', level(3, 3.85, 2.0), []),
+    ('walls', level(0.6, 2, 2.0), ['no wall within 0.25 m (mount.on)']),
+    ('walls', level(-0.1, 2, 2.0), ['not over floor']),
+    ('walls', level(0.1, 0.1, 2.0), ['0.10 m to the nearest surface']),
+    ('walls', level(0.1, 2, 2.5), ['2.50 m above the floor; expected 1.70 to 2.30 m']),
+    ('free', level(3, 2, 0.1), ['0.10 m to the nearest surface', '0.10 m above the floor']),
+    ('free', level(3, 2, 3.5), ['not over floor', '3.50 m above the floor'])])
+def test_each_broken_constraint_is_named(rooms, mount, pose, words):
+    allowed = allowed_of(rooms['box'], mount, pitch=[0, 60])
+    found = allowed.broken(pose)
+    assert len(found) == len(words), found
+    for sentence, part in zip(found, words):
+        assert sentence.startswith('realsense_d455: found ') and part in sentence, sentence
+    assert allowed.allowed(pose, D455)[0] == (not words)
+
+
+def test_the_surface_a_camera_hangs_on_may_be_near_and_no_other(rooms):
+    near = level(3, 3.9, 2.0)
+    assert allowed_of(rooms['box'], 'walls', keep_clear=0.5).broken(near) == []
+    assert 'nearest surface' in allowed_of(rooms['box'], 'free', keep_clear=0.5).broken(near)[0]
+    # The neighbouring wall, 0.3 m away, is another surface.
+    corner = allowed_of(rooms['box'], 'walls', keep_clear=0.5).broken(level(0.3, 3.9, 2.0))
+    assert len(corner) == 1 and '0.30 m to the nearest surface' in corner[0]
+
+
+def test_next_to_a_wall_a_camera_is_not_faulted_but_a_search_stays_away(rooms):
+    allowed = allowed_of(rooms['box'], 'free', keep_clear=0.05)
+    beside, far, behind = level(0.1, 2, 2.0), level(0.45, 2, 2.0), level(-0.1, 2, 2.0)
+    assert allowed.broken(beside) == allowed.broken(far) == []
+    assert 'not over floor' in allowed.broken(behind)[0]
+    assert allowed.allowed(np.concatenate([beside, far, behind])).tolist() == [False, True, False]
+
+
+def test_a_sloping_ceiling_is_one_surface():
+    room = box_room()
+    points = room.points.copy()
+    top = points[:, 2] > 2.75
+    points[top, 2] = 2.2 + 0.2 * points[top, 0]
+    points = points[points[:, 2] <= 2.2 + 0.2 * points[:, 0] + 1e-5]
+    allowed = allowed_of(Scene(points, 'slope'), 'ceiling', keep_clear=0.4)
+    poses = allowed.candidates(D455, 200)
+    np.testing.assert_allclose(poses[:, 2], 2.1 + 0.2 * poses[:, 0], atol=0.06)
+
+
+def test_a_place_inside_a_cabinet_is_not_in_the_air(furnished):
+    allowed = allowed_of(furnished)
+    corner, middle = level(0.6, 0.4, 1.2), level(3.6, 2.0, 1.2)
+    assert 'not over floor that furnished shows' in allowed.broken(corner)[0]
+    assert 'inside furniture or behind it' in allowed.broken(middle)[0]
+    above = allowed.broken(level(3.6, 2.0, 2.45))
+    assert len(above) == 1 and '2.45 m above the floor' in above[0]
+    assert allowed.broken(level(2.0, 1.5, 1.2)) == []
+    places = allowed.candidates(D455, 4000)[:, :3]
+    for low in ([0.0, 0.0, 0.0], [3.0, 1.6, 0.0]):
+        assert not ((places > low) & (places < np.array(low) + [1.2, 0.8, 2.1])).all(axis=1).any()
+
+
+def judged_places(seed):
+    """Judge places in a generated room: how deep in solids, allowed, and over the floor."""
+    room, plan = generate_room(seed, 15000), plan_of(seed)
+    allowed = allowed_of(room, 'free')
+    low, high = room.bounds
+    places = np.random.default_rng(0).uniform(low, high, (4000, 3))
+    places = places[(places[:, 2] > low[2] + 1.0) & (places[:, 2] < low[2] + 2.2)]
+    depth = np.full(len(places), -np.inf)
+    for solid in plan.solids:
+        cosine, sine = np.cos(solid.yaw), np.sin(solid.yaw)
+        way = (places - solid.centre) @ np.array(
+            [[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+        depth = np.maximum(depth, (0.5 * solid.size - np.abs(way)).min(axis=1))
+    good = allowed.allowed(np.hstack([places, np.zeros_like(places)]), D455)
+    return np.column_stack([depth, good, allowed.space.contains(places[:, :2])])
+
+
+def test_hardly_any_place_inside_the_solids_of_scanned_rooms_is_allowed():
+    depth, good, over_floor = np.concatenate([judged_places(seed) for seed in (3, 5, 12)]).T
+    assert good[depth > 0.02].mean() < 0.01
+    assert good[(depth < -0.5) & (over_floor > 0)].mean() > 0.97
+
+
+def test_no_go_zones_keep_cameras_out(rooms):
+    allowed = allowed_of(rooms['low'], 'plane', no_go=[
+        {'box': [[-10, -50, -5], [-1.5, -34, 0]]},
+        {'polygon': [[-10, -50], [10, -50], [10, -37]], 'height': [1.0, 2.5]}])
+    places = allowed.candidates(D455, 500)[:, :3]
+    assert (places[:, 0] > -1.5).all() and len(places) > 50
+    inside = allowed.broken(level(-2.0, -36.0, allowed.floor + 1.9))
+    assert 'found a place in no_go[0]; expected one outside it; move it out' in ' '.join(inside)
+
+
+def test_cameras_keep_apart_from_each_other_and_from_those_in_place(rooms):
+    allowed = allowed_of(rooms['box'], 'plane', cameras=2, spacing=0.6, fixed=[
+        {'sensor': 'kinect_v2', 'position': [3.0, 2.0, 1.9], 'name': 'door'}])
+    poses = np.concatenate([level(3.5, 2.0, 1.9), level(3.5, 2.5, 1.9)])
+    found = allowed.broken(poses)
+    assert found == [
+        'realsense_d455_1: found 0.50 m to door; expected at least 0.60 m (spacing); move one of '
+        'the two',
+        'realsense_d455_2: found 0.50 m to realsense_d455_1; expected at least 0.60 m (spacing); '
+        'move one of the two']
+    assert allowed.allowed(poses, D455).tolist() == [False, True]
+    away = np.linalg.norm(allowed.candidates(D455, 500)[:, :3] - [3.0, 2.0, 1.9], axis=1)
+    assert away.min() >= 0.6
+
+
+def test_who_sees_all_around_may_be_turned_as_it_likes(rooms):
+    allowed = allowed_of(rooms['box'], 'plane', 'omnidirectional', pitch=[20, 30])
+    assert allowed.broken(level(3, 2, 1.9, pitch=80)) == []
+    assert allowed.broken(level(3, 2, 1.9)[:, :3]) == []
+    assert not allowed.allowed(level(3, 2, 1.9, pitch=80))[0]
+
+
+@pytest.mark.parametrize(('mount', 'more', 'words'), [
+    ({'on': 'plane', 'height': 3.0}, {}, r'mount.height: found 3 m; expected less than the 2.80 m '
+     'that box is high; lower it'),
+    ({'on': 'plane'}, {'keep_clear': 5.0}, 'mount: found no place in box where a camera may hang'),
+    ({'on': 'plane'}, {'fixed': [{'sensor': 'kinect_v2', 'position': [30, 2, 2]}]},
+     r'fixed\[0\]: found a camera at \(30.00, 2.00, 2.00\), outside box; .*; correct its')])
+def test_a_rig_that_does_not_go_with_the_room_is_refused(rooms, mount, more, words):
+    with pytest.raises(ConfigurationError, match=words):
+        Allowed(rooms['box'], rig_of(1, 'd455', mount=mount, **more)).candidates(D455, 10)
+
+
+def test_a_scan_without_a_ceiling_offers_none(rooms):
+    points = rooms['box'].points
+    for mount, kept in (('ceiling', points[:, 2] < 1.0), ('walls', points[:, 2] < 0.05)):
+        room = Scene(np.concatenate([points[kept], [[3.0, 2.0, 2.8]] * 1]), 'open')
+        with pytest.raises(ConfigurationError, match=f'found {mount}, of which open shows none'):
+            Allowed(room, rig_of(1, mount={'on': mount}))
+
+
+def test_poses_of_another_shape_are_refused(rooms):
+    allowed = allowed_of(rooms['box'], 'plane')
+    for poses in (np.zeros((2, 4)), np.zeros(6), np.full((1, 6), np.nan)):
+        with pytest.raises(ValueError, match=r'poses: found shape .*; expected \(M, 6\)'):
+            allowed.broken(poses)
+    with pytest.raises(ValueError, match='poses: found 2 cameras; expected at most 1'):
+        allowed.broken(np.zeros((2, 6)))
+
+
+def test_each_camera_of_a_mixed_rig_has_its_own_pitch(rooms):
+    rig = rig_of(1, 'd455', mount=MOUNTS['plane'], pitch=[0, 30])
+    other = replace(rig, cameras=(rig.cameras[0], rig_of(1).cameras[0]))
+    poses = np.concatenate([level(2, 2, 1.9, pitch=20), level(4, 2, 1.9, pitch=70)])
+    allowed = Allowed(rooms['box'], other)
+    assert allowed.broken(poses) == []
+    assert len(allowed.broken(poses[::-1])) == 1
+    assert allowed.broken(poses[1:], [1]) == [] and len(allowed.broken(poses[1:], [0])) == 1

@@ -1,0 +1,326 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Placement files come back as they were, and what is exported says the same in other words."""
+
+import argparse
+import csv
+import io
+import sys
+from types import ModuleType
+import xml.etree.ElementTree as ElementTree
+
+from conftest import box_room
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ocp_ros.configuration import ConfigurationError
+from ocp_ros.geometry.cameras import rotation_matrix
+from ocp_ros.report.exports import launch_of, table_of, xacro_of
+from ocp_ros.report.installer import instructions, walls_around, words_for
+from ocp_ros.report.verdict import scores_of
+from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.scenes.scene import Scene, turned
+from ocp_ros.simulation.config import EngineConfig
+from ocp_ros.simulation.constraints import Allowed
+from ocp_ros.simulation.objective import Objective, simulator_of
+from ocp_ros.simulation.placement_file import load_placement, placement_of, save_placement
+from ocp_ros.simulation.rig_file import load_rig, rig_of
+
+MIXED = """\
+cameras:
+  - {sensor: azure_kinect_nfov}
+  - {horizontal_fov: 91.3, vertical_fov: 60.7, max_range: 5.1, name: wide, count: 2}
+fixed:
+  - {sensor: realsense_d455, position: [1.23456789, 2.0, 2.2], yaw: 33.3333333, pitch: 20, name: x}
+mount: {on: free, height: [1.5, 2.3]}
+regions: [{name: "1e5", box: [[0, 0, 0], [8, 8, 1]], must_see: 0.1}]
+seen_by: 2
+"""
+POSES = np.array([[2.0, 2.00004, 1.9, 0.3, 0.4, 0.0], [1 / 3, 2.0, 1.7, 3.5, 0.5, 0.1],
+                  [1.0, 3.0, 2.1, -1.5, 0.6, -3.1]])
+HAND = """\
+cameras:
+  - {sensor: realsense_d455, position: [1, 1, 2.2], yaw: 45, pitch: 25}
+  - {horizontal_fov: 90, vertical_fov: 60, max_range: 5, position: [3, 2, 2.0]}
+  - {sensor: kinect_v2, position: [2, 2, 2.2], mount: fixed, name: door}
+"""
+
+
+@pytest.fixture
+def mixed(tmp_path):
+    """Return a rig of three kinds of cameras."""
+    (tmp_path / 'rig.yaml').write_text(MIXED)
+    return load_rig(tmp_path / 'rig.yaml')
+
+
+def placement_in(tmp_path, text, rig=None):
+    """Read a placement from a text."""
+    (tmp_path / 'placement.yaml').write_text(text)
+    return load_placement(tmp_path / 'placement.yaml', rig)
+
+
+def judged(scene, rig, placement):
+    """Return the scores of a placement."""
+    objective = Objective(simulator_of(scene, rig, placement.engine), rig)
+    return scores_of(objective, objective.look(placement.poses))
+
+
+@pytest.mark.parametrize('suffix', ['yaml', 'json'])
+@pytest.mark.parametrize('preset', ['fine', 'fast'])
+def test_a_placement_comes_back_with_the_same_scores(room, mixed, tmp_path, suffix, preset):
+    engine = EngineConfig(preset=preset, error_rows=32)
+    placement = placement_of(mixed, POSES, engine=engine, room={'seed': 8, 'points': 2000},
+                             created={'date': '2026-11-21', 'command': 'ocp plan: x # y'})
+    scores = judged(room, mixed, placement)
+    assert 0.0 < scores['seen'] < 1.0 and scores['regions'][0]['seen'] > 0.0
+    kept = placement_of(mixed, POSES, engine=engine, room=placement.room, scores=scores,
+                        created=placement.created)
+    path = tmp_path / f'placement.{suffix}'
+    save_placement(path, kept)
+    read = load_placement(path)
+    assert judged(room, read.rig_in(room), read) == scores == read.scores
+    assert np.array_equal(read.poses, placement.poses)
+    assert read.cameras[:3] == placement.cameras[:3] and len(read.cameras) == 4
+    assert (read.room, read.created, read.engine) == (kept.room, kept.created, engine)
+    assert [camera.name for camera in read.rig.all_cameras] == [
+        'azure_kinect_nfov', 'wide_1', 'wide_2', 'x']
+    again = load_placement(path, mixed)
+    assert judged(room, again.rig, again) == scores
+
+
+def test_poses_are_rounded_to_what_can_be_mounted(mixed):
+    placement = placement_of(mixed, POSES)
+    assert np.abs(placement.poses[:, :3] - POSES[:, :3]).max() <= 0.5e-4
+    turn = placement.poses[:, 3:] - POSES[:, 3:]
+    assert np.abs(np.rad2deg(np.sin(turn))).max() <= 0.6e-3
+    assert placement.cameras[1].angles[0] == pytest.approx(np.rad2deg(3.5) - 360.0, abs=1e-3)
+    assert placement.cameras[0].position == (2.0, 2.0, 1.9)
+    with pytest.raises(ValueError, match='poses: found 2; expected 3, one for each'):
+        placement_of(mixed, POSES[:2])
+    level = placement_of(rig_of(2), POSES[:2, :3])
+    assert level.poses.shape == (2, 6) and not level.poses[:, 3:].any()
+
+
+def test_a_placement_written_by_hand_needs_little(room, tmp_path):
+    placement = placement_in(tmp_path, HAND)
+    assert [placed.camera.name for placed in placement.cameras] == [
+        'realsense_d455', 'camera', 'door']
+    assert placement.poses.shape == (2, 6) and placement.rig is None
+    rig = placement.rig_in(room)
+    assert len(rig.cameras) == 2 and len(rig.fixed) == 1
+    assert rig.mount.on == 'free' and rig.mount.heights == pytest.approx((2.0, 2.2), abs=0.02)
+    assert np.rad2deg(rig.pitch) == pytest.approx((0.0, 60.0)) and not rig.regions
+    assert Allowed(room, rig).broken(placement.poses) == []
+    for mount, heights in (('plane', 1.9), ('ceiling', None)):
+        made = placement_of(rig_of(2, 'd455', mount={'on': mount}), [
+            [2.0, 2.0, 1.9], [4.0, 4.0, 1.9]])
+        save_placement(tmp_path / 'p.yaml', placement_of(made.rig, made.poses))
+        text = (tmp_path / 'p.yaml').read_text()
+        bare = placement_in(tmp_path, text[:text.index('rig:')])
+        assert bare.rig is None and bare.rig_in(room).mount.on == mount
+        found = bare.rig_in(room).mount.heights
+        assert (found is None) == (heights is None)
+
+
+def test_a_rig_file_says_what_is_asked_of_a_placement(mixed, tmp_path):
+    text = """cameras:
+      - {position: [1, 1, 1.9], yaw: 45, pitch: 25}
+      - {position: [3, 2, 1.9], name: north, horizontal_fov: 91.3, vertical_fov: 60.7,
+         max_range: 5.1}
+      - {position: [3, 3, 1.9]}
+    """
+    placement = placement_in(tmp_path, text, mixed)
+    assert [placed.camera.name for placed in placement.cameras] == [
+        'azure_kinect_nfov', 'north', 'wide_2', 'x']
+    assert placement.rig.seen_by == 2 and placement.rig.cameras[1].model == mixed.models[1]
+    np.testing.assert_allclose(placement.cameras[3].pose, mixed.fixed_poses[0], atol=1e-4)
+
+
+BAD = {
+    'no position': ('position: [1, 1, 2.2], ', '', 'line 2, cameras[0]', 'add, for example, '
+                    'position'),
+    'an unknown key': ('pitch: 25', 'tilt: 25', 'line 2, cameras[0].tilt', 'expected one of name'),
+    'no sensor': ('sensor: realsense_d455, ', '', 'line 2, cameras[0]', 'or a sensor'),
+    'another version': ('cameras:', 'version: 2\ncameras:', 'line 1, version', 'version: 1'),
+    'a frame with a blank': ('cameras:', 'frame: a b\ncameras:', 'line 1, frame', 'frame: map'),
+    'an unknown mount': ('mount: fixed', 'mount: fix', 'line 4, cameras[2].mount', "'fixed'"),
+    'a hash of nothing': ('cameras:', 'room: {sha256: abc}\ncameras:', 'line 1, room.sha256',
+                          'sha256: 0000'),
+    'an unknown preset': ('cameras:', 'engine: {preset: fin}\ncameras:', 'line 1, engine.preset',
+                          "did you mean 'fine'"),
+    'a bad rig': ('cameras:', 'rig:\n  cameras: [{sensor: kinect_v2, count: 2}]\n  seen_by: 9\n'
+                  'cameras:', 'line 3, seen_by', 'add cameras'),
+    'a rig of more cameras': ('cameras:', 'rig: {cameras: [{sensor: kinect_v2, count: 3}]}\n'
+                              'cameras:', 'line 2, cameras', 'add or remove some'),
+    'a rig of other cameras': ('cameras:', 'rig: {cameras: [{sensor: kinect_v2, count: 2}]}\n'
+                               'cameras:', 'line 3, cameras[0]', "in the rig's order"),
+    'a rig without those in place': (
+        'cameras:', 'rig: {cameras: [{sensor: realsense_d455}, {horizontal_fov: 90, '
+        'vertical_fov: 60, max_range: 5}]}\ncameras:', 'line 5, cameras[2]', 'leave all of them'),
+    'a name that a camera in place has': (
+        'cameras:\n  - {sensor: realsense_d455', 'rig: {cameras: [{sensor: realsense_d455}, '
+        '{horizontal_fov: 90, vertical_fov: 60, max_range: 5}], fixed: [{sensor: kinect_v2, '
+        'position: [2, 2, 2.2], name: gate}]}\ncameras:\n  - {name: gate', 'line 3, cameras[0]',
+        'another name'),
+    'an error in halves of rows': ('cameras:', 'engine: {error_rows: 64.0}\ncameras:',
+                                   'line 1, engine.error_rows', 'error_rows: 128'),
+    'nothing to move': (HAND[9:HAND.index('  - {sensor: kin')], '', 'line 1, cameras', 'another '
+                        'mount'),
+    'two of one name': ('pitch: 25', 'name: door', 'line 4, cameras[2].name', 'another name'),
+}
+
+
+@pytest.mark.parametrize(('old', 'new', 'place', 'remedy'), BAD.values(), ids=BAD)
+def test_a_bad_placement_is_refused_in_one_sentence(tmp_path, old, new, place, remedy):
+    assert old in HAND
+    with pytest.raises(ConfigurationError) as caught:
+        placement_in(tmp_path, HAND.replace(old, new, 1))
+    message = str(caught.value)
+    assert '\n' not in message and message.startswith(f'placement.yaml: {place}'), message
+    assert remedy in message and 'found' in message and 'expected' in message, message
+
+
+def frames_of(arguments):
+    """Read the arguments of static_transform_publisher: frames, position and rotation."""
+    parser = argparse.ArgumentParser()
+    for option in ('--frame-id', '--child-frame-id'):
+        parser.add_argument(option)
+    for option in ('--x', '--y', '--z', '--roll', '--pitch', '--yaw'):
+        parser.add_argument(option, type=float)
+    found = parser.parse_args(arguments)
+    turn = Rotation.from_euler('xyz', [found.roll, found.pitch, found.yaw])
+    return found.frame_id, found.child_frame_id, np.array([found.x, found.y, found.z]), turn
+
+
+def check_frames(frames, placement):
+    """Assert that transforms put bodies and pictures where the cameras are."""
+    assert [(parent, child) for parent, child, *_ in frames] == [
+        pair for k in range(1, 5)
+        for pair in (('map', f'camera_{k}'), (f'camera_{k}', f'camera_{k}_optical'))]
+    for placed, body, optical in zip(placement.cameras, frames[::2], frames[1::2]):
+        rotation = rotation_matrix(*np.deg2rad(placed.angles))
+        np.testing.assert_allclose(body[2], placed.position, atol=1e-8)
+        np.testing.assert_allclose(body[3].as_matrix(), rotation, atol=1e-8)
+        picture = (body[3] * optical[3]).as_matrix()
+        # The picture's z looks ahead, its x goes right and its y down.
+        np.testing.assert_allclose(picture[:, 2], rotation[:, 0], atol=1e-8)
+        np.testing.assert_allclose(picture[:, 0], -rotation[:, 1], atol=1e-8)
+        np.testing.assert_allclose(picture[:, 1], -rotation[:, 2], atol=1e-8)
+
+
+def test_the_launch_file_publishes_the_cameras_frames(mixed, monkeypatch):
+    launch, ros, actions = (ModuleType(name) for name in (
+        'launch', 'launch_ros', 'launch_ros.actions'))
+    launch.LaunchDescription, actions.Node = list, dict
+    for module in (launch, ros, actions):
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+    placement, content = placement_of(mixed, POSES), {}
+    exec(compile(launch_of(placement), 'cameras.launch.py', 'exec'), content)
+    nodes = content['generate_launch_description']()
+    assert {(node['package'], node['executable']) for node in nodes} == {
+        ('tf2_ros', 'static_transform_publisher')}
+    assert len({node['name'] for node in nodes}) == 8
+    # Numbers that begin with a minus would be taken for options where they are no numbers.
+    check_frames([frames_of(node['arguments']) for node in nodes], placement)
+
+
+def test_the_xacro_file_has_the_same_frames(mixed):
+    placement = placement_of(mixed, POSES)
+    robot = ElementTree.fromstring(xacro_of(placement))
+    macro, = robot
+    assert macro.tag == '{http://www.ros.org/wiki/xacro}macro' and macro.get('params') == 'parent'
+    frames = []
+    for joint in macro.iter('joint'):
+        xyz, rpy = (np.array(joint.find('origin').get(key).split(), dtype=float)
+                    for key in ('xyz', 'rpy'))
+        frames.append((joint.find('parent').get('link').replace('${parent}', 'map'),
+                       joint.find('child').get('link'), xyz, Rotation.from_euler('xyz', rpy)))
+    check_frames(frames, placement)
+    assert [link.get('name') for link in macro.iter('link')] == [child for _, child, *_ in frames]
+
+
+def test_the_table_has_a_row_for_each_camera(mixed):
+    rows = list(csv.DictReader(io.StringIO(table_of(placement_of(mixed, POSES)))))
+    assert [row['name'] for row in rows] == ['azure_kinect_nfov', 'wide_1', 'wide_2', 'x']
+    assert [row['mount'] for row in rows] == ['free', 'free', 'free', 'fixed']
+    assert float(rows[2]['yaw']) == pytest.approx(np.rad2deg(-1.5), abs=1e-3)
+    assert float(rows[1]['horizontal_fov']) == 91.3 and rows[1]['sensor'] == ''
+
+
+@pytest.mark.parametrize('angle', [0.0, 17.0, -40.0])
+def test_the_rectangle_is_that_of_the_walls_however_the_room_stands(angle):
+    room = generate_room(3, 8000)
+    low, high = np.percentile(room.points, [0.3, 99.7], axis=0)
+    walls = walls_around(turned(room, angle))
+    assert [wall.letter for wall in walls] == ['A', 'B', 'C', 'D']
+    assert [wall.length for wall in walls] == pytest.approx(
+        [*(high - low)[:2], *(high - low)[:2]], abs=0.05)
+    out = np.rad2deg(np.arctan2(walls[0].outward[1], walls[0].outward[0]))
+    assert out == pytest.approx(90.0 + angle, abs=0.3)
+
+
+def test_stray_points_seen_through_a_window_do_not_move_the_walls():
+    box = box_room()
+    stray = np.array([[9.0, 7.0, 1.0]]) + np.random.default_rng(0).uniform(size=(20, 3))
+    room = Scene(np.concatenate([box.points, stray]).astype('f4'), 'box')
+    for wall, length in zip(walls_around(room), (6, 4, 6, 4)):
+        assert wall.length == pytest.approx(length, abs=0.02) and wall.stands
+
+
+def test_a_side_without_a_wall_is_said_to_be_none():
+    points = box_room().points
+    room = Scene(points[(points[:, 0] < 5.95) | (points[:, 2] < 0.05)], 'open')
+    assert [wall.stands for wall in walls_around(room)] == [True, False, True, True]
+    assert [wall.length for wall in walls_around(room)] == pytest.approx([6, 4, 6, 4], abs=0.02)
+    placement = placement_of(rig_of(1), np.array([[3.0, 2.0, 1.9]]))
+    assert 'B 4.00 m (no wall stands there' in instructions(room, placement, 'plan.png')
+
+
+def test_the_rectangle_lies_along_the_walls_and_not_along_the_scan():
+    points = box_room(4.0, 4.0).points
+    corner = points[(points[:, :2].sum(axis=1) < 4.05)]
+    walls = walls_around(turned(Scene(corner, 'corner'), 10.0))
+    out = np.rad2deg(np.arctan2(walls[0].outward[1], walls[0].outward[0]))
+    assert out == pytest.approx(100.0, abs=0.2)
+
+
+@pytest.mark.parametrize(('sensor', 'pose', 'words'), [
+    ('d455', [1.0, 0.5, 2.5, 90, 0, 0], ('50 cm from wall C, 100 cm from wall D',
+                                         '250 cm above the floor', 'face wall A squarely',
+                                         'level')),
+    ('d455', [5.8, 3.5, 2.0, 120, 25, 0], ('20 cm from wall B, 50 cm from wall A',
+                                           '200 cm above the floor', 'face wall A squarely, then '
+                                           'turn 30 degrees to the left', '25 degrees down')),
+    ('d455', [5.8, 3.5, 2.0, -20, -10, 5], (
+        '20 cm from wall B, 50 cm from wall A', '200 cm above the floor', 'face wall B squarely, '
+        'then turn 20 degrees to the right', '10 degrees up, rolled 5 degrees clockwise seen from '
+        'behind')),
+    ('d455', [3.1, 1.0, 2.7, 90, 90, 0], ('100 cm from wall C, 290 cm from wall B',
+                                          '270 cm above the floor', 'top of the picture to wall '
+                                          'A', '90 degrees down')),
+    ('d455', [2.9, 1.0, 0.3, 90, -90, 0], ('100 cm from wall C, 290 cm from wall D',
+                                           '30 cm above the floor', 'top of the picture to wall '
+                                           'C', '90 degrees up')),
+    ('omni', [2.9, -0.5, 1.9, 0, 0, 0], ('50 cm beyond wall C, 290 cm from wall D',
+                                         '190 cm above the floor', 'any way round', 'upright')),
+    ('omni', [2.9, 1.0, 1.9, 90, 10, 0], ('100 cm from wall C, 290 cm from wall D',
+                                          '190 cm above the floor', 'any way round', 'upright'))])
+def test_an_installer_is_told_in_words(sensor, pose, words):
+    pose = np.array([*pose[:3], *np.deg2rad(pose[3:])])
+    placed, = placement_of(rig_of(1, sensor), pose[None]).cameras
+    walls = walls_around(box_room())
+    assert words_for(placed, walls, 0.0)[2:] == words
+    # A room that stands elsewhere and otherwise on the map is hung up alike.
+    angle = np.deg2rad(20.0)
+    position = rotation_matrix(angle) @ pose[:3] + [5, 7, 2]
+    moved = np.array([*position, pose[3] + angle, *pose[4:]])
+    placed, = placement_of(rig_of(1, sensor), moved[None]).cameras
+    room = Scene(turned(box_room(), 20.0).points + np.array([5, 7, 2], dtype='f4'), 'moved')
+    assert words_for(placed, walls_around(room), 2.0)[2:] == words
+
+
+def test_the_installers_page_names_walls_and_cameras(mixed):
+    room = Scene(box_room().points - np.array([0.0, 0.0, 1.0], dtype='f4'), 'hall')
+    text = instructions(room, placement_of(mixed, POSES), 'plan.png')
+    assert 'A 6.00 m, B 4.00 m, C 6.00 m, D 4.00 m' in text and '](plan.png)' in text
+    assert '| 4 | x (in place) | realsense_d455 |' in text and '290 cm above the floor' in text
