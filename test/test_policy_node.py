@@ -34,7 +34,7 @@ from ocp_ros.nodes.conversions import (
 from ocp_ros.nodes.policy_config import PLANNERS, PolicyNodeConfig
 from ocp_ros.nodes.policy_node import make_planner, PolicyNode
 from ocp_ros.nodes.sim_node import SimNode
-from ocp_ros.planners.online import ALONE, play
+from ocp_ros.planners.online import play, REFINING
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.moves import bounded_moves
 
@@ -252,7 +252,7 @@ def test_lookahead_refines_what_the_policy_has_settled_on(robot, monkeypatch):
         robot.send(stamp, positions=positions[-1])
         positions.append(msg_to_positions(robot.command(stamp)))
     moved = np.abs(np.diff(positions, axis=0)).max(axis=(1, 2)) > 0.0
-    alone = int(np.ceil(ALONE * 21))
+    alone = int(np.ceil(REFINING * 21))
     assert not moved[:alone].any() and moved[alone:alone + 3].any()
     assert not policy._settled
     robot.send(22, positions=positions[-1])

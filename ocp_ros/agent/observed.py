@@ -16,6 +16,7 @@ from ocp_ros.geometry.surfels import SurfelSettings
 from ocp_ros.geometry.visibility import FAST, SurfelVisibility
 from ocp_ros.scenes.scene import Scene, SceneError, voxel_downsample, voxel_size_for
 from ocp_ros.simulation.simulator import ERROR_CUBE, View
+from ocp_ros.simulation.space import Space
 
 #: Metres: edge of the cells of the air. They are anchored to the map frame's origin, so that they
 #: stay the same while the observed bounding box grows.
@@ -27,8 +28,8 @@ NO_CELL = -1
 #: Points of a cloud per point wanted: of what is denser, points are left out before voxels are
 #: sought, which takes long.
 DENSE = 4
-#: Points and rows of depth maps of a model for quick decisions.
-QUICK_POINTS, QUICK_ROWS = 6000, 32
+#: By what share the cloud grows before a model that is kept is made anew.
+GROWTH = 0.01
 #: Metres: how far inside a corner of the room one looks whether it is there, how far one looks for
 #: it, and how many cameras do.
 INSIDE, FAR, LOOKING = 0.3, 100.0, 2
@@ -101,6 +102,54 @@ class Observed:
         """Return the numbers of the cells that cameras at positions (K, 3) cover together."""
         bits = np.bitwise_or.reduce([self.look(position).covered for position in positions])
         return self.cells[unpack(bits, len(self.cells))]
+
+
+class KeptModel:
+    """
+    The engine on what has been seen, and where cameras may be: kept while little is added.
+
+    To make them takes longer than to try some dozens of places, and late in an episode the cloud
+    grows no more.
+
+    :param max_range: of the cameras, metres.
+    :param wall_margin: cameras stay this far inside the observed bounding box, metres.
+    :param most: of :class:`Observed`, like those that follow.
+    :param rows: of the depth maps.
+    :param settings: rules of visibility.
+    """
+
+    def __init__(self, max_range: float, wall_margin: float, most: int, rows: int,
+                 settings: SurfelSettings = FAST) -> None:
+        self._max_range, self._wall_margin = max_range, wall_margin
+        self._sizes = most, rows, settings
+        #: What was made last, if anything, and of how many points and cameras, at which height.
+        self.made: tuple[Observed, Space] | None = None
+        self._of = 0, 0, 0.0
+
+    def __call__(self, cloud: np.ndarray, positions: np.ndarray) -> tuple[Observed, Space]:
+        """Return the model and where cameras may be; see :meth:`make`."""
+        if self.made is None or not self.lasts(cloud, positions):
+            self.make(cloud, positions)
+        return self.made
+
+    def make(self, cloud: np.ndarray, positions: np.ndarray) -> None:
+        """
+        Make the model.
+
+        :param cloud: (M, 3) float32, metres, map frame: the points seen so far.
+        :param positions: (K, 3) metres: where the cameras are.
+        :raises SceneError: if the points are too few or too flat to be a room.
+        """
+        height = float(np.median(positions[:, 2]))
+        self.made = (Observed(cloud, positions, self._max_range, *self._sizes),
+                     Space.of(cloud, height, len(positions), self._wall_margin))
+        self._of = len(cloud), len(positions), height
+
+    def lasts(self, cloud: np.ndarray, positions: np.ndarray) -> bool:
+        """Tell whether the model does for a cloud and cameras; see :meth:`make`."""
+        points, cameras, height = self._of
+        return (points <= len(cloud) <= (1.0 + GROWTH) * points and cameras == len(positions)
+                and height == float(np.median(positions[:, 2])))
 
 
 class Memory:

@@ -11,14 +11,15 @@ room reverses that axis.
 
 import numpy as np
 
-from ocp_ros.agent.observed import Memory, Observed, QUICK_POINTS, QUICK_ROWS
+from ocp_ros.agent.observed import KeptModel, Memory, Observed
 from ocp_ros.geometry.blocks import count_bits
+from ocp_ros.geometry.visibility import FINE
 from ocp_ros.simulation.space import Space
 
 #: Directions, and the distances, metres, at which a camera is tried in each of them. The first
 #: ones are those it can move in a turn.
 DIRECTIONS = 8
-TRIED = (0.06, 0.2, 0.5, 1.5, 4.0)
+TRIED = (0.04, 0.15, 0.5, 1.5, 4.0)
 MOVES = 3
 #: What is told of each place that is tried, of each direction, and of each camera.
 OF_PLACES, OF_DIRECTIONS, OF_CAMERAS = 4, 4, 7
@@ -30,6 +31,10 @@ CURIOSITY, EXPLORING = 2.0, 0.55
 WIDTH = len(TRIED) * OF_PLACES + OF_DIRECTIONS
 #: Errors are compared as logarithms, with so much of the error of seeing nothing added.
 FLOOR = 0.01
+#: Points and rows of depth maps of the model: on a coarser one the best move is often a bad one.
+POINTS, ROWS = 12000, 64
+#: Share of the turns after which the model is as fine as can be.
+LATE = 0.6
 #: Metres: a place farther than this from where cameras may be counts as beyond.
 BEYOND = 0.15
 #: Metres between the places that are asked for the edge of the floor, and the farthest.
@@ -80,7 +85,7 @@ class WorldTurn:
         for view in views[:camera] + views[camera + 1:]:
             seen |= view.seen
             covered |= view.covered
-        fresh = unseen & ~covered
+        fresh, alone = unseen & ~covered, views[camera].covered & ~covered
         places = position[:2] + WAYS[:, None] * np.array(TRIED)[None, :, None]
         inside = space.inside(places)
         off = np.linalg.norm(inside - places, axis=-1)
@@ -94,11 +99,10 @@ class WorldTurn:
         others = _others(position, np.delete(self.positions, camera, axis=0))
         directions = np.concatenate([tried.reshape(DIRECTIONS, -1), np.column_stack([
             *others, _way_to_the_edge(space, position[:2]), WAYS @ self.moved[camera]])], axis=1)
-        covers = int(count_bits(views[camera].covered & unseen)) / self._count
+        cells = max(len(model.cells), 1)
         own = (self._ratio(model.depth_error(seen), error),
-               self._ratio(error, model.depth_error.worst), self.time,
-               self._count / max(len(model.cells), 1), covers, space.area / 100.0,
-               len(self.positions) / 4.0)
+               self._ratio(error, model.depth_error.worst), self.time, self._count / cells,
+               int(count_bits(alone)) / cells, space.area / 100.0, len(self.positions) / 4.0)
         return directions.astype(np.float32), np.array(own, dtype=np.float32)
 
     def _ratio(self, one: float, other: float) -> float:
@@ -124,6 +128,8 @@ class WorldInputs:
         """Forget the last episode."""
         self._memory = Memory()
         self._last: np.ndarray | None = None
+        self._model = KeptModel(self.max_range, self.wall_margin, POINTS, ROWS)
+        self._fine = KeptModel(self.max_range, self.wall_margin, POINTS, ROWS, FINE)
 
     def turn(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> WorldTurn:
         """
@@ -140,9 +146,8 @@ class WorldInputs:
             moved = (positions - self._last)[:, :2] / self.max_step
         self._last = positions.copy()
         self._memory.visit(positions)
-        model = Observed(cloud, positions, self.max_range, QUICK_POINTS, QUICK_ROWS)
-        space = Space.of(cloud, float(np.median(positions[:, 2])), len(positions),
-                         self.wall_margin)
+        kept = self._fine if turn >= LATE * turns else self._model
+        model, space = kept(cloud, positions)
         return WorldTurn(model, self._memory.unseen(model), space, positions, moved, turn / turns)
 
     def __call__(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int

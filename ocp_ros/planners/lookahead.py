@@ -13,7 +13,7 @@ what the room does not keep.
 
 import numpy as np
 
-from ocp_ros.agent.observed import Memory, Observed, QUICK_POINTS, QUICK_ROWS
+from ocp_ros.agent.observed import KeptModel, Memory, Observed
 from ocp_ros.geometry.blocks import count_bits
 from ocp_ros.geometry.visibility import FINE
 from ocp_ros.planners.online import cell_weight, Online, REFINING, shared_out
@@ -22,6 +22,8 @@ from ocp_ros.simulation.space import Space
 
 #: Metres between candidates, and the most there are: in a larger room they are farther apart.
 SPACING, CANDIDATES = 0.5, 400
+#: Points and rows of depth maps of the model that candidates are compared on.
+QUICK_POINTS, QUICK_ROWS = 6000, 32
 #: Turns that candidates are kept for; the first computes their views, the others anneal.
 KEPT = 3
 #: Proposals of a turn of annealing among candidates.
@@ -30,7 +32,7 @@ EXCHANGES = 3000
 HOT, COLD = 0.04, 2e-4
 #: Share of its proposals that go anywhere; the others go to one of so many nearest candidates.
 ANYWHERE, NEIGHBOURS = 0.3, 12
-#: Points and rows of depth maps of the model to refine on, and turns that it is kept for.
+#: Points and rows of depth maps of the model to refine on, and turns that it is kept for at least.
 REFINING_POINTS, REFINING_ROWS, REFINING_KEPT = 25000, 64, 4
 #: Proposals of a turn of refinement, and of one that makes a model as well.
 STEPS, FEWER_STEPS = 80, 20
@@ -123,17 +125,14 @@ class Lookahead(Online):
         self._plan: np.ndarray | None = None
         self._candidates: Candidates | None = None
         self._chosen: list[int] = []
-        self._model: Observed | None = None
+        self._kept = KeptModel(self.max_range, self.wall_margin, REFINING_POINTS, REFINING_ROWS,
+                               FINE)
         #: Turn of the last model or of the last candidates.
         self._made = 0
 
-    def watch(self, positions: np.ndarray) -> None:
-        """Remember where the cameras were."""
-        self._memory.visit(positions)
-
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`Online.move`."""
-        self.watch(positions)
+        self._memory.visit(positions)
         try:
             if turn >= REFINING * turns:
                 self._refine(cloud, positions, turn, turns)
@@ -170,11 +169,11 @@ class Lookahead(Online):
     def _refine(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Anneal the plan, or the placement where there is none, among what can be reached."""
         steps = STEPS
-        if self._model is None or turn - self._made >= REFINING_KEPT:
-            self._model = Observed(cloud, positions, self.max_range, REFINING_POINTS,
-                                   REFINING_ROWS, FINE)
+        if self._kept.made is None or (turn - self._made >= REFINING_KEPT
+                                       and not self._kept.lasts(cloud, positions)):
+            self._kept.make(cloud, positions)
             self._made, steps = turn, FEWER_STEPS
-        model, space, first = self._model, self.space(cloud, positions), REFINING * turns
+        (model, space), first = self._kept.made, REFINING * turns
         placed = positions[:, :2] if self._plan is None else self._plan
         placed = best = self.towards(positions, space.inside(placed), turns - turn)
         views = [model.look(position) for position in space.placement(placed)]

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
 #: Share of the turns after which plans are refined: before that too little has been seen.
 REFINING = 0.6
-#: Share of the turns that a policy plays alone where lookahead follows.
-ALONE = 0.3
 
 
 def shared_out(positions: np.ndarray, targets: np.ndarray) -> np.ndarray:
@@ -56,9 +54,6 @@ class Online(ABC):
 
     def reset(self) -> None:  # noqa: B027
         """Forget the last episode; most planners remember nothing."""
-
-    def watch(self, positions: np.ndarray) -> None:  # noqa: B027
-        """Take note of a turn that another planner plays: the cameras are at (K, 3) metres."""
 
     @abstractmethod
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
@@ -192,10 +187,10 @@ class HandRule(Online):
 
 class ThenLookahead(Online):
     """
-    One planner explores, another plans on what it has seen.
+    One planner explores and settles, another refines its placement on what has been seen.
 
     :param first: plays the first turns, such as :class:`Learned`.
-    :param lookahead: plays the others.
+    :param lookahead: plays the others, in which it only refines.
     """
 
     def __init__(self, first: Online, lookahead: Online) -> None:
@@ -209,7 +204,5 @@ class ThenLookahead(Online):
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`Online.move`."""
-        if turn >= ALONE * turns:
-            return self.lookahead.move(cloud, positions, turn, turns)
-        self.lookahead.watch(positions)
-        return self.first.move(cloud, positions, turn, turns)
+        planner = self.lookahead if turn >= REFINING * turns else self.first
+        return planner.move(cloud, positions, turn, turns)
