@@ -15,7 +15,7 @@ class PolicyNodeConfig:
     planner: str = setting(
         LOOKAHEAD, 'who chooses the moves: learned, a trained policy; lookahead, planning on what '
         'has been seen, which needs no weights and takes none that arrive; learned+lookahead, the '
-        'policy first and lookahead then', choices=PLANNERS)
+        'policy first, then lookahead, which refines', choices=PLANNERS)
     model: str = setting(
         'default', 'path to weights, or the name of a model of the package; lookahead does not '
         'read it')
