@@ -3,6 +3,7 @@
 
 import argparse
 from collections.abc import Callable
+import os
 from pathlib import Path
 import sys
 
@@ -222,6 +223,10 @@ def main(argv: list[str] | None = None) -> int:
     arguments.argv = sys.argv[1:] if argv is None else argv
     try:
         arguments.run(arguments)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # Whoever reads has seen enough, such as head; nobody is left to be told.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except (SceneError, ConfigurationError, CheckpointError, OSError) as error:
         print(f'ocp: {error}', file=sys.stderr)
         return 2

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Generated rooms: furnished like offices, scanned like rooms, and the same for the same seed."""
 
+import os
 import re
+import subprocess
+import sys
 
 from hypothesis import given, settings, strategies
 from matplotlib.image import imread
@@ -223,3 +226,18 @@ def test_numbers_that_make_no_room_are_refused(capsys, arguments, words):
     with pytest.raises(SystemExit) as end:
         cli.main(['rooms', *arguments])
     assert end.value.code == 2 and words in capsys.readouterr().err
+
+
+def test_nobody_is_told_of_a_pipe_that_was_closed(tmp_path):
+    """As where ``head`` has seen enough."""
+    read, write = os.pipe()
+    os.close(read)
+    try:
+        done = subprocess.run(
+            [sys.executable, '-m', 'ocp_ros.cli', 'rooms', 'make', '3', '--points', '1000',
+             '--out', str(tmp_path)], stdout=write, stderr=subprocess.PIPE, text=True)
+    finally:
+        os.close(write)
+    assert done.returncode == 0
+    assert 'ipe' not in done.stderr
+    assert list(tmp_path.glob('room-3*.ply'))
