@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fixtures for real nodes on real DDS in one process, without launch files."""
 
-from contextlib import ExitStack
+from contextlib import contextmanager, ExitStack
 from dataclasses import replace
 import os
 from pathlib import Path
@@ -13,6 +13,7 @@ import pytest
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.config import AgentConfig, INPUTS
 from ocp_ros.agent.encoder import Encoder
+from ocp_ros.configuration import ConfigurationError
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import Scene
 
@@ -232,3 +233,23 @@ def l_shaped(pitch=0.1):
         for z in np.arange(0.0, 2.8, pitch):
             walls.append(np.column_stack([along, np.full(len(along), z)]))
     return Scene(np.concatenate([*level, *walls]).astype(np.float32), 'L')
+
+
+def flat_clouds():
+    """Return clouds that are no room, by what they are."""
+    wall = np.random.default_rng(0).uniform(0.0, 3.0, (500, 3))
+    wall[:, 0] = 2.0
+    askew = wall.copy()
+    askew[:, 0] = askew[:, 1]
+    return {'empty': np.empty((0, 3)), 'one point': np.ones((1, 3)),
+            'all alike': np.ones((300, 3)), 'one wall': wall, 'one wall askew': askew}
+
+
+@contextmanager
+def refused_in_one_sentence(place, remedy):
+    """Expect an error of a single sentence that begins with a place and has a remedy."""
+    with pytest.raises(ConfigurationError) as caught:
+        yield
+    message = str(caught.value)
+    assert '\n' not in message and message.startswith(place), message
+    assert remedy in message and 'found' in message and 'expected' in message, message

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the agent knows of a room: the engine on what was seen, and the world-model inputs."""
 
-from conftest import around_z, box_room, l_shaped
+from conftest import around_z, box_room, flat_clouds, l_shaped
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -230,17 +230,6 @@ def test_the_last_move_is_told_in_steps_and_by_direction(room):
     assert told[0, 0] == 1.0 and told[1, 6] == pytest.approx(0.4)
     # Another number of cameras is another rig.
     assert not world(room.points, positions[:2], 2, 30)['directions'][..., MOVED].any()
-
-
-def flat_clouds():
-    """Return clouds that are no room."""
-    rng = np.random.default_rng(0)
-    wall = rng.uniform(0.0, 3.0, (500, 3))
-    wall[:, 0] = 2.0
-    askew = wall.copy()
-    askew[:, 0] = askew[:, 1]
-    return {'empty': np.empty((0, 3)), 'one point': np.ones((1, 3)), 'one wall': wall,
-            'one wall askew': askew, 'all alike': np.ones((300, 3))}
 
 
 @pytest.mark.parametrize('kind', flat_clouds())

@@ -66,7 +66,8 @@ def improvements(objective: Objective, allowed: Allowed, poses: np.ndarray,
         where most of it is; ``one_more``: the best candidate, or None where none is allowed.
     """
     simulator, rig = objective.simulator, objective.rig
-    seen = objective.judge(views).seen
+    worth = objective.judge(views)
+    seen = worth.seen
     models = [rig.models.index(model) for model in dict.fromkeys(
         camera.model for camera in rig.cameras)]
     best, reachable = None, seen.bits.copy()
@@ -87,7 +88,7 @@ def improvements(objective: Objective, allowed: Allowed, poses: np.ndarray,
     hopeless = ~Subset(reachable, simulator.visibility.order).mask
     return {'missed': {'share': float(missed.mean()), 'hopeless': float(hopeless.mean()),
                        'places': _parts(simulator.scene.points[missed], len(simulator.scene))},
-            'one_more': best and _addition(*best, objective.judge(views).depth_error)}
+            'one_more': best and _addition(*best, worth.depth_error)}
 
 
 def _addition(error: float, camera: Camera, pose: np.ndarray, before: float) -> dict[str, Any]:
