@@ -328,3 +328,21 @@ def test_the_paper_preset_runs(room):
                               reward=RewardConfig(kind='paper'))
     record = play(CameraPlacementEnv([room], config), 2)
     assert np.isfinite([r[1] for r in record]).all()
+
+
+def test_the_shares_of_the_cameras_add_up_to_the_reward_of_the_turn(room):
+    config = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=32))
+    episode = Episode(Simulator(room, config), np.random.default_rng(0))
+    rng = np.random.default_rng(1)
+    for turn in range(3):
+        before = episode.turn
+        episode.move(rng.uniform(-0.3, 0.3, (4, 2)))
+        order = np.roll(np.arange(4), turn)
+        shares = episode.shares(order)
+        assert sum(share.reward for share in shares) == pytest.approx(episode.turn.terms.reward)
+        # The first one alone has moved when its share is told.
+        alone = before.positions.copy()
+        alone[order[0]] = episode.turn.positions[order[0]]
+        judged = episode.simulator.evaluate(alone)
+        assert shares[0].delta_depth_error == pytest.approx(
+            before.depth_error - judged.depth_error)

@@ -20,6 +20,7 @@ from std_msgs.msg import Float64, Float64MultiArray, Header
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
+from ocp_ros.agent.encoder import order_of
 from ocp_ros.configuration import group, setting
 from ocp_ros.nodes import health, topics
 from ocp_ros.nodes.conversions import (
@@ -129,7 +130,10 @@ class SimNode(Node):
         now, before = ns_to_stamp(self._stamp), ns_to_stamp(self._previous)
         values = (now.sec, now.nanosec, before.sec, before.nanosec, self._episodes, turn.step,
                   *terms, turn.space_coverage, turn.depth_error, False, turn.truncated)
-        return dict(zip(topics.REWARD_FIELDS, values, strict=True))
+        order = order_of(turn.step - 1, len(turn.positions)) if turn.step else ()
+        shares = {topics.share(number): share.reward
+                  for number, share in enumerate(self.episode.shares(order))}
+        return dict(zip(topics.REWARD_FIELDS, values, strict=True)) | shares
 
     def _send_turn(self) -> None:
         """Send the latest turn, and wait anew for its command."""

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """One episode: a rig moves through a scene turn by turn, and what it has seen stays seen."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ocp_ros.simulation.moves import kept_inside
 from ocp_ros.simulation.reward import NO_REWARD, reward, RewardTerms
-from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.simulation.simulator import Simulator, View
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,10 @@ class Episode:
         self.rig = rig if cameras is None else replace(rig, cameras=cameras)
         self.config = simulator.config.episode
         self.observed = simulator.nothing()
+        self._views: list[View] = []
         self.turn = self._look(0, self._start(rng), NO_REWARD)
+        #: The turn before, and what each camera saw then.
+        self._before = self.turn, self._views
 
     def _start(self, rng: np.random.Generator) -> np.ndarray:
         """Draw the cameras' positions around the centre: (K, 3) metres."""
@@ -73,7 +77,7 @@ class Episode:
         target[:, :2] += moves * np.minimum(
             self.config.max_step / np.maximum(length, 1e-12), 1.0)
         target, outside = kept_inside(target, self.scene.bounds, self.config.wall_margin)
-        before = self.turn
+        before, self._before = self.turn, (self.turn, self._views)
         self.turn = self._look(before.step + 1, target, NO_REWARD)
         simulator = self.simulator
         terms = reward((before.space_coverage, before.depth_error),
@@ -82,10 +86,32 @@ class Episode:
         self.turn = Turn(**{**vars(self.turn), 'terms': terms})
         return self.turn
 
+    def shares(self, order: Sequence[int]) -> list[RewardTerms]:
+        """
+        Say what each camera's last move was worth, as if they had moved one after the other.
+
+        Of a reward that telescopes, the shares add up to that of the turn.
+
+        :param order: in which the cameras moved.
+        :returns: one per camera, in this order.
+        """
+        turn, views = self._before
+        views, simulator, found = list(views), self.simulator, []
+        before = turn.space_coverage, turn.depth_error
+        for camera in order:
+            views[camera] = self._views[camera]
+            result = simulator.judge(views)
+            after = result.space_coverage, result.depth_error
+            found.append(reward(before, after, False, simulator.volume,
+                                simulator.depth_error.worst, simulator.config.reward))
+            before = after
+        return found
+
     def _look(self, step: int, positions: np.ndarray, terms: RewardTerms) -> Turn:
         """Judge the placement and remember what it sees."""
-        result = self.simulator.evaluate(
-            np.hstack([positions, self.rig.headings]))
+        self._views = [self.simulator.look(pose, camera) for camera, pose in enumerate(
+            np.hstack([positions, self.rig.headings]))]
+        result = self.simulator.judge(self._views)
         self.observed |= result.seen
         return Turn(step, positions, result.space_coverage, result.depth_error, terms,
                     truncated=step >= self.config.turns)
