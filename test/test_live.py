@@ -380,3 +380,15 @@ def test_drivers_of_every_profile_are_heard():
     from rclpy.qos import qos_profile_sensor_data
     for driver in (qos_profile_sensor_data, qos.LOOP, qos.LATCHED, qos.SENSOR):
         assert qos_check_compatible(driver, qos.SENSOR)[0] == QoSCompatibility.OK
+
+
+def test_clouds_that_come_while_the_node_is_busy_are_dropped_but_the_newest(graph, probe, room):
+    policy, heard = graph.add(PolicyNode, cloud_topics='points'), []
+    policy._live._turns.on_cloud = lambda topic, stamp, cloud: heard.append(stamp)
+    clouds = probe.publisher(PointCloud2, 'points', qos.LOOP)
+    # Nobody spins meanwhile, as in a long turn.
+    for stamp in range(1, 41):
+        clouds.publish(cloud_to_msg(
+            room.points, Header(stamp=ns_to_stamp(stamp), frame_id='map')))
+    graph.until(lambda: heard and heard[-1] == 40)
+    assert len(heard) < 40

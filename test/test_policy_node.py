@@ -196,13 +196,19 @@ def _of_a_whole_town(cloud):
     cloud.data[:4] = array('B', np.float32(1e6).tobytes())
 
 
+def _elsewhere(cloud):
+    """Show a single point so far away that a camera inside its box would be nowhere."""
+    cloud.width, cloud.row_step = 1, 12
+    cloud.data = array('B', np.float32([1e20, 1e20, 1e20]).tobytes())
+
+
 def _without_points(cloud):
     cloud.width, cloud.row_step, cloud.data = 0, 0, []
 
 
 @pytest.mark.parametrize('spoil', [
     _without_x, _short, _of_integers, _beyond_the_point, _overflowing, _wrong_row_step,
-    _of_a_whole_town, _without_points])
+    _of_a_whole_town, _elsewhere, _without_points])
 def test_a_malformed_cloud_is_refused_and_the_node_lives(robot, room, spoil, capfd):
     policy = robot.start()
     header = Header(stamp=ns_to_stamp(1), frame_id='map')

@@ -11,23 +11,28 @@ pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray
-from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
 
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.agent.config import AgentConfig
-from ocp_ros.agent.encoder import Encoder
+from ocp_ros.agent.policy import Policy
 from ocp_ros.nodes import qos, topics
 from ocp_ros.nodes.conversions import (
-    cloud_to_msg,
+    bytes_to_msg,
     fields_to_msg,
     msg_to_bytes,
+    msg_to_fields,
     ns_to_stamp,
     positions_to_msg,
 )
 from ocp_ros.nodes.policy_node import PolicyNode
 from ocp_ros.nodes.sim_node import SimNode
-from ocp_ros.nodes.trainer_node import TrainerNode, TrainerNodeConfig, TurnEncoder
+from ocp_ros.nodes.source import topic_of
+from ocp_ros.nodes.trainer_node import TrainerNode, TrainerNodeConfig
+from ocp_ros.simulation.env import CameraPlacementEnv
+from ocp_ros.simulation.episode import Episode
+from ocp_ros.training.encoded import CameraByCamera, EncodedObservation
+from ocp_ros.training.experience import Choice, Experience, to_bytes
 from ocp_ros.training.transitions import Transition
 
 SIM = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
@@ -48,196 +53,255 @@ def start(graph, tmp_path):
     return starter
 
 
-def made_up(agent, seed=0, cameras=4):
+def made_up(agent, seed=0, cameras=1):
     """Return a transition between random observations."""
     before, after = (observation(agent, cameras, seed + turn) for turn in (0, 1))
     return Transition(before, np.zeros((cameras, 2), np.float32), 1.0, after, False)
 
 
+class Loop:
+    """What a rig and its policy publish in a namespace, made up by hand."""
+
+    def __init__(self, probe, agent, namespace='/'):
+        def publisher(kind, name):
+            return probe.publisher(kind, topic_of(namespace, name), qos.LOOP)
+
+        self.agent = agent
+        self.experiences = publisher(UInt8MultiArray, topics.EXPERIENCE)
+        self.poses = publisher(PoseArray, topics.CAMERA_POSES)
+        self.rewards = publisher(Float64MultiArray, topics.REWARD)
+
+    def experience(self, stamp, turn, targets=POSITIONS):
+        """Send what a policy chose."""
+        choices = [Choice(observation(self.agent, 1, 10 * stamp + number),
+                          np.full((1, 2), 0.1 * number, np.float32))
+                   for number in range(len(targets))]
+        self.experiences.publish(bytes_to_msg(to_bytes(
+            Experience(stamp, turn, targets, choices))))
+
+    def pose(self, stamp, at=POSITIONS):
+        """Send where the cameras are."""
+        header = Header(stamp=ns_to_stamp(stamp), frame_id='map')
+        self.poses.publish(positions_to_msg(at, header))
+
+    def reward(self, previous, stamp, step=1.0, shares=(0.2, 0.3)):
+        """Send what a turn was worth."""
+        values = dict.fromkeys(topics.REWARD_FIELDS, 0.0)
+        values |= {'previous_nanosec': previous, 'stamp_nanosec': stamp, 'step': step,
+                   'reward': sum(shares)}
+        values |= {topics.share(number): share for number, share in enumerate(shares)}
+        self.rewards.publish(fields_to_msg(values))
+
+    def turn(self, stamp):
+        """Send all parts of the turn that ends with a stamp; the first turn is 1."""
+        if stamp == 1:
+            self.reward(0, 1, 0.0)
+        else:
+            self.reward(stamp - 1, stamp, stamp - 1)
+        self.experience(stamp, stamp - 1)
+        self.pose(stamp)
+
+
 @pytest.fixture
-def listen(probe, start, room):
-    """Return a function that starts a trainer and gives the probe publishers for its topics."""
-    def header(stamp):
-        return Header(stamp=ns_to_stamp(stamp), frame_id='map')
+def loop(probe, start):
+    """Return what a trainer hears, and the trainer."""
+    trainer = start()
+    made = Loop(probe, trainer.config.agent)
+    made.trainer, made.graph, made.source = trainer, probe.graph, trainer.sources['/']
+    return made
 
-    def listener(**parameters):
-        probe.trainer = start(cameras=2, **parameters)
-        clouds = probe.publisher(PointCloud2, topics.OBSERVATION, qos.LOOP)
-        poses = probe.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
-        commands = probe.publisher(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
-        rewards = probe.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
 
-        def reward(previous, stamp, step=1.0, episode=1.0):
-            values = dict.fromkeys(topics.REWARD_FIELDS, 0.0)
-            values |= {'previous_nanosec': previous, 'stamp_nanosec': stamp, 'step': step,
-                       'episode': episode, 'reward': 0.5}
-            rewards.publish(fields_to_msg(values))
+def counts_of(trainer):
+    """Return the counts of all sources by their namespaces."""
+    return {name: source.status() for name, source in trainer.sources.items()}
 
-        def cloud(stamp, points=room.points):
-            clouds.publish(cloud_to_msg(points, header(stamp)))
 
-        def pose(stamp, at=POSITIONS):
-            poses.publish(positions_to_msg(at, header(stamp)))
-
-        def command(stamp, at=POSITIONS):
-            commands.publish(positions_to_msg(at, header(stamp)))
-
-        probe.cloud, probe.pose, probe.command, probe.reward = cloud, pose, command, reward
-        return probe
-
-    return listener
+def test_a_turn_is_one_transition_per_camera(loop, monkeypatch):
+    learned = []
+    monkeypatch.setattr(loop.trainer.learner, 'add', learned.append)
+    loop.source._learn = loop.trainer.learner.add
+    for stamp in (1, 2):
+        loop.turn(stamp)
+    loop.graph.until(lambda: len(learned) == 2)
+    expected = [observation(loop.agent, 1, seed) for seed in (10, 11, 20)]
+    for number, found in enumerate(learned):
+        assert_same(found.observation, expected[number])
+        assert_same(found.next_observation, expected[number + 1])
+        np.testing.assert_allclose(found.actions, np.full((1, 2), 0.1 * number))
+        assert found.reward == (0.2, 0.3)[number] and not found.terminated
 
 
 @pytest.fixture
-def topics_of_a_loop(listen):
-    """Return the probe with publishers for the parts of a transition."""
-    return listen()
+def recorded(graph, tmp_path, monkeypatch, small_agent):
+    """Return a function that plays an episode over ROS; the sim, weights and what was learned."""
+    def play(inputs, cameras, turns=3):
+        config = AgentConfig(**{**vars(small_agent), 'inputs': inputs})
+        weights = random_checkpoint(config)
+        weights.save(tmp_path / 'm.safetensors')
+        trainer = graph.add(TrainerNode, folder=str(tmp_path / 'run'), cameras=cameras,
+                            agent__inputs=inputs, **AGENT, **SAC)
+        learned = []
+        trainer.sources['/']._learn = lambda one: learned.append(one) or True
+        graph.add(PolicyNode, model=str(tmp_path / 'm.safetensors'), explore=True, turns=turns)
+        sim = graph.add(SimNode, seed=3, rig__cameras=cameras, episode__turns=turns, **SIM)
+        count = turns * (1 if inputs == 'cloud' else cameras)
+        graph.until(lambda: len(learned) >= count, timeout=60.0)
+        assert counts_of(trainer)['/'] == {
+            'turns': turns, 'transitions': count, 'incomplete': 0, 'inconsistent': 0,
+            'refused': 0, 'dropped': 0}
+        return sim, weights, learned
+    return play
 
 
-def one_turn(loop, clouds=(1, 2), poses=(1, 2)):
-    """Send all parts of a transition; clouds and poses in an order of their own."""
-    loop.reward(0, 1, 0.0)
-    loop.command(1)
-    loop.reward(1, 2)
-    for stamp in clouds:
-        loop.cloud(stamp)
-    for stamp in poses:
+@pytest.mark.parametrize('inputs', ['world', 'both', 'cloud'])
+def test_what_is_learned_over_ros_is_what_is_learned_in_one_process(recorded, inputs):
+    sim, weights, learned = recorded(inputs, 3)
+    env = CameraPlacementEnv([sim.simulator.scene], sim.config)
+    kind = EncodedObservation if inputs == 'cloud' else CameraByCamera
+    wrapped = kind(env, weights.config)
+    wrapped.reset()
+    # The same episode: where it starts is drawn as the node draws it.
+    env.episode = Episode(sim.simulator, np.random.default_rng(3))
+    wrapped._encoder.reset()
+    before = wrapped._encoded() if inputs == 'cloud' else wrapped._begin()
+    policy, rng = Policy(weights), np.random.default_rng(0)
+    for found in learned:
+        action = policy.choose(before, rng)
+        after, reward, terminated, _, _ = wrapped.step(action)
+        np.testing.assert_allclose(found.actions, action, atol=1e-4)
+        for name, value in found.observation.items():
+            np.testing.assert_allclose(value, before[name], atol=1e-3, err_msg=name)
+            np.testing.assert_allclose(found.next_observation[name], after[name], atol=1e-3)
+        assert found.reward == pytest.approx(reward, abs=1e-3)
+        assert found.terminated == terminated
+        before = after
+
+
+def test_a_policy_of_other_sizes_is_refused_with_a_reason(loop, probe, capfd):
+    other = Loop(probe, AgentConfig(inputs='both'))
+    other.experience(1, 0)
+    loop.graph.until(lambda: loop.source.counts['refused'] == 1)
+    assert 'give policy and trainer the same agent settings' in capfd.readouterr().err
+    for stamp in (1, 2):
+        loop.turn(stamp)
+    loop.graph.until(lambda: loop.trainer.learner.transitions == 2)
+
+
+def test_malformed_parts_are_refused_and_the_node_lives(loop):
+    loop.pose(2, np.full((2, 3), np.nan))
+    loop.graph.until(lambda: loop.source.counts['refused'] == 1)
+    loop.reward(np.nan, 3)
+    loop.graph.until(lambda: loop.source.counts['refused'] == 2)
+    loop.reward(1, 3, shares=(np.inf, 0.0))
+    loop.graph.until(lambda: loop.source.counts['refused'] == 3)
+    for number, blob in enumerate((b'', b'\xff' * 64, b'\x80\x04K\x01.')):
+        loop.experiences.publish(bytes_to_msg(blob))
+        loop.graph.until(lambda at=number: loop.source.counts['refused'] == 4 + at)
+    for stamp in (1, 2):
+        loop.turn(stamp)
+    loop.graph.until(lambda: loop.trainer.learner.transitions == 2)
+
+
+def test_stamps_may_begin_anew(loop):
+    for stamp in (101, 102, 103):
+        loop.experience(stamp, stamp - 101)
         loop.pose(stamp)
-    loop.graph.until(lambda: loop.trainer.assembler.assembled == 1)
-    loop.graph.until(lambda: loop.trainer.learner.transitions == 1)
-
-
-@pytest.mark.parametrize('inputs', ['world', 'both'])
-def test_a_transition_is_assembled_by_stamp(listen, inputs):
-    one_turn(listen(agent__inputs=inputs))
-
-
-def test_turns_may_come_in_any_order_where_each_is_encoded_on_its_own(listen):
-    loop = listen(agent__inputs='cloud')
-    loop.reward(1, 2)
-    loop.command(1)
-    for stamp in (2, 1):
-        loop.cloud(stamp)
+        loop.reward(stamp - 1, stamp, stamp - 101)
+    loop.graph.until(lambda: loop.source.assembler.assembled == 2)
+    for stamp in (1, 2):
+        # One after the other: a first turn that came before its reward would be forgotten.
+        loop.reward(stamp - 1, stamp, stamp - 1)
+        loop.graph.until(lambda at=stamp: loop.source._newest == at)
+        loop.experience(stamp, stamp - 1)
         loop.pose(stamp)
-    loop.graph.until(lambda: loop.trainer.assembler.assembled == 1)
-    loop.graph.until(lambda: loop.trainer.learner.transitions == 1)
+    loop.graph.until(lambda: loop.source.assembler.assembled == 3)
 
 
-def seen(room, turn):
-    """Return what has been seen, and where two cameras are, at a turn of a made-up episode."""
-    return room.points[:1200 + 150 * turn], POSITIONS + [0.2 * turn, -0.1 * turn, 0.0]
+def test_many_policies_are_learned_from_counted_and_told(graph, probe, start):
+    trainer = start(updates_per_turn=4.0)
+    loops = {name: Loop(probe, trainer.config.agent, name) if name == '/' else None
+             for name in ('/', '/env_0', '/far/env_1')}
+    for name in ('/env_0', '/far/env_1'):
+        # Whoever explores is found; what else has the name of the topic is not listened to.
+        probe.node.create_publisher(
+            UInt8MultiArray, topic_of(name, topics.EXPERIENCE), qos.LOOP)
+    probe.node.create_publisher(PoseArray, '/wrong/experience', qos.LOOP)
+    graph.until(lambda: len(trainer.sources) == 3)
+    assert set(trainer.sources) == set(loops)
+    heard = {name: [] for name in loops}
+    status = {name: [] for name in loops}
+    for name in loops:
+        loops[name] = loops[name] or Loop(probe, trainer.config.agent, name)
+        for kind, topic, found in ((UInt8MultiArray, topics.POLICY_WEIGHTS, heard[name]),
+                                   (Float64MultiArray, topics.TRAINING, status[name])):
+            probe.node.create_subscription(kind, topic_of(name, topic), found.append, qos.LATCHED)
+    for number, loop in enumerate(loops.values()):
+        for stamp in range(1, 5 + number):
+            loop.turn(stamp)
+    graph.until(lambda: trainer.learner.transitions == 2 * (3 + 4 + 5))
+    assert [one['turns'] for one in counts_of(trainer).values()] == [3, 4, 5]
+    values = trainer._status()[2]
+    assert (values['turns /env_0'], values['turns'], values['sources']) == (4, 12, 3)
+    # The same weights for all.
+    graph.until(lambda: all(heard.values()), timeout=60.0)
+    updates = {Checkpoint.from_bytes(msg_to_bytes(found[0])).updates for found in heard.values()}
+    assert len(updates) == 1
+    for name, turns in zip(loops, (3, 4, 5)):
+        graph.until(lambda of=name, count=turns: any(
+            msg_to_fields(message, topics.TRAINING_FIELDS)['turns'] == count
+            for message in status[of]))
 
 
-def test_turns_are_encoded_as_the_policy_encodes_them(listen, room, monkeypatch):
-    loop = listen(turns=4, max_range=3.0, wall_margin=0.2)
-    trainer, learned = loop.trainer, []
-    monkeypatch.setattr(trainer.learner, 'add', learned.append)
-    number, last = 0, {1: 3, 2: 5}
-    for episode in last:
-        for turn in range(last[episode] + 1):
-            cloud, positions = seen(room, turn)
-            number += 1
-            loop.pose(number, positions)
-            loop.cloud(number, cloud)
-            loop.reward(number - 1, number, turn, episode)
-            if turn < last[episode]:
-                loop.command(number, seen(room, turn + 1)[1])
-            loop.graph.until(lambda at=number: trainer.assembler.knows(at))
-    loop.graph.until(lambda: len(learned) == 3 + 5)
-    encoder = Encoder(trainer.config.agent, 3.0, 0.5, 0.2)
-    transitions = iter(learned)
-    for turns in last.values():
-        encoder.reset()
-        # A simulation that plays more turns than the policy: those count as its last.
-        encoded = [encoder(*seen(room, turn), min(turn, 4), 4) for turn in range(turns + 1)]
-        for before, after in zip(encoded, encoded[1:]):
-            found = next(transitions)
-            assert_same(found.observation, before)
-            assert_same(found.next_observation, after)
+def test_only_the_sources_that_are_named_are_learned_from(graph, probe, start):
+    trainer = start(sources='env_1, /a/env_2/')
+    probe.node.create_publisher(UInt8MultiArray, '/env_3/experience', qos.LOOP)
+    probe.publisher(UInt8MultiArray, '/a/env_2/experience', qos.LOOP)
+    graph.until(lambda: trainer.count_publishers('/env_3/experience'))
+    trainer._discover()
+    assert set(trainer.sources) == {'/env_1', '/a/env_2'}
 
 
-@pytest.fixture
-def turn_encoder(small_agent):
-    """Return what encodes turns, and a function that encodes some turns of an episode by hand."""
-    return TurnEncoder(Encoder(small_agent), 30)
+def test_policies_wait_while_the_trainer_is_behind(graph, probe, start, tmp_path, small_agent,
+                                                   monkeypatch):
+    random_checkpoint(small_agent).save(tmp_path / 'm.safetensors')
+    trainer = start(most_behind=8)
+    release, train = threading.Event(), trainer.learner.model.train
+
+    def wait_and_train(*arguments):
+        release.wait(60.0)
+        train(*arguments)
+
+    monkeypatch.setattr(trainer.learner.model, 'train', wait_and_train)
+    policy = graph.add(PolicyNode, model=str(tmp_path / 'm.safetensors'), explore=True)
+    sim = graph.add(SimNode, auto_reset=True, resend_period=0.05, episode__turns=5, **SIM)
+    try:
+        graph.until(lambda: policy._experiences.held, timeout=60.0)
+        answered, resent = policy._counts['turns_answered'], sim._counts['resent_turns']
+        # The simulation goes on asking, and the policy on waiting.
+        graph.until(lambda: sim._counts['resent_turns'] >= resent + 5)
+        assert policy._counts['turns_answered'] <= answered + 1
+    finally:
+        release.set()
+    graph.until(lambda: policy._counts['turns_answered'] >= answered + 3, timeout=60.0)
+    assert trainer.learner.dropped == 0
 
 
-def add(encoder, room, stamp, step, episode=1):
-    """Hand over a whole turn, part after part; the encoded observation or None."""
-    cloud, positions = seen(room, step)
-    assert encoder.add(stamp, cloud=cloud) is None
-    assert encoder.add(stamp, positions=positions) is None
-    turn = encoder.add(stamp, number=(episode, step))
-    return None if turn is None else turn.observation
-
-
-def by_hand(agent, room, *steps):
-    """Return the last of some turns of an episode, encoded by hand."""
-    encoder = Encoder(agent)
-    return [encoder(*seen(room, step), step, 30) for step in steps][-1]
-
-
-def test_a_turn_that_lacks_a_part_is_left_out(turn_encoder, small_agent, room):
-    add(turn_encoder, room, 10, 0)
-    for part in ({'cloud': seen(room, 1)[0]}, {'positions': POSITIONS}):
-        assert turn_encoder.add(11, **part) is None
-    assert_same(add(turn_encoder, room, 12, 2), by_hand(small_agent, room, 0, 2))
-    # Too late: the turns after it are encoded.
-    assert turn_encoder.add(11, number=(1, 1)) is None
-    assert add(turn_encoder, room, 11, 1) is None
-    assert_same(add(turn_encoder, room, 13, 3), by_hand(small_agent, room, 0, 2, 3))
-
-
-@pytest.mark.parametrize(('episode', 'step'), [(2, 0), (2, 2), (1, 0), (1, 1)])
-def test_another_episode_forgets_the_last_one(turn_encoder, small_agent, room, episode, step):
-    add(turn_encoder, room, 10, 0)
-    add(turn_encoder, room, 11, 1)
-    found = add(turn_encoder, room, 12, step, episode)
-    assert_same(found, by_hand(small_agent, room, step))
-
-
-def test_stamps_may_begin_anew(turn_encoder, small_agent, room):
-    add(turn_encoder, room, 10, 0)
-    cloud, positions = seen(room, 1)
-    for part in ({'cloud': cloud}, {'positions': positions}):
-        assert turn_encoder.add(5, **part) is None
-    turn_encoder.clear()
-    found = turn_encoder.add(5, number=(1, 1)).observation
-    assert_same(found, by_hand(small_agent, room, 1))
-
-
-def test_what_stays_incomplete_is_forgotten(turn_encoder):
-    for stamp in range(100):
-        turn_encoder.add(stamp, positions=POSITIONS)
-    assert len(turn_encoder._waiting) < 20
+def test_a_trainer_that_falls_silent_holds_nobody(graph, probe, tmp_path, small_agent,
+                                                  monkeypatch):
+    monkeypatch.setattr('ocp_ros.nodes.experiences.PATIENCE', 0.5)
+    random_checkpoint(small_agent).save(tmp_path / 'm.safetensors')
+    policy = graph.add(PolicyNode, model=str(tmp_path / 'm.safetensors'), explore=True)
+    training = probe.publisher(Float64MultiArray, topics.TRAINING, qos.LATCHED)
+    training.publish(Float64MultiArray(data=[1.0]))
+    training.publish(fields_to_msg({'hold': 1.0}))
+    graph.until(lambda: policy._experiences.held)
+    graph.until(lambda: not policy._experiences.held)
+    graph.add(SimNode, resend_period=0.05, **SIM)
+    graph.until(lambda: policy._counts['turns_answered'] >= 1)
 
 
 def test_the_default_trainer_fits_models_of_the_default_sizes():
     assert TrainerNodeConfig().agent == AgentConfig()
-
-
-def test_a_turn_without_its_command_is_no_transition(topics_of_a_loop):
-    loop, trainer = topics_of_a_loop, topics_of_a_loop.trainer
-    trainer.assembler.patience = 2
-    for stamp in range(1, 6):
-        loop.cloud(stamp)
-        loop.pose(stamp)
-        loop.reward(stamp - 1, stamp)
-    loop.graph.until(lambda: trainer.assembler.incomplete >= 3)
-    assert trainer.assembler.assembled == 0
-
-
-def test_malformed_parts_are_refused_and_the_node_lives(topics_of_a_loop):
-    loop, trainer = topics_of_a_loop, topics_of_a_loop.trainer
-    loop.pose(1, POSITIONS[:1])
-    loop.graph.until(lambda: trainer._refused == 1)
-    loop.pose(2, np.full((2, 3), np.nan))
-    loop.graph.until(lambda: trainer._refused == 2)
-    loop.reward(np.nan, 3)
-    loop.graph.until(lambda: trainer._refused == 3)
-    loop.cloud(3, np.full((5, 3), np.nan))
-    loop.graph.until(lambda: trainer._refused == 4)
-    one_turn(loop)
 
 
 def test_weights_go_from_the_trainer_to_the_policy(graph, probe, start, agent, tmp_path):
@@ -248,8 +312,9 @@ def test_weights_go_from_the_trainer_to_the_policy(graph, probe, start, agent, t
     graph.add(SimNode, auto_reset=True, resend_period=0.1, episode__turns=5, **SIM)
     graph.until(lambda: policy._counts['weights_swapped'] >= 2, timeout=60.0)
     assert policy.policy.checkpoint.run == trainer.learner.run
-    assert trainer.assembler.assembled >= 12
-    assert trainer.assembler.inconsistent == 0 and trainer._refused == 0
+    assert trainer.learner.transitions >= 12
+    counts = counts_of(trainer)['/']
+    assert counts['inconsistent'] == 0 and counts['refused'] == 0
     graph.until(lambda: any(
         status.name == '/trainer_node' and status.message == 'training'
         for message in probe.received['/diagnostics'] for status in message.status))
@@ -259,7 +324,7 @@ def test_weights_go_from_the_trainer_to_the_policy(graph, probe, start, agent, t
 
 
 def test_who_comes_late_gets_the_latest_weights(graph, probe, start):
-    trainer = start(cameras=4)
+    trainer = start()
     # Enough for eight gradient steps, then for eight more.
     for published, seeds in enumerate((range(20), range(20, 30)), start=1):
         for seed in seeds:
@@ -268,10 +333,14 @@ def test_who_comes_late_gets_the_latest_weights(graph, probe, start):
     probe.listen(UInt8MultiArray, topics.POLICY_WEIGHTS, qos.LATCHED)
     found = Checkpoint.from_bytes(msg_to_bytes(probe.last(topics.POLICY_WEIGHTS)))
     assert found.run == trainer.learner.run and found.updates == 16
+    # Also in a namespace that is found later.
+    probe.node.create_publisher(UInt8MultiArray, '/late/experience', qos.LOOP)
+    probe.listen(UInt8MultiArray, '/late/policy_weights', qos.LATCHED)
+    assert Checkpoint.from_bytes(msg_to_bytes(probe.last('/late/policy_weights'))).updates == 16
 
 
-def test_messages_never_wait_for_a_gradient_step(topics_of_a_loop, monkeypatch):
-    loop, trainer = topics_of_a_loop, topics_of_a_loop.trainer
+def test_messages_never_wait_for_a_gradient_step(loop, monkeypatch):
+    trainer = loop.trainer
     stuck, release = threading.Event(), threading.Event()
 
     def train(*arguments):
@@ -281,14 +350,11 @@ def test_messages_never_wait_for_a_gradient_step(topics_of_a_loop, monkeypatch):
     monkeypatch.setattr(trainer.learner.model, 'train', train)
     monkeypatch.setattr(trainer.learner, '_behind', lambda: not release.is_set())
     try:
-        trainer.learner.add(made_up(trainer.config.agent, cameras=2))
+        trainer.learner.add(made_up(trainer.config.agent))
         assert stuck.wait(30.0)
-        loop.command(1)
         for stamp in (1, 2):
-            loop.cloud(stamp)
-            loop.pose(stamp)
-            loop.reward(stamp - 1, stamp, stamp - 1)
-        loop.graph.until(lambda: trainer.assembler.assembled == 1)
+            loop.turn(stamp)
+        loop.graph.until(lambda: loop.source.assembler.assembled == 1)
         assert trainer.learner.transitions == 1
     finally:
         release.set()
@@ -303,3 +369,16 @@ def test_a_trainer_starts_from_a_model_of_its_own_sizes(start, small_agent, tmp_
     weights = start(model=str(path)).learner.checkpoint().weights
     assert_same({name: value.numpy() for name, value in weights.items()},
                 {name: value.numpy() for name, value in Checkpoint.load(path).weights.items()})
+
+
+def test_a_trainer_that_was_stopped_goes_on_and_tells_its_weights(graph, probe, start):
+    trainer = start()
+    for seed in range(20):
+        trainer.learner.add(made_up(trainer.config.agent, seed))
+    graph.until(lambda: trainer._published == 1, timeout=60.0)
+    graph.remove(trainer)
+    again = start()
+    assert (again.learner.run, again.learner.transitions) == (trainer.learner.run, 20)
+    probe.listen(UInt8MultiArray, topics.POLICY_WEIGHTS, qos.LATCHED)
+    found = Checkpoint.from_bytes(msg_to_bytes(probe.last(topics.POLICY_WEIGHTS)))
+    assert (found.run, found.updates) == (trainer.learner.run, trainer.learner.updates)

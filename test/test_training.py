@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Training: replay, augmentation, SAC, transitions, learner, evaluation and whole runs."""
+"""Training: replay, augmentation, SAC, evaluation and whole runs."""
 
 from dataclasses import replace
 import json
 import os
 import subprocess
 import sys
-import time
 
 from conftest import assert_same, batch, Here, observation, random_checkpoint, ROOT
 import gymnasium as gym
@@ -14,7 +13,6 @@ import numpy as np
 import pytest
 from stable_baselines3.common.buffers import DictReplayBuffer
 from stable_baselines3.common.vec_env import DummyVecEnv
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 import torch
 
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
@@ -43,11 +41,9 @@ from ocp_ros.training.encoded import (
     padded,
 )
 from ocp_ros.training.evaluation import evaluate, play_trial, Trial
-from ocp_ros.training.learner import Learner, LearnerConfig
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
 from ocp_ros.training.state import load_state, save_state
 from ocp_ros.training.train import train, trials_of
-from ocp_ros.training.transitions import Assembler, Reward, Transition
 
 SIMULATION = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=16, coverage_cell=1.0),
                               episode=EpisodeConfig(turns=6))
@@ -455,93 +451,6 @@ def test_the_actor_rests_while_its_critics_burn_in(small_agent):
     model.learn(10, reset_num_timesteps=False)
     moved = actor_checkpoint(model, small_agent, 'r', {}).weights
     assert not any(torch.equal(moved[name], value) for name, value in before.items())
-
-
-def transition(agent, seed=0, cameras=4):
-    """Return a made-up transition."""
-    before, after = (padded(observation(agent, cameras, number), cameras)
-                     for number in (seed, seed + 1))
-    return Transition(before, np.zeros((cameras, 2), np.float32), 1.0, after, False)
-
-
-def until(predicate, learner, timeout=60.0):
-    """Let a learner's thread work until something has happened."""
-    deadline = time.monotonic() + timeout
-    while not predicate():
-        assert time.monotonic() < deadline, 'nothing happened within the time limit'
-        learner._thread.join(timeout=0.05)
-
-
-def test_a_learner_trains_from_transitions_and_leaves_whole_checkpoints(small_agent, tmp_path):
-    config = LearnerConfig(folder=str(tmp_path), publish_every=4, save_every=8)
-    learner = Learner(config, small_agent, SAC)
-    for seed in range(40):
-        learner.add(transition(small_agent, seed))
-    until(lambda: learner.updates >= 28, learner)
-    replay = learner.model.replay_buffer
-    assert (replay.rewards[:40] == 1.0).all() and not replay.dones[:40].any()
-    weights = learner.take_weights()
-    assert weights.run == learner.run and 0 < weights.updates <= 28
-    assert learner.take_weights() is None
-    learner.close()
-    assert learner.failure is None and learner.updates == 28
-    assert Checkpoint.load(tmp_path / 'actor.safetensors').updates == 28
-    events = EventAccumulator(str(tmp_path / 'tensorboard')).Reload()
-    assert {'train/critic_loss', 'train/actor_loss', 'train/transitions'} <= set(
-        events.Tags()['scalars'])
-    assert events.Scalars('train/transitions')[-1].value == 40
-    again = Learner(config, small_agent, SAC)
-    assert (again.run, again.updates) == (learner.run, 28)
-    again.close()
-
-
-def test_a_learner_reports_its_failure(small_agent, tmp_path):
-    learner = Learner(LearnerConfig(folder=str(tmp_path)), small_agent, SAC)
-    learner.add(transition(small_agent, cameras=2))
-    until(lambda: learner.failure is not None, learner)
-    learner.close()
-
-
-def test_transitions_are_assembled_in_any_order_of_their_parts(small_agent):
-    positions = np.zeros((2, 3))
-    after = positions + [0.25, 0.0, 0.0]
-    parts = [lambda a: a.add_turn(1, {'n': 1}, positions),
-             lambda a: a.add_turn(2, {'n': 2}, after), lambda a: a.add_command(1, after),
-             lambda a: a.add_reward(Reward(1, 2, 0.5, False))]
-    for order in ([0, 1, 2, 3], [3, 2, 1, 0], [2, 0, 3, 1]):
-        assembler = Assembler(max_step=0.5)
-        found = [t for k in order for t in parts[k](assembler)]
-        assert len(found) == 1
-        assert found[0].observation == {'n': 1} and found[0].next_observation == {'n': 2}
-        np.testing.assert_allclose(found[0].actions, [[0.5, 0.0]] * 2)
-        assert (found[0].reward, found[0].terminated) == (0.5, False)
-        # Sent again, they make no second one.
-        assert not [t for k in order for t in parts[k](assembler)]
-
-
-def test_incomplete_transitions_are_dropped_and_counted():
-    assembler = Assembler(max_step=0.5, patience=8)
-    positions = np.zeros((2, 3))
-    for stamp in range(1, 101):
-        assembler.add_turn(stamp, {}, positions)
-        if stamp % 5:
-            assembler.add_command(stamp, positions)
-        if stamp > 1:
-            assembler.add_reward(Reward(stamp - 1, stamp, 0.0, False))
-    # Every fifth command was lost; the last of those may still come.
-    assert assembler.assembled == 80
-    assert assembler.incomplete == 18
-    assembler.clear()
-    assert assembler.incomplete == 19
-
-
-def test_a_turn_that_another_command_made_is_no_transition():
-    assembler = Assembler(max_step=0.5)
-    assembler.add_turn(1, {}, np.zeros((2, 3)))
-    assembler.add_turn(2, {}, np.ones((2, 3)))
-    assembler.add_command(1, np.zeros((2, 3)))
-    assert assembler.add_reward(Reward(1, 2, 0.0, False)) == []
-    assert assembler.inconsistent == 1
 
 
 def trial(**changes):

@@ -15,6 +15,8 @@ from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, UInt8Mu
 from ocp_ros.geometry.cameras import Pose as CameraPose
 
 NUMPY_TYPES = {PointField.FLOAT32: 'f4', PointField.FLOAT64: 'f8'}
+#: Metres: no camera is farther from the origin, be it that of a country's survey.
+FARTHEST = 1e7
 #: Quaternions that are shorter say nothing about a direction.
 SHORTEST = 1e-6
 
@@ -142,7 +144,7 @@ def msg_to_positions(message: PoseArray, cameras: int | None = None) -> np.ndarr
 
     :param cameras: how many are expected; None for at least one.
     :returns: (K, 3) float64, metres, in the message's frame.
-    :raises MessageError: if the number differs or a coordinate is not finite.
+    :raises MessageError: if the number differs or a coordinate is not finite, or no place.
     """
     count = len(message.poses)
     if count == 0 or (cameras is not None and count != cameras):
@@ -151,6 +153,9 @@ def msg_to_positions(message: PoseArray, cameras: int | None = None) -> np.ndarr
     positions = np.array([[p.position.x, p.position.y, p.position.z] for p in message.poses])
     if not np.isfinite(positions).all():
         raise MessageError('poses: found NaN or inf; expected finite metres')
+    if (farthest := np.abs(positions).max()) > FARTHEST:
+        raise MessageError(f'poses: found a camera at {farthest:.3g} m; expected it within '
+                           f'{FARTHEST:.0e} m of the origin')
     return positions
 
 

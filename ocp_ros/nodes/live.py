@@ -56,12 +56,14 @@ class LiveTurns:
         cameras are give the command.
     :param final: tells whether the cameras stay where they are: then clouds are no longer read.
     :param refuse: takes note of a message that cannot be used.
+    :param waits: tells whether nothing may be commanded now.
     :raises ConfigurationError: if there can be no such topic.
     """
 
     def __init__(self, node: Node, config: PolicyNodeConfig, commands: Publisher,
                  answer: Callable[[np.ndarray, PoseArray], PoseArray], final: Callable[[], bool],
-                 refuse: Callable[[ValueError], None]) -> None:
+                 refuse: Callable[[ValueError], None], waits: Callable[[], bool]) -> None:
+        self._waits = waits
         self._node, self._config, self._commands = node, config, commands
         self._answer, self._final, self._refuse = answer, final, refuse
         self._fused = FusedCloud(config.voxel_size, config.most_points)
@@ -137,7 +139,7 @@ class LiveTurns:
             except ValueError as error:
                 self._turns.refuse(topic)
                 self._refuse(error)
-        if self._turns.due():
+        if self._turns.due() and not self._waits():
             self._play()
 
     def _fuse(self, message: PointCloud2) -> None:
@@ -175,7 +177,8 @@ class LiveTurns:
 
     def _command_again(self) -> None:
         """Send the command again to cameras that have not arrived."""
-        if self._command is not None and not self._turns.standing:
+        standing = self._turns.standing
+        if self._command is not None and not standing and not self._waits():
             self._commands.publish(self._command)
 
     def _instruct(self, positions: np.ndarray, targets: np.ndarray, header: Header) -> None:

@@ -21,6 +21,7 @@ from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.agent.encoder import Encoder
 from ocp_ros.agent.policy import Policy
 from ocp_ros.nodes import health, topics
+from ocp_ros.nodes.commander import Commander
 from ocp_ros.nodes.conversions import (
     MessageError,
     moved_to,
@@ -31,6 +32,7 @@ from ocp_ros.nodes.conversions import (
     ns_of,
     stamp_to_ns,
 )
+from ocp_ros.nodes.experiences import Experiences, RecordedPolicy
 from ocp_ros.nodes.live import LiveTurns
 from ocp_ros.nodes.parameters import declare
 from ocp_ros.nodes.policy_config import LEARNED, PolicyNodeConfig
@@ -67,11 +69,11 @@ def make_planner(config: PolicyNodeConfig, checkpoint: Checkpoint | None
     settings = rng, config.max_step, config.max_range, config.wall_margin
     if checkpoint is None:
         return Lookahead(*settings), None
-    policy = Policy(checkpoint, Encoder(checkpoint.config, *rig))
+    encoder = Encoder(checkpoint.config, *rig)
     if config.explore:
-        exploring = Exploring(policy, *settings)
+        exploring = Exploring(RecordedPolicy(checkpoint, encoder), *settings)
         return exploring, exploring
-    learned = Learned(policy, *settings)
+    learned = Learned(Policy(checkpoint, encoder), *settings)
     if config.planner == LEARNED:
         return learned, learned
     return ThenLookahead(learned, Lookahead(*settings)), learned
@@ -103,11 +105,14 @@ class PolicyNode(Node):
         self._start_episode(episode=0)
         self._commands = self.create_publisher(PoseArray, topics.CAMERA_COMMANDS, LOOP)
         self._placement = self.create_publisher(PoseArray, topics.PLACEMENT, LATCHED)
+        self._commander = Commander(self)
+        self._experiences = Experiences(self, lambda: self.policy, self._act) \
+            if self.config.explore else None
         self._live: LiveTurns | None = None
         if self.config.clouds:
             self._live = LiveTurns(
                 self, self.config, self._commands, self._play, lambda: self._settled,
-                self._refuse)
+                self._refuse, self._waits)
         else:
             # First, so that a new episode is known before its first turn is answered.
             self.create_subscription(Float64MultiArray, topics.REWARD, self._on_reward, LOOP)
@@ -171,6 +176,8 @@ class PolicyNode(Node):
         cloud, poses = self._cloud, self._poses
         if cloud is None or poses is None or cloud.header.stamp != poses.header.stamp:
             return
+        if self._waits():
+            return
         if self._answer is None or self._answer.header.stamp != poses.header.stamp:
             try:
                 if cloud.header.frame_id != poses.header.frame_id:
@@ -182,9 +189,19 @@ class PolicyNode(Node):
                 return
         self._commands.publish(self._answer)
 
+    def _waits(self) -> bool:
+        """Tell whether others command, or have to catch up, before this turn is answered."""
+        if self._commander.first:
+            self.get_logger().error(self._commander.wrong(), throttle_duration_sec=5.0)
+        return bool(self._commander.first or self._commander.settling or (
+            self._experiences and self._experiences.held))
+
     def _play(self, cloud: np.ndarray, poses: PoseArray) -> PoseArray:
         """Answer a turn: the points (N, 3) seen so far, and where the cameras are."""
         self._answer = self._decide(cloud, msg_to_positions(poses), poses)
+        if self._experiences:
+            self._experiences.tell(stamp_to_ns(poses.header.stamp), self._step,
+                                   msg_to_positions(self._answer))
         self._counts['turns_answered'] += 1
         self._step += 1
         return self._answer
@@ -194,11 +211,14 @@ class PolicyNode(Node):
         if len(cloud) == 0:
             raise MessageError('cloud: found no finite point; expected what the cameras see')
         bounds = np.stack([cloud.min(axis=0), cloud.max(axis=0)]).astype(np.float64)
-        if (size := np.ptp(bounds, axis=0).max()) > LARGEST:
-            raise MessageError(f'cloud: found points {size:.0f} m apart; expected those of a '
-                               f'room, within {LARGEST:.0f} m')
+        if (size := np.ptp(np.concatenate([bounds, positions]), axis=0).max()) > LARGEST:
+            raise MessageError(f'cloud: found points and cameras {size:.0f} m apart; expected '
+                               f'those of a room, within {LARGEST:.0f} m')
         if self._done():
             self._settle(poses)
+            if self._experiences:
+                # What would be chosen now belongs to the choice before: see what it led to.
+                self._moves(cloud, positions)
         target = positions.copy()
         if not self._settled:
             # Nobody leaves the floor that was seen: beyond a wall one looks through its back.
@@ -253,7 +273,7 @@ class PolicyNode(Node):
             self.get_logger().warning(f'weights refused: {error}')
             return
         # What the encoder remembers is the episode's, not the weights'.
-        self._learned.policy = Policy(checkpoint, self.policy.encoder)
+        self._learned.policy = type(self.policy)(checkpoint, self.policy.encoder)
         self._counts['weights_swapped'] += 1
         self.get_logger().info(
             f'weights swapped: {running.updates} -> {checkpoint.updates} updates')
@@ -267,6 +287,7 @@ class PolicyNode(Node):
         """Say what the planner is doing."""
         message = 'placement is final' if self._settled else 'answering turns'
         wrong, live = ('', {}) if self._live is None else self._live.status()
+        wrong = self._commander.wrong() or wrong
         run, updates = '-', 0
         if self.policy is not None:
             run, updates = self.policy.checkpoint.run or '-', self.policy.checkpoint.updates

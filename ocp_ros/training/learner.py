@@ -11,27 +11,35 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.logger import configure
 
-from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.agent.config import AgentConfig
 from ocp_ros.configuration import setting
 from ocp_ros.training.config import SacConfig
 from ocp_ros.training.encoded import padded
+from ocp_ros.training.log import TransitionLog
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
 from ocp_ros.training.state import load_state, new_run, save_state
 from ocp_ros.training.transitions import Transition
 
 #: Gradient steps between two looks at the world: short enough to stop at once.
 BURST = 4
+#: Transitions that may wait to be stored; the learner stores them between two bursts.
+INBOX = 4096
+STATE, ACTOR, TRANSITIONS = 'state.safetensors', 'actor.safetensors', 'transitions'
 
 
 @dataclass(frozen=True)
 class LearnerConfig:
     """How a learner keeps pace with its transitions and what it leaves on disk."""
 
-    cameras: int = setting(4, 'number of cameras in the transitions', 1, 64)
+    cameras: int = setting(
+        4, 'number of cameras in the transitions, with agent.inputs: cloud; with the others '
+        'cameras choose one at a time, and there may be any number', 1, 64)
     updates_per_turn: float = setting(1.0, 'gradient steps per transition', 0.0, 100.0)
     publish_every: int = setting(50, 'gradient steps between two sets of weights', 1, 1 << 31)
-    save_every: int = setting(200, 'gradient steps between two checkpoints', 1, 1 << 31)
+    save_every: int = setting(
+        200, 'gradient steps between two checkpoints, and transitions between two files of them',
+        1, 1 << 31)
     folder: str = setting('out/trainer', 'where checkpoints and TensorBoard files go')
     model: str = setting('', 'weights to start from: path or name; empty for random ones')
     seed: int = setting(0, 'seed of networks and batches', 0, 1 << 31)
@@ -43,43 +51,97 @@ class Learner:
     """
     Train SAC from transitions in a thread of its own.
 
-    It goes on from the checkpoint in its folder where there is one.
+    It goes on from what is in its folder: networks and optimisers as they were saved last, and the
+    transitions up to then. Each file is whole or absent, whenever the process ends.
 
     :param config: pace and folder.
     :param agent: sizes of the networks.
     :param sac: settings of SAC.
     :param start: weights to start from, or None.
+    :ivar dropped: transitions that came when there was no room for them.
     """
 
     def __init__(self, config: LearnerConfig, agent: AgentConfig, sac: SacConfig,
                  start: Checkpoint | None = None) -> None:
         self.config, self.agent, self.sac = config, agent, sac
         self.folder = Path(config.folder)
-        self.model = make_sac(sac, agent, config.cameras, seed=config.seed)
+        #: How many cameras choose together.
+        self.cameras = 1 if agent.world else config.cameras
+        self.model = make_sac(sac, agent, self.cameras, seed=config.seed)
         if start is not None:
             load_actor(self.model, start)
             self.model.warm = True
         self.model.set_logger(configure(str(self.folder / 'tensorboard'), ['tensorboard']))
-        state = self.folder / 'state.safetensors'
-        self.run = load_state(self.model, state) if state.exists() else new_run()
-        self.transitions = 0
+        self.log = TransitionLog(self.folder / TRANSITIONS, sac.buffer_size)
+        self.run = self._resume()
+        self.dropped = 0
         self.failure: BaseException | None = None
         self._first_update = self.updates
         self._fresh: deque[Checkpoint] = deque(maxlen=1)
+        if self.updates:
+            # Those who were told by a process that is gone may have gone as well.
+            self._fresh.append(self.checkpoint())
         # The thread alone touches the model; everybody else leaves notes.
-        self._inbox: queue.SimpleQueue[Transition | None] = queue.SimpleQueue()
+        self._inbox: queue.Queue[Transition | None] = queue.Queue(INBOX)
         self._thread = threading.Thread(target=self._work, name='learner', daemon=True)
         self._thread.start()
+
+    def _resume(self) -> str:
+        """Go on from what is in the folder; returns the name of the run."""
+        for folder in (self.folder, self.log.folder):
+            # What was being written when a process was killed.
+            for path in folder.glob('.*.safetensors.*'):
+                path.unlink(missing_ok=True)
+        state = self.folder / STATE
+        run = load_state(self.model, state) if state.exists() else new_run()
+        for transition in self.log.load():
+            try:
+                self._store(transition)
+            except (KeyError, ValueError) as error:
+                raise CheckpointError(
+                    f'{self.log.folder}: found transitions of another network ({error}); expected '
+                    'those of the same agent settings; name another folder') from error
+        # Steps that nobody owes any more: the transitions for them are gone.
+        self._paid = max(self.updates - max(self._owed(self.transitions), 0.0), 0.0)
+        return run
+
+    @property
+    def transitions(self) -> int:
+        """Return the transitions of this run so far."""
+        return self.log.total
 
     @property
     def updates(self) -> int:
         """Return the gradient steps of this run so far."""
         return int(self.model._n_updates)
 
-    def add(self, transition: Transition) -> None:
-        """Hand over a transition; returns at once. After a failure nobody would take it."""
-        if self.failure is None:
-            self._inbox.put(transition)
+    @property
+    def behind(self) -> float:
+        """Return the gradient steps that are due, also for transitions that wait to be stored."""
+        return self._due(self.transitions + self._inbox.qsize())
+
+    def _due(self, transitions: int) -> float:
+        """Return the gradient steps that so many transitions have still to get."""
+        return self._owed(transitions) - (self.updates - self._paid)
+
+    def _owed(self, transitions: int) -> float:
+        """Return the gradient steps that so many transitions get."""
+        return (transitions - self.sac.learning_starts) * self.config.updates_per_turn
+
+    def add(self, transition: Transition) -> bool:
+        """
+        Hand over a transition; returns at once.
+
+        :returns: whether there was room for it; after a failure nobody would take it.
+        """
+        if self.failure is not None:
+            return False
+        try:
+            self._inbox.put_nowait(transition)
+        except queue.Full:
+            self.dropped += 1
+            return False
+        return True
 
     def take_weights(self) -> Checkpoint | None:
         """Return the weights made since the last call, or None."""
@@ -90,10 +152,17 @@ class Learner:
 
     def close(self) -> None:
         """Stop training and save what was learned."""
-        self._inbox.put(None)
+        while self._thread.is_alive():
+            try:
+                self._inbox.put(None, timeout=0.1)
+                break
+            except queue.Full:
+                continue
         self._thread.join()
-        if self.updates > self._first_update and self.failure is None:
-            self._save()
+        if self.failure is None:
+            self.log.save()
+            if self.updates > self._first_update:
+                self._save()
 
     def _work(self) -> None:
         """Train whenever there is something to learn from."""
@@ -112,19 +181,23 @@ class Learner:
             transition = self._inbox.get()
             if transition is None:
                 return False
-            self.model.replay_buffer.add(
-                self._batched(transition.observation), self._batched(transition.next_observation),
-                transition.actions[None], np.array([transition.reward]),
-                np.array([transition.terminated]), [{}])
-            self.transitions += 1
+            self._store(transition)
+            self.log.append(transition)
             self.model.num_timesteps += 1
+            if self.log.waiting >= self.config.save_every:
+                self.log.save()
         return True
+
+    def _store(self, transition: Transition) -> None:
+        """Put a transition into the replay buffer."""
+        self.model.replay_buffer.add(
+            self._batched(transition.observation), self._batched(transition.next_observation),
+            transition.actions[None], np.array([transition.reward]),
+            np.array([transition.terminated]), [{}])
 
     def _behind(self) -> bool:
         """Tell whether there are transitions that have not had their gradient steps yet."""
-        done = self.updates - self._first_update
-        owed = (self.transitions - self.sac.learning_starts) * self.config.updates_per_turn
-        return done + BURST <= owed
+        return self._due(self.transitions) >= BURST
 
     def _after(self, updates: int) -> None:
         """Log, publish and save when it is time."""
@@ -142,12 +215,13 @@ class Learner:
         return actor_checkpoint(self.model, self.agent, self.run, provenance)
 
     def _save(self) -> None:
-        """Write actor and state, each whole or not at all."""
-        self.checkpoint().save(self.folder / 'actor.safetensors')
-        save_state(self.model, self.folder / 'state.safetensors', self.run)
+        """Write transitions, actor and state, each whole or not at all."""
+        self.log.save()
+        self.checkpoint().save(self.folder / ACTOR)
+        save_state(self.model, self.folder / STATE, self.run)
 
     def _batched(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Say which cameras there are and give each array a leading axis of one environment."""
         if 'present' not in observation:
-            observation = padded(observation, self.config.cameras)
+            observation = padded(observation, self.cameras)
         return {name: value[None] for name, value in observation.items()}

@@ -1,33 +1,46 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Transitions from messages that arrive on their own, in any order, and may be missing."""
+"""Transitions from what arrives on its own, in any order, and may be missing."""
 
 from collections import OrderedDict
 from typing import NamedTuple
 
 import numpy as np
 
-#: Moves commanded and moves seen may differ by so much and still be one transition, metres.
+from ocp_ros.training.experience import Experience
+
+#: Where cameras were sent and where they are may differ by so much, metres.
 TOLERANCE = 0.05
 
 
 class Reward(NamedTuple):
-    """What a turn was worth; stamps in nanoseconds."""
+    """
+    What a turn was worth.
+
+    :ivar previous: stamp of the turn before, whose command led here, nanoseconds.
+    :ivar stamp: of the turn, nanoseconds.
+    :ivar step: turns of the episode so far, this one included.
+    :ivar reward: of the whole turn.
+    :ivar shares: (K,) what the move of each camera was worth, in the order in which they chose.
+    :ivar terminated: whether nothing can follow; a turn limit alone does not make it so.
+    """
 
     previous: int
     stamp: int
+    step: int
     reward: float
+    shares: tuple[float, ...]
     terminated: bool
 
 
 class Transition(NamedTuple):
     """
-    One step of experience.
+    One step of experience: the move of one camera, or of all where they choose together.
 
-    :ivar observation: encoded observation before the turn.
-    :ivar actions: (K, 2) float32 in [-1, 1], in units of the longest step.
-    :ivar reward: the turn's reward.
-    :ivar next_observation: encoded observation after the turn.
-    :ivar terminated: whether nothing can follow; a turn limit alone does not make it so.
+    :ivar observation: encoded observation before the move.
+    :ivar actions: (C, 2) float32 in [-1, 1], in units of the longest step.
+    :ivar reward: what the move was worth.
+    :ivar next_observation: encoded observation that the next choice was made from.
+    :ivar terminated: whether nothing can follow.
     """
 
     observation: dict[str, np.ndarray]
@@ -53,14 +66,20 @@ class Bounded(OrderedDict):
 
 class Assembler:
     """
-    Put transitions together by stamp.
+    Put the transitions of one rig together by stamp.
 
-    :param max_step: longest step in metres, to turn commanded moves into actions.
+    A turn is complete when it is known what the policy chose in it, where that has led, what it
+    was worth, and what the policy read next.
+
     :param patience: turns after which what is still incomplete is dropped and counted.
+    :ivar assembled: turns that were complete.
+    :ivar incomplete: turns that never were.
+    :ivar inconsistent: turns that ended elsewhere than the policy meant, or were another turn of
+        the episode than it thought.
     """
 
-    def __init__(self, max_step: float, patience: int = 32) -> None:
-        self.max_step, self.patience = max_step, patience
+    def __init__(self, patience: int = 32) -> None:
+        self.patience = patience
         self.assembled = self.incomplete = self.inconsistent = 0
         self.clear()
 
@@ -68,34 +87,21 @@ class Assembler:
         """Forget every turn, as when the stamps begin anew; what was incomplete is dropped."""
         self.incomplete += len(getattr(self, '_rewards', ()))
         capacity = 2 * self.patience
-        self._observations: Bounded = Bounded(capacity)
+        self._experiences: Bounded = Bounded(capacity)
         self._positions: Bounded = Bounded(capacity)
-        self._commands: Bounded = Bounded(capacity)
         self._rewarded: Bounded = Bounded(2 * capacity)
         #: Rewards that wait, and the number each came as.
         self._rewards: dict[int, tuple[int, Reward]] = {}
         self._count = 0
 
-    def knows(self, stamp: int) -> bool:
-        """Tell whether a turn's observation is here already, as when it was sent again."""
-        return stamp in self._observations
-
-    def add_turn(self, stamp: int, observation: dict[str, np.ndarray], positions: np.ndarray
-                 ) -> list[Transition]:
-        """
-        Take a turn.
-
-        :param stamp: nanoseconds.
-        :param observation: encoded.
-        :param positions: (K, 3), metres.
-        :returns: the transitions that are complete now.
-        """
-        self._observations[stamp], self._positions[stamp] = observation, positions
+    def add_experience(self, experience: Experience) -> list[Transition]:
+        """Take what a policy chose in a turn; returns the transitions complete now."""
+        self._experiences[experience.stamp] = experience
         return self._complete()
 
-    def add_command(self, stamp: int, positions: np.ndarray) -> list[Transition]:
-        """Take the command that answers a turn; returns the transitions complete now."""
-        self._commands[stamp] = positions
+    def add_positions(self, stamp: int, positions: np.ndarray) -> list[Transition]:
+        """Take where the cameras were in a turn, (K, 3) metres; returns as above."""
+        self._positions[stamp] = positions
         return self._complete()
 
     def add_reward(self, reward: Reward) -> list[Transition]:
@@ -115,21 +121,25 @@ class Assembler:
         """Take out what is complete."""
         found = []
         for stamp, (_, reward) in list(self._rewards.items()):
-            ends = (reward.previous, stamp)
-            if reward.previous in self._commands and all(e in self._observations for e in ends):
+            if stamp in self._positions and all(
+                    end in self._experiences for end in (reward.previous, stamp)):
                 del self._rewards[stamp]
-                found += self._transition(reward)
+                found += self._turn(reward)
         return found
 
-    def _transition(self, reward: Reward) -> list[Transition]:
-        """Build a transition, unless another command than the one heard moved the cameras."""
-        before, after = self._positions[reward.previous], self._positions[reward.stamp]
-        command = self._commands[reward.previous]
-        if command.shape != before.shape or before.shape != after.shape or \
-                np.abs(command - after)[:, :2].max() > TOLERANCE:
+    def _turn(self, reward: Reward) -> list[Transition]:
+        """Return the transitions of a turn, unless something else than the policy made it."""
+        before, after = (self._experiences[at] for at in (reward.previous, reward.stamp))
+        choices, positions = before.choices, self._positions[reward.stamp]
+        shares = reward.shares if len(choices) > 1 else (reward.reward,)
+        if (before.targets.shape != positions.shape or before.turn != reward.step - 1
+                or len(shares) != len(choices)
+                or np.abs(before.targets - positions)[:, :2].max() > TOLERANCE):
             self.inconsistent += 1
             return []
         self.assembled += 1
-        actions = np.clip((command - before)[:, :2] / self.max_step, -1.0, 1.0)
-        return [Transition(self._observations[reward.previous], actions.astype(np.float32),
-                           reward.reward, self._observations[reward.stamp], reward.terminated)]
+        following = [*choices[1:], after.choices[0]]
+        last = len(choices) - 1
+        return [Transition(choice.observation, choice.actions, share, then.observation,
+                           reward.terminated and number == last)
+                for number, (choice, share, then) in enumerate(zip(choices, shares, following))]

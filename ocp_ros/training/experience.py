@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What a policy read and chose at a turn, as one safetensors blob, so that others can learn from it.
+
+Who learns gets the very arrays that the network was given. To encode the turn again would take as
+long as to play it, and what the cameras that choose later were told could only be guessed.
+"""
+
+from collections.abc import Mapping, Sequence
+import json
+import struct
+from typing import NamedTuple
+
+import numpy as np
+from safetensors import SafetensorError
+import safetensors.numpy
+
+from ocp_ros.agent.checkpoint import read_metadata
+from ocp_ros.agent.encoder import PER_CAMERA
+
+KEY = 'ocp_ros-experience-1'
+#: The most choices and cameras of a turn that are read.
+MOST = 64
+
+
+class ExperienceError(ValueError):
+    """An experience that cannot be used; the message says what was found and expected."""
+
+
+class Choice(NamedTuple):
+    """
+    What the network read, and what it answered.
+
+    :ivar observation: encoded, see :class:`~ocp_ros.agent.encoder.Encoder`.
+    :ivar actions: (C, 2) float32 in [-1, 1], of the cameras that chose together: one, or all.
+    """
+
+    observation: dict[str, np.ndarray]
+    actions: np.ndarray
+
+
+class Experience(NamedTuple):
+    """
+    One turn of a policy.
+
+    :ivar stamp: of the turn, nanoseconds.
+    :ivar turn: turns of the episode before it, as the policy was told.
+    :ivar targets: (K, 3) metres: where the cameras were sent.
+    :ivar choices: in the order in which they were made.
+    """
+
+    stamp: int
+    turn: int
+    targets: np.ndarray
+    choices: Sequence[Choice]
+
+
+def to_bytes(experience: Experience) -> bytes:
+    """Write an experience with at least one choice as a safetensors blob."""
+    choices = experience.choices
+    arrays = {f'observation.{name}': np.stack([choice.observation[name] for choice in choices])
+              for name in choices[0].observation}
+    arrays['actions'] = np.stack([choice.actions for choice in choices]).astype(np.float32)
+    arrays['targets'] = np.asarray(experience.targets, dtype=np.float64)
+    card = json.dumps({'stamp': experience.stamp, 'turn': experience.turn})
+    return safetensors.numpy.save(
+        {name: np.ascontiguousarray(value) for name, value in arrays.items()},
+        metadata={KEY: card})
+
+
+def from_bytes(blob: bytes, expected: Mapping[str, tuple[tuple[int, ...], np.dtype]],
+               together: int = 1) -> Experience:
+    """
+    Read and check a blob.
+
+    :param blob: of :func:`to_bytes`.
+    :param expected: shape, for a single camera, and type of each array of an observation.
+    :param together: how many cameras choose together.
+    :raises ExperienceError: if it is torn, not finite or of another network.
+    """
+    try:
+        card = json.loads(read_metadata(blob)[KEY])
+        stamp, turn = int(card['stamp']), int(card['turn'])
+        arrays = safetensors.numpy.load(blob)
+        actions, targets = arrays.pop('actions'), arrays.pop('targets')
+    except (SafetensorError, KeyError, TypeError, ValueError, AttributeError, ArithmeticError,
+            RecursionError, struct.error) as error:
+        raise ExperienceError(
+            f'experience: found no readable one ({type(error).__name__}: {error}); expected a '
+            'whole safetensors blob of a policy that explores') from error
+    count = _choices(actions, targets, together)
+    shapes = {f'observation.{name}': ((count, *_shape(name, shape, together)), np.dtype(kind))
+              for name, (shape, kind) in expected.items()}
+    found = {name: (value.shape, value.dtype) for name, value in arrays.items()}
+    if found != shapes:
+        wrong = sorted(name for name in found.keys() | shapes.keys()
+                       if found.get(name) != shapes.get(name))
+        raise ExperienceError(
+            f'experience: found {wrong[0]} as {found.get(wrong[0])}; expected '
+            f'{shapes.get(wrong[0])}; give policy and trainer the same agent settings')
+    if not all(np.isfinite(value).all() for value in (actions, targets, *arrays.values())):
+        raise ExperienceError('experience: found NaN or inf; expected finite numbers')
+    return Experience(stamp, turn, targets.astype(np.float64), [
+        Choice({name.removeprefix('observation.'): value[number]
+                for name, value in arrays.items()}, actions[number]) for number in range(count)])
+
+
+def _choices(actions: np.ndarray, targets: np.ndarray, together: int) -> int:
+    """Return how many choices there are."""
+    if targets.ndim != 2 or targets.shape[1] != 3 or not 1 <= len(targets) <= MOST:
+        raise ExperienceError(f'experience: found targets of shape {targets.shape}; expected '
+                              f'(K, 3) with at most {MOST} cameras')
+    count = len(targets) if together == 1 else 1
+    if actions.shape != (count, together, 2) or count * together != len(targets) \
+            or actions.dtype != np.float32:
+        raise ExperienceError(
+            f'experience: found actions as {actions.dtype} {actions.shape} of {len(targets)} '
+            f'cameras; expected float32 choices of {together} at a time')
+    return count
+
+
+def _shape(name: str, shape: tuple[int, ...], cameras: int) -> tuple[int, ...]:
+    """Return the shape of an array for so many cameras."""
+    return (cameras, *shape[1:]) if name in PER_CAMERA else shape

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Several policies on one topic: the first commands, the others hold still and say so."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
+
+from geometry_msgs.msg import PoseArray
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header, String
+
+from ocp_ros.nodes import commander, health, qos, topics
+from ocp_ros.nodes.conversions import cloud_to_msg, ns_to_stamp, positions_to_msg
+from ocp_ros.nodes.policy_node import PolicyNode
+from ocp_ros.nodes.sim_node import SimNode
+
+SMALL = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
+         'engine__coverage_cell': 0.5, 'resend_period': 0.05, 'auto_reset': True}
+
+
+@pytest.fixture
+def hurried(monkeypatch):
+    """Let who falls silent be forgotten soon."""
+    monkeypatch.setattr(commander, 'PERIOD', 0.1)
+    monkeypatch.setattr(commander, 'EXPIRY', 2.0)
+
+
+def test_the_second_policy_refuses_and_takes_over_when_the_first_ends(graph, hurried, capfd):
+    sim = graph.add(SimNode, **SMALL)
+    first = graph.add(PolicyNode)
+    graph.until(lambda: first._counts['turns_answered'] >= 1)
+    second = graph.add(PolicyNode)
+    graph.until(lambda: second._commander.first)
+    level, words, _ = second._status()
+    assert level == health.WARN and 'found /policy_node, which commands these cameras' in words
+    assert first._status()[0] == health.OK
+    answered = first._counts['turns_answered']
+    graph.until(lambda: first._counts['turns_answered'] >= answered + 3)
+    assert second._counts['turns_answered'] == 0
+    assert 'expected one policy; this one holds still' in capfd.readouterr().err
+    graph.remove(first)
+    graph.until(lambda: second._counts['turns_answered'] >= 2)
+    assert sim._counts['refused_commands'] == 0 and not second._commander.wrong()
+
+
+def test_a_live_policy_that_is_not_the_first_sends_nothing(graph, probe, room, hurried):
+    first = graph.add(PolicyNode)
+    second = graph.add(PolicyNode, cloud_topics='points')
+    graph.until(lambda: second._commander.first)
+    probe.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
+    poses = probe.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
+    clouds = probe.publisher(PointCloud2, 'points', qos.LOOP)
+
+    def send(stamp):
+        header = Header(stamp=ns_to_stamp(stamp), frame_id='map')
+        poses.publish(positions_to_msg(np.array([[4.0, 4.0, 1.9], [5.0, 4.0, 1.9]]), header))
+        clouds.publish(cloud_to_msg(room.points, header))
+
+    for stamp in range(10, 15):
+        send(stamp)
+        graph.until(lambda at=stamp: second._live._turns._heard.get('points') == at)
+    assert not second._counts['turns_answered'] and not probe.received[topics.CAMERA_COMMANDS]
+    graph.remove(first)
+    graph.until(lambda: second._counts['turns_answered'] == 1)
+    assert len(probe.last(topics.CAMERA_COMMANDS).poses) == 2
+
+
+def test_words_that_are_none_are_nobody(graph, probe):
+    policy = graph.add(PolicyNode)
+    words = probe.publisher(String, topics.COMMANDERS, qos.LOOP)
+    for text in ('', ' ', '0 0 /x', f'{0:020}', f'{0:020} short /x', f'{0:019}x 12345678 /x',
+                 '\0' * 40, 'é' * 20 + ' 12345678 /x'):
+        words.publish(String(data=text))
+    words.publish(String(data=f'{1 << 62:020} 12345678 /late'))
+    graph.until(lambda: policy._commander._others)
+    assert list(policy._commander._others) == [f'{1 << 62:020} 12345678']
+    assert not policy._commander.first
+
+
+def test_all_agree_whoever_hears_whom_first(graph):
+    nodes = [graph.add(PolicyNode) for _ in range(3)]
+    graph.until(lambda: all(len(node._commander._others) == 2 for node in nodes))
+    assert [bool(node._commander.first) for node in nodes] == [False, True, True]

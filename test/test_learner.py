@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a policy tells, transitions made of it, and the learner that is fed with them."""
+
+from contextlib import suppress
+from dataclasses import replace
+from shutil import copytree
+import threading
+import time
+
+from conftest import assert_same, observation
+import numpy as np
+import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
+from ocp_ros.training.config import SacConfig
+from ocp_ros.training.encoded import encoded_space
+from ocp_ros.training.experience import (
+    Choice,
+    Experience,
+    ExperienceError,
+    from_bytes,
+    to_bytes,
+)
+from ocp_ros.training.learner import Learner, LearnerConfig
+from ocp_ros.training.log import TransitionLog
+from ocp_ros.training.transitions import Assembler, Reward, Transition
+
+SAC = SacConfig(learning_starts=12, batch_size=8, buffer_size=400, device='cpu')
+
+
+def transition(agent, seed=0, cameras=1):
+    """Return a made-up transition."""
+    before, after = (observation(agent, cameras, number) for number in (seed, seed + 1))
+    return Transition(before, np.zeros((cameras, 2), np.float32), 1.0, after, False)
+
+
+def until(predicate, learner, timeout=60.0):
+    """Let a learner's thread work until something has happened."""
+    deadline = time.monotonic() + timeout
+    while not predicate():
+        assert time.monotonic() < deadline, 'nothing happened within the time limit'
+        learner._thread.join(timeout=0.05)
+
+
+def test_a_learner_trains_from_transitions_and_leaves_whole_checkpoints(small_agent, tmp_path):
+    config = LearnerConfig(folder=str(tmp_path), publish_every=4, save_every=8)
+    learner = Learner(config, small_agent, SAC)
+    for seed in range(40):
+        learner.add(transition(small_agent, seed))
+    until(lambda: learner.updates >= 28, learner)
+    replay = learner.model.replay_buffer
+    assert (replay.rewards[:40] == 1.0).all() and not replay.dones[:40].any()
+    weights = learner.take_weights()
+    assert weights.run == learner.run and 0 < weights.updates <= 28
+    assert learner.take_weights() is None
+    learner.close()
+    assert learner.failure is None and learner.updates == 28
+    assert Checkpoint.load(tmp_path / 'actor.safetensors').updates == 28
+    events = EventAccumulator(str(tmp_path / 'tensorboard')).Reload()
+    assert {'train/critic_loss', 'train/actor_loss', 'train/transitions'} <= set(
+        events.Tags()['scalars'])
+    assert events.Scalars('train/transitions')[-1].value == 40
+    again = Learner(config, small_agent, SAC)
+    assert (again.run, again.updates) == (learner.run, 28)
+    again.close()
+
+
+def test_a_learner_reports_its_failure(small_agent, tmp_path):
+    learner = Learner(LearnerConfig(folder=str(tmp_path)), small_agent, SAC)
+    learner.add(transition(small_agent, cameras=2))
+    until(lambda: learner.failure is not None, learner)
+    learner.close()
+
+
+def experience(stamp, turn=0, cameras=2, targets=0.0, together=1):
+    """Return a made-up experience, whose observations tell stamp and choice."""
+    count = cameras // together
+    return Experience(stamp, turn, np.full((cameras, 3), targets), [
+        Choice({'n': (stamp, number)}, np.full((together, 2), 0.1 * number, np.float32))
+        for number in range(count)])
+
+
+def test_every_choice_of_a_turn_is_a_transition_in_any_order_of_the_parts():
+    parts = [lambda a: a.add_experience(experience(1, targets=0.25)),
+             lambda a: a.add_experience(experience(2, 1)),
+             lambda a: a.add_positions(2, np.full((2, 3), 0.25)),
+             lambda a: a.add_reward(Reward(1, 2, 1, 0.5, (0.2, 0.3), True))]
+    for order in ([0, 1, 2, 3], [3, 2, 1, 0], [2, 0, 3, 1]):
+        assembler = Assembler()
+        found = [t for k in order for t in parts[k](assembler)]
+        assert [(t.observation['n'], t.next_observation['n']) for t in found] == [
+            ((1, 0), (1, 1)), ((1, 1), (2, 0))]
+        assert [(t.reward, t.terminated) for t in found] == [(0.2, False), (0.3, True)]
+        np.testing.assert_allclose([t.actions[0, 0] for t in found], [0.0, 0.1])
+        # Sent again, they make none more.
+        assert not [t for k in order for t in parts[k](assembler)]
+        assert assembler.assembled == 1
+
+
+def test_cameras_that_choose_together_share_the_reward_of_the_turn():
+    assembler = Assembler()
+    for stamp in (1, 2):
+        assembler.add_experience(experience(stamp, stamp - 1, together=2))
+    assembler.add_positions(2, np.zeros((2, 3)))
+    (found,) = assembler.add_reward(Reward(1, 2, 1, 0.5, (0.2, 0.3), False))
+    assert found.reward == 0.5 and found.actions.shape == (2, 2)
+
+
+def test_incomplete_turns_are_dropped_and_counted():
+    assembler = Assembler(patience=8)
+    for stamp in range(1, 101):
+        assembler.add_positions(stamp, np.zeros((2, 3)))
+        if stamp % 5:
+            assembler.add_experience(experience(stamp, stamp - 1))
+        if stamp > 1:
+            assembler.add_reward(Reward(stamp - 1, stamp, stamp - 1, 0.0, (0.0, 0.0), False))
+    # Of every fifth turn it was lost what was chosen, so it is missing as the next one, too. The
+    # last ones may still be completed.
+    assert (assembler.assembled, assembler.incomplete) == (60, 36)
+    assembler.clear()
+    assert assembler.incomplete == 39
+
+
+@pytest.mark.parametrize('change', [
+    {'positions': np.ones((2, 3))}, {'positions': np.zeros((3, 3))}, {'step': 2},
+    {'shares': (0.1,)}, {'shares': ()}])
+def test_a_turn_that_something_else_made_is_no_transition(change):
+    assembler = Assembler()
+    for stamp in (1, 2):
+        assembler.add_experience(experience(stamp, stamp - 1))
+    assembler.add_positions(2, change.get('positions', np.zeros((2, 3))))
+    assert assembler.add_reward(Reward(
+        1, 2, change.get('step', 1), 0.0, change.get('shares', (0.0, 0.0)), False)) == []
+    assert (assembler.assembled, assembler.inconsistent) == (0, 1)
+
+
+def test_a_learner_that_was_killed_loses_only_what_came_since_it_saved(small_agent, tmp_path):
+    """What a killed process leaves is what is in its folder, copied while it works."""
+    config = LearnerConfig(folder=str(tmp_path / 'a'), publish_every=4, save_every=8)
+    learner = Learner(config, small_agent, SAC)
+    for seed in range(37):
+        learner.add(transition(small_agent, seed))
+    until(lambda: learner.updates >= 24, learner)
+    copytree(tmp_path / 'a', tmp_path / 'b')
+    (tmp_path / 'b' / '.state.safetensors.abc').write_bytes(b'torn')
+    (tmp_path / 'b' / 'transitions' / '.000.safetensors.abc').write_bytes(b'torn')
+    again = Learner(replace(config, folder=str(tmp_path / 'b')), small_agent, SAC)
+    assert again.run == learner.run and 32 <= again.transitions <= 37
+    assert again.updates >= 16 and again.updates % 8 == 0
+    kept = again.transitions
+    mine, theirs = again.model.replay_buffer, learner.model.replay_buffer
+    assert mine.pos == kept and np.array_equal(mine.rewards[:kept], theirs.rewards[:kept])
+    for name, values in mine.observations.items():
+        assert np.array_equal(values[:kept], theirs.observations[name][:kept])
+    assert not list((tmp_path / 'b').rglob('*.abc'))
+    # It tells its weights to whoever has come meanwhile, and goes on.
+    assert again.take_weights().updates >= 16
+    until(lambda: not again._behind(), again)
+    assert kept - SAC.learning_starts - 4 < again.updates <= kept - SAC.learning_starts
+    for one in (learner, again):
+        one.close()
+        assert one.failure is None
+
+
+def test_a_learner_says_so_when_there_is_no_room(small_agent, tmp_path, monkeypatch):
+    monkeypatch.setattr('ocp_ros.training.learner.INBOX', 5)
+    learner = Learner(LearnerConfig(folder=str(tmp_path)), small_agent, SAC)
+    stuck, release = threading.Event(), threading.Event()
+
+    def stay(transition):
+        stuck.set()
+        release.wait(60.0)
+
+    monkeypatch.setattr(learner, '_store', stay)
+    monkeypatch.setattr(learner.log, 'append', lambda transition: None)
+    assert learner.add(transition(small_agent)) and stuck.wait(30.0)
+    taken = [learner.add(transition(small_agent, seed)) for seed in range(8)]
+    assert taken == [True] * 5 + [False] * 3 and learner.dropped == 3
+    release.set()
+    learner.close()
+
+
+def test_a_log_keeps_the_latest_transitions_and_no_more(small_agent, tmp_path):
+    log = TransitionLog(tmp_path / 'log', 10)
+    for number in range(33):
+        log.append(transition(small_agent, number)._replace(reward=float(number)))
+        if number % 4 == 3:
+            log.save()
+    assert log.total == 33 and log.waiting == 1
+    again = TransitionLog(tmp_path / 'log', 10)
+    rewards = [one.reward for one in again.load()]
+    assert rewards == list(range(20, 32)) and again.total == 32
+    torn = sorted((tmp_path / 'log').iterdir())[0]
+    torn.write_bytes(torn.read_bytes()[:-9])
+    with pytest.raises(CheckpointError, match='found no transitions .*; expected'):
+        list(TransitionLog(tmp_path / 'log', 10).load())
+
+
+def test_transitions_of_another_network_are_refused(small_agent, tmp_path):
+    config = LearnerConfig(folder=str(tmp_path), cameras=2)
+    log = TransitionLog(tmp_path / 'transitions', 10)
+    log.append(transition(replace(small_agent, inputs='cloud'), cameras=2))
+    log.save()
+    with pytest.raises(CheckpointError, match='transitions of another network'):
+        Learner(config, small_agent, SAC)
+
+
+def stamped(agent, cameras, stamp=7):
+    """Return a made-up experience, and what is expected of its arrays."""
+    together = 1 if agent.world else cameras
+    choices = [Choice(observation(agent, together, seed), np.full((together, 2), 0.5, np.float32))
+               for seed in range(cameras // together)]
+    expected = {name: (space.shape, space.dtype) for name, space
+                in encoded_space(agent, 1).spaces.items() if name != 'present'}
+    return Experience(stamp, 3, np.ones((cameras, 3)), choices), expected, together
+
+
+def test_an_experience_comes_back(agent):
+    made, expected, together = stamped(agent, 3)
+    found = from_bytes(to_bytes(made), expected, together)
+    assert found[:2] == (7, 3) and np.array_equal(found.targets, made.targets)
+    assert len(found.choices) == len(made.choices)
+    for one, other in zip(found.choices, made.choices):
+        assert_same(one.observation, other.observation)
+        assert np.array_equal(one.actions, other.actions)
+
+
+def test_an_experience_that_lies_is_refused(agent):
+    made, expected, together = stamped(agent, 3)
+    key = next(name for name in expected if name in ('own', 'points'))
+    blob, rng = to_bytes(made), np.random.default_rng(0)
+    spoilt = [blob[:-5], b'', blob[8:], to_bytes(made._replace(targets=np.ones((2, 3)))),
+              to_bytes(made._replace(targets=np.full((3, 3), np.nan)))]
+    other = made.choices[0].observation
+    spoilt += [to_bytes(made._replace(choices=[
+        Choice({**other, key: value}, made.choices[0].actions)] * len(made.choices)))
+        for value in (other[key][..., :-1], other[key].astype(np.float64),
+                      np.full_like(other[key], np.inf))]
+    for wrong in spoilt:
+        with pytest.raises(ExperienceError, match='experience: found .*; expected'):
+            from_bytes(wrong, expected, together)
+    for _ in range(300):
+        torn = bytearray(blob)
+        for at in rng.integers(len(blob) if rng.random() < 0.5 else 400, size=3):
+            torn[at] = rng.integers(256)
+        with suppress(ExperienceError):
+            found = from_bytes(bytes(torn), expected, together)
+            assert all(np.isfinite(choice.actions).all() for choice in found.choices)
