@@ -1,27 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Train over ROS: ros2 launch ocp_ros train.launch.py [folder:=out/trainer] [seed:=1]."""
+"""Train over ROS: ros2 launch ocp_ros train.launch.py [envs:=8] [folder:=DIR] [seed:=1]."""
 
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 
-def generate_launch_description() -> LaunchDescription:
-    """Start a simulated rig, a policy that explores, and a trainer that publishes weights."""
+def pairs(context: LaunchContext) -> list[Node]:
+    """Start simulated rigs and a policy that explores for each, in namespaces env_0, env_1, ..."""
     config = str(Path(get_package_share_directory('ocp_ros')) / 'config' / 'trainer.yaml')
-    seed = ParameterValue(LaunchConfiguration('seed'), value_type=int)
+    envs, seed = (int(LaunchConfiguration(name).perform(context)) for name in ('envs', 'seed'))
+    nodes = []
+    for number in range(envs):
+        for name, parameters in (('sim_node', {'scene.seed': seed + number, 'seed': number}),
+                                 ('policy_node', {'seed': number})):
+            nodes.append(Node(package='ocp_ros', executable=name, namespace=f'env_{number}',
+                              output='screen', parameters=[config, parameters]))
+    return nodes
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Start a trainer that publishes weights, and as many pairs of sim and policy as asked for."""
+    config = str(Path(get_package_share_directory('ocp_ros')) / 'config' / 'trainer.yaml')
     folder = ParameterValue(LaunchConfiguration('folder'), value_type=str)
     return LaunchDescription([
-        DeclareLaunchArgument('seed', default_value='1', description='seed of the room'),
+        DeclareLaunchArgument('envs', default_value='1', description='pairs of sim and policy'),
+        DeclareLaunchArgument('seed', default_value='1', description='seed of the first room'),
         DeclareLaunchArgument('folder', default_value='out/trainer', description='checkpoints'),
-        Node(package='ocp_ros', executable='sim_node', output='screen',
-             parameters=[config, {'scene.seed': seed}]),
-        Node(package='ocp_ros', executable='policy_node', output='screen', parameters=[config]),
         Node(package='ocp_ros', executable='trainer_node', output='screen',
              parameters=[config, {'folder': folder}]),
+        OpaqueFunction(function=pairs),
     ])

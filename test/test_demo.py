@@ -112,14 +112,16 @@ def test_bad_input_gets_a_reason_and_code_2(tmp_path, capsys, arguments, words):
     assert words in capsys.readouterr().err
 
 
-def test_trained_weights_arrive_in_the_policy(tmp_path):
-    assert train_demo.main(['--out', str(tmp_path), '--turns', '150']) == 0
+@pytest.mark.parametrize('pairs', [1, 2])
+def test_trained_weights_arrive_in_every_policy(tmp_path, pairs):
+    assert train_demo.main(
+        ['--out', str(tmp_path), '--turns', '100', '--pairs', str(pairs)]) == 0
     result = json.loads((tmp_path / 'train_demo.json').read_text())
-    assert result['turns'] >= 150 and result['weights_arrived'] >= 1
+    assert result['turns'] >= 100 and result['weights_arrived'] >= 1
+    assert len(result['turns_by_source']) == pairs and all(result['turns_by_source'].values())
     saved = Checkpoint.load(tmp_path / 'trainer' / 'actor.safetensors')
     assert saved.run == result['run'] and 0 < result['policy_updates'] <= saved.updates
     # How many transitions a busy trainer misses depends on the machine; it never makes one up.
-    # And the turns are counted by another node, which starts to listen later.
     assert result['inconsistent'] == 0 and result['transitions'] > 0
 
 

@@ -7,9 +7,12 @@ from conftest import ROOT
 import pytest
 
 
-@pytest.mark.parametrize(('name', 'nodes'), [('demo', 2), ('train', 3)])
-def test_a_launch_file_starts_its_nodes(name, nodes, monkeypatch):
+@pytest.mark.parametrize(('name', 'given', 'nodes'), [
+    ('demo', {}, 2), ('train', {}, 3), ('train', {'envs': '8'}, 17)])
+def test_a_launch_file_starts_its_nodes(name, given, nodes, monkeypatch):
     pytest.importorskip('launch_ros', reason='launch files need ROS 2 from apt (launch_ros)')
+    from launch import LaunchContext
+    from launch.actions import OpaqueFunction
     from launch_ros.actions import Node
     monkeypatch.setattr('ament_index_python.packages.get_package_share_directory',
                         lambda package: str(ROOT))
@@ -17,5 +20,13 @@ def test_a_launch_file_starts_its_nodes(name, nodes, monkeypatch):
     spec = importlib.util.spec_from_file_location(name, path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    entities = module.generate_launch_description().entities
-    assert sum(isinstance(entity, Node) for entity in entities) == nodes
+    context, started = LaunchContext(), []
+    context.launch_configurations.update(given)
+    for entity in module.generate_launch_description().entities:
+        if isinstance(entity, Node):
+            started.append(entity)
+        elif isinstance(entity, OpaqueFunction):
+            started += entity.execute(context)
+        else:
+            entity.visit(context)
+    assert len(started) == nodes and all(isinstance(node, Node) for node in started)

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 import json
 import os
 from pathlib import Path
+import re
 import signal
 import socket
 import subprocess
@@ -33,6 +34,21 @@ def free_domain() -> tuple[int, socket.socket]:
     raise RuntimeError('found no free ROS domain between 1 and 100; stop some running demos')
 
 
+def rss_of(pid: int) -> float:
+    """
+    Return the resident memory of a process, MB; 0 if there is none.
+
+    Pages of files are left out: the system takes those of libraries back, and gives them again, as
+    other programs need room.
+    """
+    try:
+        status = Path(f'/proc/{pid}/status').read_text()
+    except OSError:
+        return 0.0
+    sizes = re.findall(r'^Rss(?:Anon|Shmem):\s+(\d+) kB$', status, re.MULTILINE)
+    return sum(map(int, sizes)) * 1024 / 1e6
+
+
 class NodeProcess:
     """
     One node in a process of its own; its output goes to a file.
@@ -41,11 +57,15 @@ class NodeProcess:
     :param domain: ROS domain id.
     :param log: file for its output.
     :param parameters: dotted name to value.
+    :param namespace: such as ``env_0``; empty for none.
     """
 
-    def __init__(self, name: str, domain: int, log: Path, parameters: dict) -> None:
-        self.name, self.log = name, log
+    def __init__(self, name: str, domain: int, log: Path, parameters: dict,
+                 namespace: str = '') -> None:
+        self.name, self.log = f'{namespace}/{name}'.lstrip('/'), log
         arguments = [sys.executable, '-m', f'ocp_ros.nodes.{name}', '--ros-args']
+        if namespace:
+            arguments += ['-r', f'__ns:=/{namespace}']
         for key, value in parameters.items():
             # The value is read as YAML, which JSON is: a path may hold anything.
             plain = str(value) if isinstance(value, Path) else value
@@ -55,7 +75,7 @@ class NodeProcess:
             self.process = subprocess.Popen(
                 arguments, stdout=file, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
                 env={**os.environ, **LOCALHOST, 'ROS_DOMAIN_ID': str(domain),
-                     'PYTHONUNBUFFERED': '1'})
+                     'PYTHONUNBUFFERED': '1', 'PYTHONFAULTHANDLER': '1'})
 
     def check(self) -> None:
         """
@@ -83,9 +103,9 @@ class NodeProcess:
             self.process.send_signal(signal.SIGINT)
 
     def wait(self) -> int:
-        """Return the node's exit code; insist after 15 s."""
+        """Return the node's exit code; insist after a minute: what was learned is being saved."""
         try:
-            return self.process.wait(timeout=15.0)
+            return self.process.wait(timeout=60.0)
         except subprocess.TimeoutExpired:
             self.process.kill()
             return self.process.wait()

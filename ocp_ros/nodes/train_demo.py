@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Training over real ROS: sim, policy and trainer, each a process, for a few hundred turns.
+Training over real ROS: a trainer, and pairs of sim and policy in namespaces, each a process.
 
-Shows that weights trained from the topics arrive in ``policy_node``; writes ``train_demo.json``.
+Shows that weights trained from the topics arrive in every ``policy_node``; writes
+``train_demo.json``.
 """
 
 import argparse
@@ -32,58 +33,90 @@ def parser() -> argparse.ArgumentParser:
     """Build the parser."""
     top = argparse.ArgumentParser(prog='train_demo', description=__doc__)
     top.add_argument('--turns', type=int, default=400, help='turns to play in all')
-    top.add_argument('--seed', type=int, default=1, help='of the generated room')
+    top.add_argument('--pairs', type=int, default=1, choices=range(1, 65), metavar='1..64',
+                     help='pairs of sim and policy')
+    top.add_argument('--seed', type=int, default=1, help='of the first generated room')
     top.add_argument('--model', default='default', help='weights to start from: path or name')
     top.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
     return top
 
 
-def nodes(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    """Return the nodes and their parameters; the trainer first, so that it hears every turn."""
-    return {
-        'trainer_node': {'model': options.model, 'folder': str(options.out / 'trainer'),
-                         'publish_every': 20, 'sac.learning_starts': 100, 'sac.burn_in': 20,
-                         'updates_per_turn': 0.5},
-        'policy_node': {'model': options.model, 'explore': True},
-        'sim_node': {'scene.seed': options.seed, 'auto_reset': True}}
+def namespaces(pairs: int) -> list[str]:
+    """Return the namespaces of so many pairs; a single one needs none."""
+    return [f'env_{number}' for number in range(pairs)] if pairs > 1 else ['']
+
+
+def pair_of(number: int, seed: int, model: str) -> dict[str, dict[str, Any]]:
+    """Return the nodes of a pair and their parameters: each plays in a room of its own."""
+    return {'policy_node': {'model': model, 'explore': True, 'seed': number},
+            'sim_node': {'scene.seed': seed + number, 'seed': number, 'auto_reset': True}}
+
+
+def start_all(options: argparse.Namespace, domain: int, trainer: dict[str, Any],
+              processes: list[NodeProcess]) -> None:
+    """Start the trainer first, so that it hears every turn, and then all pairs."""
+    names, logs = namespaces(options.pairs), options.out / 'logs'
+    processes.append(NodeProcess('trainer_node', domain, logs / 'trainer_node.log', {
+        'model': options.model, 'folder': str(options.out / 'trainer'),
+        'sources': ','.join(names), **trainer}))
+    for number, namespace in enumerate(names):
+        for name, parameters in pair_of(number, options.seed, options.model).items():
+            log = logs / namespace / f'{name}.log'
+            processes.append(NodeProcess(name, domain, log, parameters, namespace))
+
+
+def policies_of(watch: Watch, pairs: int) -> list[dict[str, str]]:
+    """Return what the policies said of themselves last, empty for those that have not yet."""
+    return [watch.node.health.get(f'{namespace}/policy_node'.lstrip('/'), {})
+            for namespace in namespaces(pairs)]
 
 
 def play(options: argparse.Namespace, domain: int, watch: Watch) -> float:
-    """Run the loop for the turns asked for, and until new weights have arrived; seconds taken."""
+    """Run the loop for the turns asked for, and until all have new weights; turns a second."""
     node, processes = watch.node, []
     columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
                TextColumn('{task.fields[state]}'))
+
+    def turns() -> int:
+        return int(node.health.get('trainer_node', {}).get('turns', 0))
+
     with stopped_at_the_end(processes), \
             Progress(*columns, console=Console(stderr=True)) as progress:
         task = progress.add_task('starting nodes', total=options.turns, state='')
-        for name, parameters in nodes(options).items():
-            log = options.out / 'logs' / f'{name}.log'
-            processes.append(NodeProcess(name, domain, log, parameters))
+        start_all(options, domain, {
+            'publish_every': 20, 'sac.learning_starts': 100, 'sac.burn_in': 20,
+            'updates_per_turn': 0.125}, processes)
 
         def done() -> bool:
-            played = len(node.rewards)
-            swapped = int(node.health.get('policy_node', {}).get('weights_swapped', 0))
-            progress.update(task, completed=min(played, options.turns), state=(
+            swapped = [int(one.get('weights_swapped', 0))
+                       for one in policies_of(watch, options.pairs)]
+            progress.update(task, completed=min(turns(), options.turns), state=(
                 f'{node.health.get("trainer_node", {}).get("updates", 0)} updates, '
-                f'{swapped} sets of weights arrived'))
-            return played >= options.turns and swapped > 0
+                f'{min(swapped)} sets of weights arrived'))
+            return turns() >= options.turns and min(swapped) > 0
 
-        watch.until(lambda: len(node.rewards) > 1, START_TIMEOUT, 'first turns', processes)
+        patience = START_TIMEOUT + 10.0 * options.pairs
+        watch.until(lambda: turns() > 1, patience, 'first turns', processes)
         progress.update(task, description='training')
-        began = time.monotonic()
-        watch.until(done, 2.0 * START_TIMEOUT, 'new weights in policy_node', processes)
-        return time.monotonic() - began
+        began, first = time.monotonic(), turns()
+        watch.until(done, 2.0 * patience + options.turns, 'new weights in every policy_node',
+                    processes)
+        return (turns() - first) / (time.monotonic() - began)
 
 
-def result_of(watch: Watch, seconds: float) -> dict[str, Any]:
+def result_of(options: argparse.Namespace, watch: Watch, speed: float) -> dict[str, Any]:
     """Collect the counts that the nodes published about themselves."""
-    trainer, policy = (watch.node.health[name] for name in ('trainer_node', 'policy_node'))
-    names = ('transitions', 'incomplete', 'inconsistent', 'updates', 'weights_published')
-    turns = len(watch.node.rewards)
-    return {'turns': turns, 'turns_per_second': turns / seconds,
+    trainer, policies = watch.node.health['trainer_node'], policies_of(watch, options.pairs)
+    names = ('turns', 'transitions', 'incomplete', 'inconsistent', 'dropped', 'updates',
+             'weights_published')
+    sources = {name.removeprefix('turns '): int(value) for name, value in trainer.items()
+               if name.startswith('turns ')}
+    return {'pairs': options.pairs, 'turns_per_second': speed,
             **{name: int(trainer[name]) for name in names},
-            'weights_arrived': int(policy['weights_swapped']),
-            'policy_updates': int(policy['weights_updates']), 'run': policy['weights_run']}
+            'turns_by_source': sources,
+            'weights_arrived': min(int(policy['weights_swapped']) for policy in policies),
+            'policy_updates': min(int(policy['weights_updates']) for policy in policies),
+            'run': trainer['run']}
 
 
 def main(args: list[str] | None = None) -> int:
@@ -94,7 +127,7 @@ def main(args: list[str] | None = None) -> int:
     domain, holder = free_domain()
     try:
         with holder, Watch(domain) as watch:
-            result = result_of(watch, play(options, domain, watch))
+            result = result_of(options, watch, play(options, domain, watch))
     except RuntimeError as error:
         print(f'train_demo: {error}', file=sys.stderr)
         return 2

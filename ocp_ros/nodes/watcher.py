@@ -105,7 +105,7 @@ class Watch:
         rclpy.shutdown(context=self.context)
 
     def until(self, predicate: Callable[[], bool], timeout: float, what: str,
-              processes: list[NodeProcess]) -> None:
+              processes: list[NodeProcess], step: float = 0.1) -> None:
         """
         Spin until something has happened.
 
@@ -113,6 +113,7 @@ class Watch:
         :param timeout: seconds to wait for it.
         :param what: its name for the error message.
         :param processes: nodes that have to stay alive meanwhile.
+        :param step: seconds after which it is looked again where nothing comes.
         :raises RuntimeError: if it does not happen in time or a node dies.
         """
         deadline = time.monotonic() + timeout
@@ -123,4 +124,4 @@ class Watch:
                 words = '; '.join(f'{process.name}: {process.tail()}' for process in processes)
                 raise RuntimeError(
                     f'found no {what} within {timeout:.0f} s; last words: {words}')
-            self.executor.spin_once(timeout_sec=0.1)
+            self.executor.spin_once(timeout_sec=step)
