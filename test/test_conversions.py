@@ -2,7 +2,6 @@
 """Messages to arrays and back, for any layout of a cloud."""
 
 from array import array
-from copy import deepcopy
 
 from hypothesis import given
 from hypothesis import settings as budget
@@ -32,6 +31,7 @@ from ocp_ros.nodes.conversions import (
     positions_to_msg,
     stamp_to_ns,
 )
+from ocp_ros.nodes.malformed import spoilt_cloud, spoilt_fields, spoilt_poses
 
 
 @st.composite
@@ -211,65 +211,6 @@ def test_a_float64_that_no_float32_can_hold_is_no_point():
     message.data[24:32] = array('B', b'\x01\x00\x00\x00\x00\x00\xf0\x7f')
     points[:2] = np.nan
     np.testing.assert_array_equal(msg_to_cloud(message), points[np.isfinite(points).all(axis=1)])
-
-
-NUMBERS = (0, 1, 3, 12, 255, 65536, 2 ** 31 - 1, 2 ** 31, 2 ** 32 - 1)
-FLOATS = (0.0, -0.0, 1.0, np.nan, np.inf, -np.inf, 1e300, 5e-324, -1e-7, 1e9)
-
-
-def spoilt_cloud(rng, messages):
-    """Return a cloud whose numbers, fields or bytes lie."""
-    message = deepcopy(messages[rng.integers(len(messages))])
-    for _ in range(rng.integers(1, 4)):
-        what = rng.choice(['number', 'field', 'twice', 'lost', 'cut', 'more', 'bytes', 'order'])
-        field = message.fields[rng.integers(len(message.fields))] if message.fields else None
-        if what == 'number':
-            name = rng.choice(['height', 'width', 'point_step', 'row_step'])
-            near = (getattr(message, name) + int(rng.integers(-1, 2))) % 2 ** 32
-            setattr(message, name, int(rng.choice([*NUMBERS, near, near])))
-        elif what == 'field' and field:
-            field.offset = int(rng.choice([*NUMBERS, 5, 8, 13]))
-            field.datatype = int(rng.choice([field.datatype, 7, 8, rng.integers(256)]))
-            field.count = int(rng.choice([0, 1, 1, 1, 2, 2 ** 32 - 1]))
-        elif what == 'twice' and field:
-            message.fields = [*message.fields, deepcopy(field)]
-        elif what == 'lost' and field:
-            message.fields = [other for other in message.fields if other is not field]
-        elif what == 'cut':
-            message.data = message.data[:rng.integers(len(message.data) + 1)]
-        elif what == 'more':
-            message.data = message.data + array('B', bytes(int(rng.integers(1, 100))))
-        elif what == 'bytes':
-            message.data = array('B', rng.bytes(len(message.data)))
-        else:
-            message.is_bigendian = not message.is_bigendian
-    return message
-
-
-def spoilt_poses(rng):
-    """Return poses with numbers that are none."""
-    message = positions_to_msg(rng.normal(size=(rng.integers(0, 5), 3)), Header())
-    for pose in message.poses:
-        part = pose.position if rng.random() < 0.5 else pose.orientation
-        if rng.random() < 0.7:
-            setattr(part, rng.choice(list('xyz')), float(rng.choice(FLOATS)))
-        if rng.random() < 0.4:
-            pose.orientation.w = float(rng.choice(FLOATS))
-    return message
-
-
-def spoilt_fields(rng):
-    """Return named numbers whose names or numbers are missing, twice there or none."""
-    names = list(rng.choice(['a', 'b', 'c', '', 'é'], rng.integers(0, 5)))
-    message = fields_to_msg(dict.fromkeys(names, 1.0))
-    if rng.random() < 0.4:
-        message.data = [*message.data, *rng.choice(FLOATS, rng.integers(0, 3))]
-    message.data = [float(rng.choice(FLOATS)) if rng.random() < 0.3 else x for x in message.data]
-    if rng.random() < 0.3:
-        message.layout.dim = message.layout.dim * int(rng.integers(0, 3))
-    if message.layout.dim and rng.random() < 0.3:
-        message.layout.dim[0].label += str(rng.choice([',', ',a', 'a,,', '\0']))
-    return message
 
 
 def test_spoilt_messages_are_refused_or_read_and_nothing_else():

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages that lie, sent to nodes on real DDS; ``make fuzz`` sends many more."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
+
+from std_msgs.msg import Header, UInt8MultiArray
+
+from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
+from ocp_ros.nodes import topics
+from ocp_ros.nodes.conversions import cloud_to_msg, MessageError, msg_to_cloud
+from ocp_ros.nodes.fuzz_targets import (
+    BATCH,
+    Fuzzer,
+    FuzzError,
+    LiveTarget,
+    PolicyTarget,
+    SimTarget,
+)
+from ocp_ros.nodes.malformed import known_lies, spoilt_weights
+from ocp_ros.nodes.policy_node import PolicyNode
+from ocp_ros.nodes.sim_node import SimNode
+from ocp_ros.nodes.trainer_node import TrainerNode
+
+SIM = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
+       'engine__coverage_cell': 0.5, 'rig__cameras': 3, 'auto_reset': True}
+
+
+@pytest.fixture
+def fuzzer(graph, probe, tmp_path, small_agent):
+    """Return what sends lies; the weights are random."""
+    from conftest import random_checkpoint
+    made = random_checkpoint(small_agent, updates=5, run='a')
+    made.save(tmp_path / 'm.safetensors')
+    fuzzer = Fuzzer(probe.node, lambda predicate, what: graph.until(predicate, 60.0), 0, made)
+    fuzzer.model = str(tmp_path / 'm.safetensors')
+    return fuzzer
+
+
+def test_a_policy_and_its_trainer_outlive_lies(graph, fuzzer, tmp_path):
+    policy = graph.add(partial(PolicyNode, namespace='turns'), planner='learned', turns=100000,
+                       model=fuzzer.model, convergence_distance=0.0)
+    trainer = graph.add(partial(TrainerNode, namespace='turns'), folder=str(tmp_path / 'run'))
+    target = PolicyTarget(fuzzer, '/turns')
+    for number in range(12):
+        target.batch(again=number % 3 > 0)
+    assert fuzzer.sent == 12 * (3 * BATCH + 1) and fuzzer.answered == 12
+    assert policy._counts['refused_messages'] > 12 * BATCH / 2
+    assert policy._counts['weights_refused'] > 6
+    assert trainer.sources['/turns'].counts['refused'] > 12 * BATCH / 2
+    assert trainer.sources['/turns'].counts['transitions'] == 0
+
+
+def test_live_cameras_outlive_lies(graph, fuzzer):
+    policy = graph.add(partial(PolicyNode, namespace='live'), cloud_topics='a,b', turns=100000,
+                       cloud_timeout=0.3, arrival_timeout=0.5)
+    target = LiveTarget(fuzzer, '/live', ['a', 'b'])
+    for _ in range(4):
+        target.batch()
+    assert fuzzer.answered == 4 and policy._counts['turns_answered'] >= 4
+
+
+def test_a_simulation_outlives_lies(graph, fuzzer):
+    sim = graph.add(partial(SimNode, namespace='sim'), **SIM)
+    target = SimTarget(fuzzer, '/sim')
+    for _ in range(12):
+        target.batch()
+    assert fuzzer.answered == 12 and sim._counts['refused_commands'] > 4
+
+
+def test_a_cloud_of_millions_of_points_is_answered(graph, fuzzer):
+    graph.add(partial(PolicyNode, namespace='turns'), planner='learned', model=fuzzer.model)
+    graph.add(lambda **kwargs: _Listener(**kwargs))
+    target = PolicyTarget(fuzzer, '/turns')
+    assert target.ping(np.tile(fuzzer._cloud, (3400, 1))) > 0.0
+
+
+def _Listener(**kwargs):
+    """Return a node that hears experiences, so that there is a listener without a trainer."""
+    from rclpy.node import Node
+    node = Node('listener', **{**kwargs, 'parameter_overrides': []})
+    node.create_subscription(
+        UInt8MultiArray, f'/turns/{topics.EXPERIENCE}', lambda message: None, 10)
+    return node
+
+
+def test_a_command_out_of_bounds_is_noticed(fuzzer):
+    box = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
+    fuzzer.check(np.array([[0.5, 1.0, 9.0]]), box, 'command')
+    for wrong in ([0.5, 1.1, 0.5], [np.nan, 0.5, 0.5], [-0.1, 0.5, 0.5]):
+        with pytest.raises(FuzzError, match='command: found'):
+            fuzzer.check(np.array([wrong]), box, 'command')
+
+
+def test_all_known_lies_are_refused(room):
+    for cloud in known_lies(cloud_to_msg(room.points, Header())):
+        with pytest.raises(MessageError, match='cloud: found .*; expected'):
+            msg_to_cloud(cloud)
+
+
+def test_spoilt_weights_are_refused_but_for_changes_that_do_not_matter(checkpoint):
+    rng, taken = np.random.default_rng(1), 0
+    for _ in range(200):
+        try:
+            found = Checkpoint.from_bytes(spoilt_weights(rng, checkpoint))
+            found.check_replaces(checkpoint)
+        except CheckpointError:
+            continue
+        # A letter of the name of the run, or a digit of the updates.
+        taken += 1
+        assert (found.run, found.updates) != (checkpoint.run, checkpoint.updates)
+    assert taken < 20
