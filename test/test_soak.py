@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes that are killed at random times; ``make soak`` does it for long."""
+
+import json
+from types import SimpleNamespace
+
+from conftest import random_checkpoint
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
+
+from std_msgs.msg import Header
+
+from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.nodes import soak, soak_watch
+from ocp_ros.nodes.conversions import ns_to_stamp, positions_to_msg
+from ocp_ros.training.learner import ACTOR, STATE
+
+
+@pytest.mark.timeout(600)
+def test_the_loop_goes_on_whichever_node_is_killed_and_no_file_is_torn(tmp_path, capsys):
+    assert soak.main(['--out', str(tmp_path), '--kills', '3']) == 0, capsys.readouterr().err
+    result = json.loads((tmp_path / 'soak.json').read_text())
+    assert result['kills'] == {
+        'trainer_node': 1, 'env_0/policy_node': 1, 'env_0/sim_node': 1}
+    assert result['restarts_survived'] == 3 and result['turns'] > 6
+    assert 0 < result['malformed_messages_refused'] <= result['malformed_messages_sent'] * 2
+    assert 0.0 < result['turn_latency_p50_ms'] <= result['turn_latency_p99_ms']
+    # Who was killed has gone on from what it had saved, if anything.
+    if (tmp_path / 'soak_trainer' / ACTOR).exists():
+        assert Checkpoint.load(tmp_path / 'soak_trainer' / ACTOR).updates > 0
+
+
+def test_a_torn_file_is_noticed(tmp_path, small_agent):
+    assert soak_watch.check_files(tmp_path) == 0
+    random_checkpoint(small_agent).save(tmp_path / ACTOR)
+    assert soak_watch.check_files(tmp_path) == 1
+    (tmp_path / STATE).write_bytes((tmp_path / ACTOR).read_bytes()[:-1])
+    with pytest.raises(RuntimeError, match='found a torn file'):
+        soak_watch.check_files(tmp_path)
+
+
+def test_memory_is_compared_within_one_life(monkeypatch):
+    now, held = [0.0], {1: 100.0, 2: 50.0}
+    monkeypatch.setattr(soak_watch.time, 'monotonic', lambda: now[0])
+    monkeypatch.setattr(soak_watch, 'rss_of', held.get)
+    processes = [SimpleNamespace(name='a', process=SimpleNamespace(pid=1)),
+                 SimpleNamespace(name='b', process=SimpleNamespace(pid=2))]
+    memory = soak_watch.Memory()
+    for second, a, b in ((0, 100.0, 50.0), (soak_watch.WARM, 130.0, 60.0), (90, 133.0, 59.0)):
+        now[0], held[1], held[2] = float(second), a, b
+        memory.look(processes)
+    assert memory.growth == {'a': 3.0, 'b': 0.0}
+    # A new life begins anew.
+    processes[0].process.pid, held[3] = 3, 500.0
+    memory.look(processes)
+    assert memory.growth == {'a': 3.0, 'b': 0.0}
+
+
+def test_a_turn_is_timed_from_when_it_was_sent_first(probe, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(soak_watch.time, 'monotonic', lambda: now[0])
+    latency = soak_watch.Latency(probe.node, '/env_0')
+
+    def message(stamp, frame='map'):
+        return positions_to_msg(np.ones((2, 3)), Header(stamp=ns_to_stamp(stamp), frame_id=frame))
+
+    for second, hear, what in (
+            (1.0, latency._on_poses, message(5)), (2.0, latency._on_poses, message(5)),
+            (2.5, latency._on_poses, message(9, 'lies')), (3.0, latency._on_command, message(4)),
+            (4.0, latency._on_command, message(5)), (5.0, latency._on_command, message(5)),
+            (6.0, latency._on_poses, message(6))):
+        now[0] = second
+        hear(what)
+    latency.interrupt()
+    latency._on_command(message(6))
+    assert (latency.turns, latency.seconds) == (1, [3.0])
