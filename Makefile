@@ -5,7 +5,7 @@ RUN := $(VENV)/bin/python
 READY := $(VENV)/.ready
 OUT ?= out
 
-.PHONY: help demo train-demo train test lint format bench benchmark rooms colcon clean
+.PHONY: help demo train-demo train test lint format bench fuzz soak benchmark rooms colcon clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 14
@@ -16,8 +16,8 @@ $(READY): tools/setup setup.py $(wildcard requirements/*.txt)
 demo: $(READY)  ## place cameras over real ROS: make demo [ROOM=scan.ply] [CAMERAS=4] [HEIGHT=1.9] [SCALE=1.0] [UP=z] [DROP_NONFINITE=1] [MODEL=default]
 	$(RUN) -m ocp_ros.nodes.demo --out "$(OUT)" $(if $(ROOM),--room "$(ROOM)") $(if $(CAMERAS),--cameras $(CAMERAS)) $(if $(HEIGHT),--height $(HEIGHT)) $(if $(SCALE),--scale $(SCALE)) $(if $(UP),--up $(UP)) $(if $(DROP_NONFINITE),--drop-nonfinite) $(if $(MODEL),--model $(MODEL))
 
-train-demo: $(READY)  ## the same with trainer_node in the loop: weights arrive in policy_node
-	$(RUN) -m ocp_ros.nodes.train_demo --out "$(OUT)"
+train-demo: $(READY)  ## the same with trainer_node in the loop: weights arrive in every policy_node: make train-demo [PAIRS=1] [TURNS=400]
+	$(RUN) -m ocp_ros.nodes.train_demo --out "$(OUT)" $(if $(PAIRS),--pairs $(PAIRS)) $(if $(TURNS),--turns $(TURNS))
 
 train: $(READY)  ## train the shipped model again
 	$(RUN) -m ocp_ros.cli train --config config/train/default.yaml --out "$(OUT)/train" --model models/default.safetensors
@@ -32,9 +32,16 @@ lint: $(READY)  ## check style, as ament_flake8 and ament_pep257 would
 format: $(READY)  ## mend what ruff can mend
 	$(VENV)/bin/ruff check --fix .
 
-bench: $(READY)  ## measure fidelity and speed of the engine
+bench: $(READY)  ## measure fidelity and speed of the engine, and the nodes: how fast turns are answered and learned from
 	$(RUN) -m ocp_ros.benchmark.engine --out "$(OUT)/bench.json" --page docs/bench.md
 	$(RUN) -m ocp_ros.report.visibility --out docs/visibility.png
+	$(RUN) -m ocp_ros.nodes.bench --out "$(OUT)/bench_ros.json"
+
+fuzz: $(READY)  ## send nodes messages that lie: make fuzz [MESSAGES=100000]
+	$(RUN) -m ocp_ros.nodes.fuzz --out "$(OUT)" $(if $(MESSAGES),--messages $(MESSAGES))
+
+soak: $(READY)  ## play, kill nodes and lie to them: make soak [MINUTES=5] [KILLS=100, in place of minutes]
+	$(RUN) -m ocp_ros.nodes.soak --out "$(OUT)" $(if $(MINUTES),--minutes $(MINUTES)) $(if $(KILLS),--kills $(KILLS))
 
 benchmark: $(READY)  ## compare all planners in all test rooms: two hours on two cores; goes on where it stopped
 	$(RUN) -m ocp_ros.cli benchmark --preset full --out "$(OUT)/benchmark" --report docs/benchmark

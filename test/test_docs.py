@@ -33,7 +33,8 @@ def test_every_topic_and_field_is_documented():
     from ocp_ros.nodes import topics
     text = (ROOT / 'docs' / 'ros.md').read_text()
     names = [value for name, value in vars(topics).items() if name.isupper()]
-    for name in [n for n in names if isinstance(n, str)] + list(topics.REWARD_FIELDS):
+    for name in [n for n in names if isinstance(n, str)] + [
+            *topics.REWARD_FIELDS, *topics.TRAINING_FIELDS]:
         assert f'`{name}`' in text, name
 
 
