@@ -13,15 +13,10 @@ import numpy as np
 from plyfile import PlyData, PlyElement
 import pytest
 
+from ocp_ros.geometry.voxels import voxel_downsample, voxel_size_for
 from ocp_ros.scenes.files import load_scene, SceneWarning
 from ocp_ros.scenes.rooms import generate_room
-from ocp_ros.scenes.scene import (
-    likely_up_axis,
-    Scene,
-    SceneError,
-    voxel_downsample,
-    voxel_size_for,
-)
+from ocp_ros.scenes.scene import likely_up_axis, Scene, SceneError
 
 SCANS = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'rooms'
 ROOM = generate_room(3, 2500).points

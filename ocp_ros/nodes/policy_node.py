@@ -20,6 +20,7 @@ import torch
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.agent.encoder import Encoder
 from ocp_ros.agent.policy import Policy
+from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.nodes import health, topics
 from ocp_ros.nodes.conversions import (
     MessageError,
@@ -193,7 +194,7 @@ class PolicyNode(Node):
         """Choose where the cameras go, and say so once it is where they stay."""
         if len(cloud) == 0:
             raise MessageError('cloud: found no finite point; expected what the cameras see')
-        bounds = np.stack([cloud.min(axis=0), cloud.max(axis=0)]).astype(np.float64)
+        bounds = corners_of(cloud).astype(np.float64)
         if (size := np.ptp(bounds, axis=0).max()) > LARGEST:
             raise MessageError(f'cloud: found points {size:.0f} m apart; expected those of a '
                                f'room, within {LARGEST:.0f} m')

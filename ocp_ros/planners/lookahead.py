@@ -125,8 +125,7 @@ class Lookahead(Online):
         self._plan: np.ndarray | None = None
         self._candidates: Candidates | None = None
         self._chosen: list[int] = []
-        self._kept = KeptModel(self.max_range, self.wall_margin, REFINING_POINTS, REFINING_ROWS,
-                               FINE)
+        self._kept = KeptModel(self.max_range, self.wall_margin, REFINING_POINTS, REFINING_ROWS)
         #: Turn of the last model or of the last candidates.
         self._made = 0
 
@@ -171,7 +170,7 @@ class Lookahead(Online):
         steps = STEPS
         if self._kept.made is None or (turn - self._made >= REFINING_KEPT
                                        and not self._kept.lasts(cloud, positions)):
-            self._kept.make(cloud, positions)
+            self._kept.make(cloud, positions, FINE)
             self._made, steps = turn, FEWER_STEPS
         (model, space), first = self._kept.made, REFINING * turns
         placed = positions[:, :2] if self._plan is None else self._plan
