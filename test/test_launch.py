@@ -7,7 +7,7 @@ from conftest import ROOT
 import pytest
 
 
-@pytest.mark.parametrize(('name', 'nodes'), [('demo', 2), ('train', 3)])
+@pytest.mark.parametrize(('name', 'nodes'), [('demo', 2), ('train', 3), ('live', 2)])
 def test_a_launch_file_starts_its_nodes(name, nodes, monkeypatch):
     pytest.importorskip('launch_ros', reason='launch files need ROS 2 from apt (launch_ros)')
     from launch_ros.actions import Node

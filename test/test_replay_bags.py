@@ -36,8 +36,9 @@ from ocp_ros.nodes.conversions import (
     stamp_to_ns,
 )
 from ocp_ros.nodes.policy_node import PolicyNode
-from ocp_ros.nodes.replay import Replay, ReplayOptions
+from ocp_ros.nodes.replay import Replay
 from ocp_ros.nodes.replay_command import options_of, pose_of
+from ocp_ros.nodes.replay_options import ReplayOptions
 from ocp_ros.simulation.config import EngineConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 

@@ -14,7 +14,8 @@ from rich.table import Table
 
 from ocp_ros.configuration import ConfigurationError
 from ocp_ros.nodes.bags import Bag
-from ocp_ros.nodes.replay import chosen_topics, Replay, ReplayOptions
+from ocp_ros.nodes.replay import Replay
+from ocp_ros.nodes.replay_options import chosen_topics, ReplayOptions
 
 
 def options_of(arguments: argparse.Namespace) -> ReplayOptions:
