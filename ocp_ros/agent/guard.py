@@ -21,6 +21,8 @@ from ocp_ros.simulation.surfaces import STAND_OFF
 #: Places from the middle to the edge of the disc that a turn reaches, and how often they are
 #: sought again, each time so many times nearer together.
 ACROSS, FINER = 10, (1.0, 0.15)
+#: Metres of air that there are above a camera at least: those that look down do not see it.
+ABOVE = 0.1
 #: Metres that a number may be off by rounding.
 ROUNDING = 1e-9
 
@@ -65,7 +67,7 @@ class Guard:
         :param fixed: (F, 3) metres, where the cameras in place are; the rig's word for it unless
             told otherwise.
         """
-        self._look(cloud, float(positions[:, 2].max()))
+        self._look(cloud, float(positions[:, 2].max()) + ABOVE)
         if self._allowed is None:
             return Guarded(positions.copy(), [f'all cameras stay: {self._why}'])
         bounds = np.stack([cloud.min(axis=0), cloud.max(axis=0)]).astype(np.float64)

@@ -27,6 +27,8 @@ class Finality:
     def begin(self) -> None:
         """Begin an episode."""
         self.still, self.longest, self.why = 0, 0.0, ''
+        #: Turns played when the placement became final.
+        self._after: int | None = None
 
     def moved(self, longest: float, config: PolicyNodeConfig) -> None:
         """Take note of the longest move of a turn, metres."""
@@ -55,7 +57,8 @@ class Finality:
     def say(self, step: int, config: PolicyNodeConfig) -> str:
         """Publish how it stands, if that is news, and return it."""
         if self.why:
-            text = f'final after {step} turns: {self.why}'
+            self._after = step if self._after is None else self._after
+            text = f'final after {self._after} turns: {self.why}'
         else:
             text = (f'not final: turn {step} of {config.turns}, longest move {self.longest:.3f} '
                     f'm, standing still for {self.still} turns')

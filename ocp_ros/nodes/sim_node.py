@@ -154,6 +154,7 @@ class SimNode(Node):
         self.config = self.simulator.config = config
         self.episode.config = config.episode
         self._resend.timer_period_ns = int(config.resend_period * 1e9)
+        self._resend.reset()
 
     def _on_silence(self) -> None:
         """Send the turn again: its messages or the answer may have been lost."""
