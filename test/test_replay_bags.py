@@ -3,6 +3,9 @@
 
 import os
 from pathlib import Path
+import signal
+import subprocess
+import sys
 
 from conftest import refused_in_one_sentence
 import numpy as np
@@ -198,7 +201,8 @@ def test_recorded_transforms_say_where_the_cameras_are(stage, clouds, tmp_path, 
 
 def test_a_pose_of_the_command_line_places_a_cloud_of_any_frame(stage, clouds, tmp_path):
     recording = Recording()
-    recording.add_turn(optical(clouds)[:1], ('kinect_depth_optical',), poses=False)
+    # The recorded poses are of other cameras.
+    recording.add_turn(optical(clouds)[:1], ('kinect_depth_optical',), poses=True)
     x, y, z, yaw, pitch, roll = *PLACES[0], *np.rad2deg(HEADINGS[0])
     found = stage.play(recording.write(tmp_path, 'mcap'), clouds='cam0/points',
                        poses=(pose_of(f'{x},{y},{z},{yaw},{pitch},{roll}'),))
@@ -337,8 +341,8 @@ def test_a_bag_without_clouds_is_refused(tmp_path, form, capsys):
     ({'topics': ('/cam0/pints',)}, '', "did you mean '/cam0/points'"),
     ({'topics': ('/chatter',)}, '', 'leave it out'),
     ({'frames': (('/cam7/points', 'map'),)}, '--frame', 'did you mean'),
-    ({'poses': (np.zeros(6),)}, '--pose', 'the two'),
-    ({'topics': ('/cam0/points', '/cam1/points'), 'poses': (np.zeros(6),)}, '--pose', 'add')])
+    ({'topics': ('/cam0/points', '/rig/poses'), 'poses': (np.zeros(6),)}, '--pose', 'the two'),
+    ({'poses': (np.zeros(6),)}, '--pose', 'add')])
 def test_options_that_cannot_be_are_refused(graph, clouds, tmp_path, options, place, remedy):
     recording = Recording()
     recording.add_turn(clouds, ('map', 'map'))
@@ -381,6 +385,21 @@ def test_options_of_the_command_line():
     np.testing.assert_allclose(options.poses[0], [-1, 2, 1.5, np.pi / 2, 0, 0])
     assert options.frames == (('/a', 'b'), ('', 'c'))
     assert (options.rate, options.topics, options.loop) == (2.0, ('/a:=/b',), False)
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_loop(domain, clouds, tmp_path, number):
+    recording = Recording()
+    recording.add_turn(clouds, ('map', 'map'))
+    path = recording.write(tmp_path, 'mcap')
+    command = [sys.executable, '-m', 'ocp_ros.cli', 'replay', str(path), '--loop', '--wait', '0.1']
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True,
+                          env={**os.environ, 'ROS_DOMAIN_ID': str(domain)}) as process:
+        # It begins when it has waited in vain.
+        assert 'found nobody listening to' in process.stderr.readline()
+        process.send_signal(number)
+        assert process.wait(timeout=60) == 130
+        assert 'Traceback' not in process.stderr.read()
 
 
 @pytest.mark.skipif(not REAL.is_file(), reason='OCP_BAGS names no folder with real bags')

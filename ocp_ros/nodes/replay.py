@@ -58,6 +58,9 @@ class Replay(Node):
         super().__init__('replay', **kwargs)
         self.bag, self.options, self.done = bag, options, Future()
         self.topics = chosen_topics(bag, options.topics)
+        if options.poses and not options.topics:
+            # Who says where the cameras are knows better than the bag.
+            self.topics = {name: one for name, one in self.topics.items() if one[0] == CLOUD}
         self.counts = dict.fromkeys(self.topics, 0)
         self.left_out = 0
         self._clouds = [name for name, (kind, _) in self.topics.items() if kind == CLOUD]

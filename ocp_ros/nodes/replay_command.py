@@ -2,7 +2,9 @@
 """What ``ocp replay`` does with its command line."""
 
 import argparse
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+import signal
 
 import numpy as np
 import rclpy
@@ -14,8 +16,10 @@ from rich.table import Table
 
 from ocp_ros.configuration import ConfigurationError
 from ocp_ros.nodes.bags import Bag
+from ocp_ros.nodes.processes import end_on_signals
 from ocp_ros.nodes.replay import Replay
 from ocp_ros.nodes.replay_options import chosen_topics, ReplayOptions
+from ocp_ros.nodes.runner import ENDING
 
 
 def options_of(arguments: argparse.Namespace) -> ReplayOptions:
@@ -68,6 +72,18 @@ def table_of(bag: Bag) -> Table:
     return table
 
 
+@contextmanager
+def _ended_by_signals() -> Iterator[None]:
+    """Let what ends a program end a block as Ctrl-C does, in the background too."""
+    before = {number: signal.getsignal(number) for number in ENDING}
+    end_on_signals()
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 def replay(arguments: argparse.Namespace) -> None:
     """
     Publish the clouds of a bag, or list its topics.
@@ -79,22 +95,28 @@ def replay(arguments: argparse.Namespace) -> None:
         if arguments.list:
             Console().print(table_of(bag))
             return
-        # Python's own handlers: an interrupt ends the spinning, wherever it is.
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        executor, node = SingleThreadedExecutor(), None
-        try:
-            node = Replay(bag, options)
-            executor.add_node(node)
-            executor.spin_until_future_complete(node.done)
-            if node.done.exception() is not None:
-                raise node.done.exception()
-            node.flush()
-            for name, count in node.counts.items():
-                print(f'{name} -> {node.topics[name][1]}: {count} messages')
-            if node.left_out:
-                print(f'left out {node.left_out} messages that could not be used')
-        finally:
-            executor.shutdown()
-            if node is not None:
-                node.destroy_node()
-            rclpy.try_shutdown()
+        with _ended_by_signals():
+            _publish(bag, options)
+
+
+def _publish(bag: Bag, options: ReplayOptions) -> None:
+    """Publish a bag to its end, and print what it was."""
+    # Python's own handlers: an interrupt ends the spinning, wherever it is.
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    executor, node = SingleThreadedExecutor(), None
+    try:
+        node = Replay(bag, options)
+        executor.add_node(node)
+        executor.spin_until_future_complete(node.done)
+        if node.done.exception() is not None:
+            raise node.done.exception()
+        node.flush()
+        for name, count in node.counts.items():
+            print(f'{name} -> {node.topics[name][1]}: {count} messages')
+        if node.left_out:
+            print(f'left out {node.left_out} messages that could not be used')
+    finally:
+        executor.shutdown()
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
