@@ -3,6 +3,7 @@
 
 import argparse
 from collections.abc import Callable
+import math
 import os
 from pathlib import Path
 import sys
@@ -45,6 +46,17 @@ def _score(arguments: argparse.Namespace) -> None:
     from ocp_ros.report.compare import command_of
     from ocp_ros.report.score import score
     score(arguments, command_of(arguments.argv))
+
+
+def _replay(arguments: argparse.Namespace) -> None:
+    """Publish the clouds of a bag, or list its topics."""
+    try:
+        from ocp_ros.nodes.replay_command import replay
+    except ImportError as error:
+        raise ConfigurationError(
+            f'ocp replay: found no ROS 2 ({error}); expected rclpy and its messages; run '
+            'tools/setup, or source a ROS 2 installation') from error
+    replay(arguments)
 
 
 def _list_rooms(arguments: argparse.Namespace) -> None:
@@ -159,6 +171,54 @@ def _add_score(commands) -> None:
     judged.set_defaults(run=_score)
 
 
+def _add_replay(commands) -> None:
+    """Add ``ocp replay``."""
+    played = commands.add_parser(
+        'replay', help='publish the clouds of a ROS 1 or ROS 2 bag for policy_node')
+    played.add_argument('bag', type=Path, metavar='BAG',
+                        help='a ROS 1 bag, or the folder of a ROS 2 bag')
+    played.add_argument('--list', action='store_true', help='show the topics and nothing else')
+    played.add_argument('--topics', nargs='+', default=(), metavar='TOPIC[:=NEW]',
+                        help='what to publish, and as what; all clouds and the camera poses '
+                        'unless named')
+    played.add_argument('--rate', type=_above_zero, default=1.0,
+                        help='how many times as fast as recorded')
+    played.add_argument('--loop', action='store_true', help='begin anew at the end')
+    played.add_argument('--start', type=_seconds, default=0.0, help='seconds to leave out')
+    played.add_argument('--duration', type=_above_zero, help='seconds of the bag to publish')
+    played.add_argument('--frame', action='append', default=[], metavar='[TOPIC=]FRAME',
+                        help='frame of the clouds in place of the recorded one; repeat it')
+    played.add_argument('--pose', action='append', default=[],
+                        metavar='X,Y,Z[,YAW,PITCH,ROLL]',
+                        help='where a camera is, metres and degrees, once for each topic of '
+                        'clouds; write --pose=-1,0,2 where the first number is negative')
+    played.add_argument('--fixed-frame', default='map', metavar='FRAME', help='of the poses')
+    played.add_argument('--wait', type=_seconds, default=10.0,
+                        help='seconds to wait for somebody who listens')
+    played.set_defaults(run=_replay)
+
+
+def _number(text: str, least: float, words: str) -> float:
+    """Read a finite number."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not least <= value < math.inf:
+        raise argparse.ArgumentTypeError(f'found {text!r}; expected {words}')
+    return value
+
+
+def _seconds(text: str) -> float:
+    """Read seconds from 0 on."""
+    return _number(text, 0.0, 'seconds, 0 or more')
+
+
+def _above_zero(text: str) -> float:
+    """Read a number above 0."""
+    return _number(text, 1e-6, 'a number above 0')
+
+
 def _names(text: str) -> tuple[str, ...]:
     """Read names with commas between."""
     return tuple(text.split(','))
@@ -213,6 +273,7 @@ def parser() -> argparse.ArgumentParser:
     compare.set_defaults(run=_benchmark)
     _add_evaluate(commands)
     _add_score(commands)
+    _add_replay(commands)
     _add_rooms(commands)
     return top
 

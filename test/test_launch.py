@@ -2,12 +2,13 @@
 """Launch files describe what they say, where ROS's launch system is installed."""
 
 import importlib.util
+import re
 
 from conftest import ROOT
 import pytest
 
 
-@pytest.mark.parametrize(('name', 'nodes'), [('demo', 2), ('train', 3)])
+@pytest.mark.parametrize(('name', 'nodes'), [('demo', 2), ('train', 3), ('live', 2)])
 def test_a_launch_file_starts_its_nodes(name, nodes, monkeypatch):
     pytest.importorskip('launch_ros', reason='launch files need ROS 2 from apt (launch_ros)')
     from launch_ros.actions import Node
@@ -19,3 +20,13 @@ def test_a_launch_file_starts_its_nodes(name, nodes, monkeypatch):
     spec.loader.exec_module(module)
     entities = module.generate_launch_description().entities
     assert sum(isinstance(entity, Node) for entity in entities) == nodes
+
+
+def test_the_arguments_for_live_cameras_are_parameters():
+    from ocp_ros.configuration import leaves
+    from ocp_ros.nodes.policy_config import PolicyNodeConfig
+    text = (ROOT / 'launch' / 'live.launch.py').read_text()
+    found = re.findall(r"^    \('\w+', '(\w+)', (\w+), ", text, re.M)
+    assert len(found) == 5
+    for name, kind in found:
+        assert leaves(PolicyNodeConfig)[name].type.__name__ == kind

@@ -46,13 +46,15 @@ class Check(NamedTuple):
     says: Callable[[int], str]
 
 
-def check_heights(scene: Scene, rig: Rig) -> None:
+def check_heights(scene: Scene, rig: Rig, top: float | None = None) -> None:
     """
     Refuse heights that a room does not have.
 
+    :param top: z up to where the room goes, metres, where its points do not show all of it.
     :raises ConfigurationError: if the cameras' least height is not inside the room.
     """
-    height = float(scene.bounds[1, 2]) - floor_height(scene)
+    highest = float(scene.bounds[1, 2])
+    height = (highest if top is None else max(highest, top)) - floor_height(scene)
     if rig.mount.heights is not None and rig.mount.heights[0] >= height:
         raise rig.document.error(
             ('mount', 'height'), f'{rig.mount.heights[0]:g} m',
@@ -65,14 +67,18 @@ class Allowed:
 
     :param scene: the room.
     :param rig: the cameras and what is asked of their places.
+    :param top: z up to where the room goes at least, metres: where cameras stand is air, though
+        those that look down do not see what is above them.
     :raises ConfigurationError: if a height, a camera in place or the mount does not go with the
         room.
     """
 
-    def __init__(self, scene: Scene, rig: Rig) -> None:
+    def __init__(self, scene: Scene, rig: Rig, top: float | None = None) -> None:
         self.scene, self.rig = scene, rig
         self.floor, self.top = floor_height(scene), float(scene.bounds[1, 2])
-        check_heights(scene, rig)
+        if top is not None:
+            self.top = max(self.top, top)
+        check_heights(scene, rig, top)
         high = self.top - self.floor if rig.mount.heights is None else rig.mount.heights[1]
         height = self.floor + max(high, LEAST_VIEW)
         self.space = Space.of(scene.points, height, len(rig.cameras), 0.0)

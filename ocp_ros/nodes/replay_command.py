@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ``ocp replay`` does with its command line."""
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+import signal
+
+import numpy as np
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from ocp_ros.configuration import ConfigurationError
+from ocp_ros.nodes.bags import Bag
+from ocp_ros.nodes.processes import end_on_signals
+from ocp_ros.nodes.replay import Replay
+from ocp_ros.nodes.replay_options import chosen_topics, ReplayOptions
+from ocp_ros.nodes.runner import ENDING
+
+
+def options_of(arguments: argparse.Namespace) -> ReplayOptions:
+    """
+    Read the options of the command line.
+
+    :raises ConfigurationError: for a pose that is none.
+    """
+    frames = [given.rpartition('=')[::2] for given in arguments.frame]
+    return ReplayOptions(
+        tuple(arguments.topics), arguments.rate, arguments.loop, arguments.start,
+        arguments.duration, tuple(frames), tuple(map(pose_of, arguments.pose)),
+        arguments.fixed_frame, arguments.wait)
+
+
+def pose_of(text: str) -> np.ndarray:
+    """
+    Read a pose, angles in degrees.
+
+    :returns: (6,) x, y, z, yaw, pitch, roll: metres and radians.
+    :raises ConfigurationError: if it is none.
+    """
+    try:
+        numbers = [float(number) for number in text.split(',')]
+    except ValueError:
+        numbers = []
+    if not 3 <= len(numbers) <= 6 or not np.isfinite(numbers).all():
+        raise ConfigurationError(f'--pose: found {text!r}; expected three to six numbers with '
+                                 'commas between; write, for example, --pose 1.0,2.0,1.9,90,20,0')
+    pose = np.zeros(6)
+    pose[:len(numbers)] = numbers
+    pose[3:] = np.deg2rad(pose[3:])
+    return pose
+
+
+def table_of(bag: Bag) -> Table:
+    """Lay out what is in a bag."""
+    table = Table(title=f'{escape(bag.path.name)}: {bag.seconds:.3f} s')
+    for name in ('topic', 'type', 'messages', 'frames', 'published as'):
+        table.add_column(name, justify='right' if name == 'messages' else 'left',
+                         overflow='fold')
+    chosen: dict[str, tuple[str, str]] = {}
+    with suppress(ConfigurationError):
+        chosen = chosen_topics(bag, ())
+    for topic in bag.topics:
+        _, published = chosen.get(topic.name, ('', '-'))
+        table.add_row(*map(escape, (
+            topic.name, topic.kind.replace('/msg/', '/'), str(topic.count),
+            ', '.join(bag.frames(topic)), published)))
+    return table
+
+
+@contextmanager
+def _ended_by_signals() -> Iterator[None]:
+    """Let what ends a program end a block as Ctrl-C does, in the background too."""
+    before = {number: signal.getsignal(number) for number in ENDING}
+    end_on_signals()
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def replay(arguments: argparse.Namespace) -> None:
+    """
+    Publish the clouds of a bag, or list its topics.
+
+    :raises ConfigurationError: if the bag or an option cannot be used.
+    """
+    options = options_of(arguments)
+    with Bag(arguments.bag) as bag:
+        if arguments.list:
+            Console().print(table_of(bag))
+            return
+        with _ended_by_signals():
+            _publish(bag, options)
+
+
+def _publish(bag: Bag, options: ReplayOptions) -> None:
+    """Publish a bag to its end, and print what it was."""
+    # Python's own handlers: an interrupt ends the spinning, wherever it is.
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    executor, node = SingleThreadedExecutor(), None
+    try:
+        node = Replay(bag, options)
+        executor.add_node(node)
+        executor.spin_until_future_complete(node.done)
+        if node.done.exception() is not None:
+            raise node.done.exception()
+        node.flush()
+        for name, count in node.counts.items():
+            print(f'{name} -> {node.topics[name][1]}: {count} messages')
+        if node.left_out:
+            print(f'left out {node.left_out} messages that could not be used')
+    finally:
+        executor.shutdown()
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
