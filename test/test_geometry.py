@@ -24,7 +24,6 @@ from ocp_ros.geometry.blocks import (
 from ocp_ros.geometry.cameras import CameraModel, Pose, rotation_matrix
 from ocp_ros.geometry.clouds import fixed_size
 from ocp_ros.geometry.coverage import coverage_grid, space_coverage
-from ocp_ros.geometry.neighbours import nearest
 from ocp_ros.geometry.normals import edge_aware_normals
 from ocp_ros.geometry.sensors import SENSORS
 
@@ -170,37 +169,6 @@ def test_a_cloud_of_fixed_size_is_spread_over_the_whole(count, wanted):
     assert np.all(np.diff(rows) >= 0) and np.all(np.diff(rows) <= -(-count // wanted))
     if wanted <= count:
         assert len(np.unique(rows)) == wanted
-
-
-@given(seed=seeds, kind=st.sampled_from(['even', 'clustered', 'line', 'stray', 'lattice']),
-       count=st.integers(1, 400), neighbours=st.integers(1, 20))
-@budget(max_examples=120, deadline=None)
-def test_nearest_points_are_those_of_a_tree(seed, kind, count, neighbours):
-    rng = np.random.default_rng(seed)
-    points = rng.uniform(-3.0, 3.0, (count, 3))
-    # Points on the sides of a box, as a scan of a room has them.
-    points[np.arange(count), rng.integers(0, 3, count)] = rng.choice([-3.0, 3.0], count)
-    if kind == 'clustered':
-        points[:count // 2] *= 1e-3
-    elif kind == 'line':
-        points[:, :2] = 0.0
-    elif kind == 'stray':
-        points[0] = 1e4
-    elif kind == 'lattice':
-        points = np.round(points)
-    points = points.astype(np.float32)
-    distances, indices = nearest(points, neighbours)
-    expected, _ = cKDTree(points.astype(np.float64)).query(
-        points, k=np.arange(1, neighbours + 1))
-    np.testing.assert_array_equal(distances, expected)
-    # Of points that are equally far, any may be named; none twice.
-    found = np.isfinite(distances)
-    assert (indices[~found] == count).all()
-    for row, others in enumerate(indices):
-        named = others[found[row]]
-        assert len(set(named)) == len(named)
-        away = np.linalg.norm(points[named].astype(np.float64) - points[row], axis=1)
-        np.testing.assert_allclose(away, distances[row, found[row]], rtol=1e-12)
 
 
 def test_normals_equal_their_twin_in_a_scanned_room(room):

@@ -8,8 +8,8 @@ import numpy as np
 
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.clouds import corners_of
-from ocp_ros.geometry.neighbours import nearest
 from ocp_ros.geometry.normals import edge_aware_normals
+from ocp_ros.scenes.neighbours import nearest
 
 MIN_POINTS = 100
 #: Nearest points that a point's plane is fitted to, itself included.
