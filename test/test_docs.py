@@ -7,6 +7,7 @@ import sys
 
 from conftest import ROOT
 import pytest
+import yaml
 
 
 def test_every_parameter_is_in_the_table_as_it_is():
@@ -50,6 +51,21 @@ def test_links_and_folders_exist(page):
     for target in re.findall(r'(?:`|^    )make ([a-z-]+)', text, re.M):
         makefile = (ROOT / 'Makefile').read_text()
         assert re.search(rf'^{target}:', makefile, re.M), target
+
+
+def test_rviz_listens_to_what_is_published_as_it_is_published():
+    pytest.importorskip('rclpy', reason='topics need ROS 2 (rclpy)')
+    from rclpy.qos import DurabilityPolicy
+
+    from ocp_ros.nodes import qos, topics
+    manager = yaml.safe_load((ROOT / 'config' / 'ocp.rviz').read_text())['Visualization Manager']
+    latched = {topics.SCENE, topics.MARKERS, topics.PLACEMENT}
+    assert qos.LATCHED.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    shown = [display['Topic'] for display in manager['Displays'] if 'Topic' in display]
+    assert {topic['Value'] for topic in shown} == latched | {topics.OBSERVATION}
+    for topic in shown:
+        durability = 'Transient Local' if topic['Value'] in latched else 'Volatile'
+        assert topic['Durability Policy'] == durability, topic
 
 
 def python_example(page):

@@ -77,8 +77,9 @@ def test_the_page_is_a4_on_its_side_and_says_what_was_found(rooms, tmp_path):
     texts = ' '.join(text for text, _ in texts_of(sheet.figure_of(judged)))
     scores = judged.found['scores']
     for words in ('room-8: 1 camera', f'{scores["depth_error"]:.3g} m',
-                  f'{100 * scores["seen"]:.1f} %', 'seen by no camera', 'mm per m²', '1 constraint broken',
-                  'degrees down', 'ocp score 1 p.yaml', judged.words[0].place):
+                  f'{100 * scores["seen"]:.1f} %', 'seen by no camera', 'mm per m²',
+                  '1 constraint broken', 'degrees down', 'ocp score 1 p.yaml',
+                  judged.words[0].place):
         assert words in texts, words
     # Most of this room is seen by nobody, and shown so.
     none = np.abs(image[..., :3] - to_rgb(maps.COUNT_COLOURS[0])).max(axis=2) < 0.1

@@ -89,7 +89,8 @@ def score(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     if folder is None:
         return dict(judged.found)
     written = export(folder, judged.scene, judged.placement)
-    return {**judged.found, 'written': [str(path) for path in [*written, *reports(folder, judged)]]}
+    return {**judged.found, 'written': [str(path) for path in (*written,
+                                                               *reports(folder, judged))]}
 
 
 def reports(folder: Path, judged: Judged) -> list[Path]:
@@ -117,11 +118,12 @@ def room_and_placement(arguments: argparse.Namespace
     """
     rig = load_rig(arguments.rig) if arguments.rig else None
     placement = load_placement(arguments.placement, rig)
-    scene, room = _room(arguments, placement)
+    scene, room = room_given(arguments, placement)
     return scene, placement, room
 
 
-def _room(arguments: argparse.Namespace, placement: Placement) -> tuple[Scene, dict[str, Any]]:
+def room_given(arguments: argparse.Namespace, placement: Placement | None
+               ) -> tuple[Scene, dict[str, Any]]:
     """Read the room as the placement's scores took it, unless the command line says otherwise."""
     given = {key: value for key in ('scale', 'up')
              if (value := getattr(arguments, key)) is not None}
@@ -129,8 +131,8 @@ def _room(arguments: argparse.Namespace, placement: Placement) -> tuple[Scene, d
         raise ConfigurationError(
             f'--{next(iter(given))}: found it with the generated room {arguments.room}; expected '
             'a scan, since generated rooms are in metres, z up; leave it out')
-    known = {key: placement.room[key] for key in ('points', 'scale', 'up')
-             if key in placement.room}
+    record = {} if placement is None else placement.room
+    known = {key: record[key] for key in ('points', 'scale', 'up') if key in record}
     if arguments.room.isdecimal():
         known = {key: value for key, value in known.items() if key == 'points'}
     return room_named(arguments.room, **{**known, **given})
