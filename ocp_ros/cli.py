@@ -9,6 +9,7 @@ from ocp_ros.command_line import (
     at_least,
     Commands,
     COMPARE,
+    file_to_write,
     Found,
     JUDGE,
     LEARN,
@@ -75,6 +76,7 @@ def _view(arguments: argparse.Namespace) -> Found:
     """Write a page of a room that can be turned around, and open it where that is wanted."""
     from ocp_ros.report.compare import command_of
     from ocp_ros.report.view import view
+    file_to_write(arguments.out, 'a page')
     return view(arguments, command_of(arguments.argv))
 
 

@@ -6,7 +6,6 @@ import sys
 from typing import Any
 import webbrowser
 
-from ocp_ros.command_line import file_to_write
 from ocp_ros.configuration import ConfigurationError
 from ocp_ros.report.score import judge, room_and_placement, room_given
 from ocp_ros.report.viewer import write_view
@@ -23,7 +22,6 @@ def view(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     if arguments.rig and not arguments.placement:
         raise ConfigurationError(f'--rig: found {arguments.rig} and no placement; expected a '
                                  'placement that it is about; name one, or leave it out')
-    file_to_write(arguments.out, 'a page')
     if arguments.placement is None:
         scene, room = room_given(arguments, None)
         write_view(arguments.out, scene)
