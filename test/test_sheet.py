@@ -15,6 +15,7 @@ import pytest
 
 from ocp_ros.documents import Document
 from ocp_ros.report import maps, sheet
+from ocp_ros.report.figures import metres
 from ocp_ros.report.score import judge, room_named
 from ocp_ros.report.table import shortened, width_of
 from ocp_ros.simulation.config import EngineConfig
@@ -76,7 +77,7 @@ def test_the_page_is_a4_on_its_side_and_says_what_was_found(rooms, tmp_path):
     assert image.shape[1] >= 1700
     texts = ' '.join(text for text, _ in texts_of(sheet.figure_of(judged)))
     scores = judged.found['scores']
-    for words in ('room-8: 1 camera', f'{scores["depth_error"]:.3g} m',
+    for words in ('room-8: 1 camera', metres(scores['depth_error']),
                   f'{100 * scores["seen"]:.1f} %', 'seen by no camera', 'mm per m²',
                   '1 constraint broken', 'degrees down', 'ocp score 1 p.yaml',
                   judged.words[0].place):

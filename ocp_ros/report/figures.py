@@ -52,7 +52,7 @@ def _cards(judged: Judged, scores: dict) -> list[tuple[str, str, str]]:
     error, nothing = scores['depth_error'], scores['depth_error_of_nothing']
     twice = sum(count for number, count in scores['overlap'].items() if number not in '01')
     cards = [
-        ('depth error', f'{error:.3g} m', f'{percent(error / nothing)} of seeing nothing'),
+        ('depth error', metres(error), f'{percent(error / nothing)} of seeing nothing'),
         ('seen', percent(scores['seen']),
          'of the points, by a camera' if least == 1 else f'of the points, by {least} cameras'),
         ('seen twice', percent(twice / points), 'by two cameras or more'),
@@ -67,7 +67,7 @@ def _cards(judged: Judged, scores: dict) -> list[tuple[str, str, str]]:
     more = judged.found.get('one_more')
     if more:
         x, y, z = more['position']
-        cards.append(('one more camera', f'-{max(more["gain"], 0.0):.3g} m',
+        cards.append(('one more camera', f'-{metres(max(more["gain"], 0.0))}',
                       f'of error, at {x:.1f}, {y:.1f}, {z:.1f}'))
     return cards
 
@@ -77,6 +77,11 @@ def _missed(judged: Judged) -> tuple[str, str, str]:
     missed = judged.found['missed']
     return ('missed', percent(missed['share']),
             f'{percent(missed["hopeless"])} no place sees either')
+
+
+def metres(length: float) -> str:
+    """Return a length with as many digits as matter."""
+    return f'{length:.{3 if length < 1.0 else 2 if length < 10.0 else 1}f} m'
 
 
 def percent(share: float) -> str:

@@ -109,7 +109,7 @@ def _lay_out(figure: go.Figure, scene: Scene) -> None:
     figure.update_layout(
         template='plotly_white', margin={'l': 0, 'r': 0, 'b': 0, 't': 0}, showlegend=False,
         uirevision='kept', scene={
-            'aspectmode': 'data', 'camera': {'eye': {'x': -0.8, 'y': -1.1, 'z': 1.15}},
+            'aspectmode': 'data', 'camera': {'eye': {'x': -1.0, 'y': -1.35, 'z': 1.35}},
             **{f'{axis}axis': {'title': {'text': f'{axis} (m)'}, 'color': PALE_INK,
                                'range': [low[k] - margin, high[k] + margin]}
                for k, axis in enumerate('xyz')}})
