@@ -123,7 +123,8 @@ def test_what_is_exported_has_the_same_scores(files, capsys):
     first = scored(capsys, 'room.ply', 'placement.yaml', '--rig', 'rig.yaml', '--export', 'out')
     written = {path.name for path in (files / 'out').iterdir()}
     assert written == {'placement.yaml', 'placement.json', 'cameras.csv', 'cameras.launch.py',
-                       'cameras.urdf.xacro', 'installer.md', 'plan.png'}
+                       'cameras.urdf.xacro', 'cameras.rviz', 'installer.md', 'plan.png',
+                       'report.png', 'report.html'}
     assert sorted(first['written']) == sorted(f'out/{name}' for name in written)
     content = yaml.safe_load((files / 'out' / 'placement.yaml').read_text())
     assert content['created']['command'].startswith('ocp score room.ply placement.yaml --rig')
@@ -255,7 +256,7 @@ def test_a_bad_room_is_refused_in_one_sentence(files, capsys, name, write, words
     (['room.ply', 'rig.yaml'], 'rig.yaml: line 2, cameras[0].count: found the unknown key'),
     (['room.ply', 'placement.yaml', '--rig', 'rig.yaml', '--scale', '0'], 'room.ply: found scale'),
     (['room.ply', 'placement.yaml', '--rig', 'rig.yaml', '--export', 'rig.yaml'],
-     '--export: found the file rig.yaml; expected a folder'),
+     '--out: found the file rig.yaml; expected a folder'),
     (['8', 'placement.yaml', '--rig', 'rig.yaml', '--up', 'y'],
      '--up: found it with the generated room 8; expected a scan'),
     (['room.ply', 'placement.yaml', '--rig', 'far.yaml'],

@@ -5,14 +5,12 @@ import argparse
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 import signal
+from typing import Any
 
 import numpy as np
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from ocp_ros.configuration import ConfigurationError
 from ocp_ros.nodes.bags import Bag
@@ -55,21 +53,14 @@ def pose_of(text: str) -> np.ndarray:
     return pose
 
 
-def table_of(bag: Bag) -> Table:
-    """Lay out what is in a bag."""
-    table = Table(title=f'{escape(bag.path.name)}: {bag.seconds:.3f} s')
-    for name in ('topic', 'type', 'messages', 'frames', 'published as'):
-        table.add_column(name, justify='right' if name == 'messages' else 'left',
-                         overflow='fold')
+def topics_of(bag: Bag) -> list[dict[str, Any]]:
+    """Return what is in a bag, topic by topic, and what would be published of it."""
     chosen: dict[str, tuple[str, str]] = {}
     with suppress(ConfigurationError):
         chosen = chosen_topics(bag, ())
-    for topic in bag.topics:
-        _, published = chosen.get(topic.name, ('', '-'))
-        table.add_row(*map(escape, (
-            topic.name, topic.kind.replace('/msg/', '/'), str(topic.count),
-            ', '.join(bag.frames(topic)), published)))
-    return table
+    return [{'topic': topic.name, 'type': topic.kind.replace('/msg/', '/'),
+             'messages': topic.count, 'frames': list(bag.frames(topic)),
+             'published_as': chosen.get(topic.name, ('', None))[1]} for topic in bag.topics]
 
 
 @contextmanager
@@ -84,23 +75,23 @@ def _ended_by_signals() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def replay(arguments: argparse.Namespace) -> None:
+def replay(arguments: argparse.Namespace) -> dict[str, Any]:
     """
     Publish the clouds of a bag, or list its topics.
 
+    :returns: what was published, or what is there, as plain data.
     :raises ConfigurationError: if the bag or an option cannot be used.
     """
     options = options_of(arguments)
     with Bag(arguments.bag) as bag:
         if arguments.list:
-            Console().print(table_of(bag))
-            return
+            return {'bag': bag.path.name, 'seconds': bag.seconds, 'topics': topics_of(bag)}
         with _ended_by_signals():
-            _publish(bag, options)
+            return _publish(bag, options)
 
 
-def _publish(bag: Bag, options: ReplayOptions) -> None:
-    """Publish a bag to its end, and print what it was."""
+def _publish(bag: Bag, options: ReplayOptions) -> dict[str, Any]:
+    """Publish a bag to its end, and return what it was."""
     # Python's own handlers: an interrupt ends the spinning, wherever it is.
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     executor, node = SingleThreadedExecutor(), None
@@ -111,10 +102,9 @@ def _publish(bag: Bag, options: ReplayOptions) -> None:
         if node.done.exception() is not None:
             raise node.done.exception()
         node.flush()
-        for name, count in node.counts.items():
-            print(f'{name} -> {node.topics[name][1]}: {count} messages')
-        if node.left_out:
-            print(f'left out {node.left_out} messages that could not be used')
+        return {'left_out': node.left_out, 'published': {
+            name: {'as': node.topics[name][1], 'messages': count}
+            for name, count in node.counts.items()}}
     finally:
         executor.shutdown()
         if node is not None:

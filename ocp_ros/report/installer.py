@@ -158,7 +158,12 @@ def _pan(placed: Placed, walls: Sequence[Wall]) -> str:
         f'face wall {wall.letter} squarely')
     if abs(left) < STRAIGHT:
         return facing
-    return f'{facing}, then turn {abs(left):.0f} degrees to the {"left" if left > 0 else "right"}'
+    return f'{facing}, then turn {_degrees(left)} to the {"left" if left > 0 else "right"}'
+
+
+def _degrees(angle: float) -> str:
+    """Say how large an angle is, degrees."""
+    return f'{abs(angle):.0f} degree{"" if round(abs(angle)) == 1 else "s"}'
 
 
 def _tilt(placed: Placed) -> str:
@@ -167,10 +172,10 @@ def _tilt(placed: Placed) -> str:
     if placed.camera.model.omnidirectional:
         return 'upright'
     tilt = 'level' if abs(pitch) < STRAIGHT else (
-        f'{abs(pitch):.0f} degrees {"down" if pitch > 0 else "up"}')
+        f'{_degrees(pitch)} {"down" if pitch > 0 else "up"}')
     if abs(roll) >= STRAIGHT:
         side = 'clockwise' if roll > 0 else 'anticlockwise'
-        tilt += f', rolled {abs(roll):.0f} degrees {side} seen from behind'
+        tilt += f', rolled {_degrees(roll)} {side} seen from behind'
     return tilt
 
 

@@ -5,7 +5,6 @@ import argparse
 from dataclasses import replace
 from datetime import datetime, timezone
 import hashlib
-import json
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +14,13 @@ from rich.table import Table
 from ocp_ros import __version__
 from ocp_ros.configuration import ConfigurationError
 from ocp_ros.report.exports import export
+from ocp_ros.report.judged import Judged
 from ocp_ros.report.verdict import broken_by, improvements, scores_of
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.source import make_room
 from ocp_ros.simulation.constraints import Allowed
 from ocp_ros.simulation.objective import Objective, simulator_of
-from ocp_ros.simulation.placement_file import load_placement, Placement
+from ocp_ros.simulation.placement_file import ANGLES, data_of, FIXED, load_placement, Placement
 from ocp_ros.simulation.rig_file import load_rig
 
 #: Points of a room where the placement does not say.
@@ -51,41 +51,79 @@ def room_named(name: str, points: int = POINTS, scale: float = 1.0, up: str = 'z
     return scene, {'file': name, 'sha256': content, 'points': points, 'scale': scale, 'up': up}
 
 
-def score(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
+def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str) -> Judged:
     """
-    Judge a placement and print what there is to say about it.
+    Judge a placement in a room.
 
-    :param arguments: of ``ocp score``.
+    :param placement: it need not say what was asked for.
+    :param room: which room it is, from :func:`room_named`.
     :param command: the command line, for the record.
-    :returns: what ``--json`` prints.
+    :raises ConfigurationError: if the placement's rig cannot be used in this room.
     """
-    folder = arguments.export
-    if folder is not None and folder.exists() and not folder.is_dir():
-        raise ConfigurationError(f'--export: found the file {folder}; expected a folder; name one')
-    rig = load_rig(arguments.rig) if arguments.rig else None
-    placement = load_placement(arguments.placement, rig)
-    scene, room = _room(arguments, placement)
     rig = placement.rig_in(scene)
     allowed = Allowed(scene, rig)
     objective = Objective(simulator_of(scene, rig, placement.engine), rig)
     poses = placement.poses
     views = objective.look(poses)
     scores = scores_of(objective, views)
-    found = {'room': room, 'scores': scores,
+    found = {'room': room, 'cameras': data_of(placement)['cameras'], 'scores': scores,
              'broken': broken_by(objective, allowed, poses, scores),
              **improvements(objective, allowed, poses, views),
              'notes': _notes(placement, room, scores)}
-    if folder is not None:
-        judged = replace(placement, rig=rig, room=room, scores=scores, created=created_by(command))
-        found['written'] = [str(path) for path in export(folder, scene, judged)]
-    if arguments.json:
-        print(json.dumps(found, indent=1))
-    else:
-        show(found, placement)
-    return found
+    return Judged(objective, replace(placement, rig=rig, room=room, scores=scores,
+                                     created=created_by(command)), found)
 
 
-def _room(arguments: argparse.Namespace, placement: Placement) -> tuple[Scene, dict[str, Any]]:
+def score(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
+    """
+    Judge a placement, and write what is asked for.
+
+    :param arguments: of ``ocp score``.
+    :param command: the command line, for the record.
+    :returns: what ``--json`` prints.
+    """
+    folder = arguments.out
+    if folder is not None and folder.exists() and not folder.is_dir():
+        raise ConfigurationError(f'--out: found the file {folder}; expected a folder; name one')
+    judged = judge(*room_and_placement(arguments), command)
+    if folder is None:
+        return dict(judged.found)
+    written = export(folder, judged.scene, judged.placement)
+    return {**judged.found, 'written': [str(path) for path in (*written,
+                                                               *reports(folder, judged))]}
+
+
+def reports(folder: Path, judged: Judged) -> list[Path]:
+    """
+    Write the one-page report and the page that can be turned around.
+
+    :param folder: it is made where it is not there.
+    :returns: the files.
+    """
+    # What draws is slow to import, and most placements are judged without.
+    from ocp_ros.report import sheet
+    from ocp_ros.report.viewer import write_view
+    sheet.draw(folder / 'report.png', judged)
+    write_view(folder / 'report.html', judged.scene, judged)
+    return [folder / 'report.png', folder / 'report.html']
+
+
+def room_and_placement(arguments: argparse.Namespace
+                       ) -> tuple[Scene, Placement, dict[str, Any]]:
+    """
+    Read what a command line names.
+
+    :param arguments: with ``room``, ``placement``, ``rig``, ``scale`` and ``up``.
+    :returns: the room, the placement, and which room it is.
+    """
+    rig = load_rig(arguments.rig) if arguments.rig else None
+    placement = load_placement(arguments.placement, rig)
+    scene, room = room_given(arguments, placement)
+    return scene, placement, room
+
+
+def room_given(arguments: argparse.Namespace, placement: Placement | None
+               ) -> tuple[Scene, dict[str, Any]]:
     """Read the room as the placement's scores took it, unless the command line says otherwise."""
     given = {key: value for key in ('scale', 'up')
              if (value := getattr(arguments, key)) is not None}
@@ -93,8 +131,8 @@ def _room(arguments: argparse.Namespace, placement: Placement) -> tuple[Scene, d
         raise ConfigurationError(
             f'--{next(iter(given))}: found it with the generated room {arguments.room}; expected '
             'a scan, since generated rooms are in metres, z up; leave it out')
-    known = {key: placement.room[key] for key in ('points', 'scale', 'up')
-             if key in placement.room}
+    record = {} if placement is None else placement.room
+    known = {key: record[key] for key in ('points', 'scale', 'up') if key in record}
     if arguments.room.isdecimal():
         known = {key: value for key, value in known.items() if key == 'points'}
     return room_named(arguments.room, **{**known, **given})
@@ -111,15 +149,15 @@ def _notes(placement: Placement, room: dict[str, Any], scores: dict[str, Any]) -
     return []
 
 
-def show(found: dict[str, Any], placement: Placement) -> None:
+def show(found: dict[str, Any]) -> None:
     """Print a verdict."""
     console, scores = Console(width=100), found['scores']
     cameras = Table('camera', 'place (m)', 'yaw, pitch, roll', 'takes from the error',
                     'only it sees', title='Cameras')
-    for placed, added in zip(placement.cameras, scores['cameras']):
-        name = f'{added["name"]} (in place)' if placed.mount == 'fixed' else added['name']
-        cameras.add_row(name, ', '.join(f'{value:.2f}' for value in placed.position),
-                        ', '.join(f'{value:.0f}' for value in placed.angles),
+    for placed, added in zip(found['cameras'], scores['cameras']):
+        name = f'{added["name"]} (in place)' if placed['mount'] == FIXED else added['name']
+        cameras.add_row(name, ', '.join(f'{value:.2f}' for value in placed['position']),
+                        ', '.join(f'{placed[angle]:.0f}' for angle in ANGLES),
                         f'{added["depth_error"]:.2f} m', _percent(added['only']))
     console.print(cameras)
     least = scores['seen_by']
