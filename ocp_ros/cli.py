@@ -47,6 +47,13 @@ def _score(arguments: argparse.Namespace) -> None:
     score(arguments, command_of(arguments.argv))
 
 
+def _plan(arguments: argparse.Namespace) -> None:
+    """Find where to hang the cameras of a rig, and how many are needed."""
+    from ocp_ros.report.compare import command_of
+    from ocp_ros.report.plan import plan
+    plan(arguments, command_of(arguments.argv))
+
+
 def _list_rooms(arguments: argparse.Namespace) -> None:
     """Print kinds and sizes of generated rooms."""
     from rich.console import Console
@@ -159,6 +166,62 @@ def _add_score(commands) -> None:
     judged.set_defaults(run=_score)
 
 
+def _add_plan(commands) -> None:
+    """Add ``ocp plan``."""
+    planned = commands.add_parser('plan', help='find where to hang cameras in a room')
+    planned.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
+    rig = planned.add_mutually_exclusive_group()
+    rig.add_argument('--rig', type=Path, help='cameras and what is asked of them: docs/rig.md')
+    rig.add_argument('--model', metavar='SENSOR', default='omnidirectional',
+                     help='the sensor of all cameras, or a part of its name such as d455')
+    planned.add_argument('--cameras', '--count', dest='count', type=_count, metavar='N',
+                         help='how many, or auto; 4 or what the rig file says unless named')
+    planned.add_argument('--target', type=_share, default=0.95,
+                         help='with auto: share of what can be reached at all, 0.95 unless named')
+    planned.add_argument('--by', choices=('seen', 'coverage', 'error'), default='seen',
+                         help='with auto, share of what: points seen, space covered, or depth '
+                         'error taken away')
+    planned.add_argument('--most', type=_at_least(1), default=12,
+                         help='with auto: the most cameras to try')
+    planned.add_argument('--seconds', type=_seconds, help='of search for each number of cameras; '
+                         '60, or 15 with auto, unless evaluations are named')
+    planned.add_argument('--evaluations', type=_at_least(1),
+                         help='judge so many placements; the same seed finds the same answer')
+    planned.add_argument('--seed', type=_at_least(0), default=0, help='of all chance')
+    planned.add_argument('--out', type=Path, default=Path('out/plan'), metavar='DIR',
+                         help='write placement, CSV, launch file, xacro and installer page here')
+    planned.add_argument('--json', action='store_true', help='print JSON and nothing else')
+    planned.add_argument('--scale', type=float, help='metres per unit of the scan')
+    planned.add_argument('--up', choices=('x', 'y', 'z'), help='axis of the scan that points up')
+    planned.set_defaults(run=_plan)
+
+
+def _count(text: str) -> int:
+    """Read how many cameras: a number above 0, or 0 for auto."""
+    return 0 if text == 'auto' else _at_least(1)(text)
+
+
+def _seconds(text: str) -> float:
+    """Read a time."""
+    return _number(text, 'seconds above 0', lambda value: 0.0 < value < float('inf'))
+
+
+def _share(text: str) -> float:
+    """Read a share."""
+    return _number(text, 'a share above 0, at most 1', lambda value: 0.0 < value <= 1.0)
+
+
+def _number(text: str, expected: str, holds: Callable[[float], bool]) -> float:
+    """Read a number of which something holds."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = float('nan')
+    if not holds(value):
+        raise argparse.ArgumentTypeError(f'found {text!r}; expected {expected}')
+    return value
+
+
 def _names(text: str) -> tuple[str, ...]:
     """Read names with commas between."""
     return tuple(text.split(','))
@@ -213,6 +276,7 @@ def parser() -> argparse.ArgumentParser:
     compare.set_defaults(run=_benchmark)
     _add_evaluate(commands)
     _add_score(commands)
+    _add_plan(commands)
     _add_rooms(commands)
     return top
 

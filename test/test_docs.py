@@ -39,7 +39,7 @@ def test_every_topic_and_field_is_documented():
 
 @pytest.mark.parametrize('page', ['README.md', 'CONTRIBUTING.md', 'docs/ros.md', 'docs/engine.md',
                                   'docs/sensors.md', 'docs/planners.md', 'docs/rooms.md',
-                                  'docs/rig.md', 'docs/placement.md'])
+                                  'docs/rig.md', 'docs/placement.md', 'docs/plan.md'])
 def test_links_and_folders_exist(page):
     path = ROOT / page
     text = path.read_text()
@@ -93,6 +93,25 @@ def test_the_example_with_a_rig_runs(capsys):
     exec(python_example('docs/rig.md'), {})
     loss, error, broken = map(float, capsys.readouterr().out.split())
     assert 0.0 < loss < 1.0 and error > 0.0 and broken == 0.0
+
+
+def test_the_example_with_a_plan_runs(capsys):
+    exec(python_example('docs/plan.md'), {})
+    loss, everywhere, cameras = map(float, capsys.readouterr().out.split())
+    assert 0.0 <= everywhere < loss < 1.0 and cameras == 2
+
+
+def test_the_commands_that_plan_are_understood():
+    from ocp_ros.cli import parser
+    commands = re.findall(r'^    ocp (plan .*?)(?: +#.*)?$', ''.join(
+        (ROOT / page).read_text() for page in ('docs/plan.md', 'README.md')), re.M)
+    assert len(commands) == 7
+    for command in commands:
+        assert parser().parse_args(command.split()).run
+    text = (ROOT / 'docs' / 'plan.md').read_text()
+    plan = next(action for action in parser()._actions if action.choices).choices['plan']
+    for option in (name for action in plan._actions for name in action.option_strings):
+        assert option in ('-h', '--help') or f'`{option}`' in text, option
 
 
 def test_the_example_with_sensors_runs(capsys):
