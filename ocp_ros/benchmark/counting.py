@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-How many cameras are needed: counting up with warm starts against a plan of its own for each number.
+How many cameras are needed: counted up from plan to plan, against each number planned anew.
 
     python -m ocp_ros.benchmark.counting --rooms 5,8,12,21,40 --evaluations 20000
 """

@@ -17,6 +17,7 @@ from ocp_ros.report.score import percent
 SHARES = {'seen': 'points that can be seen', 'coverage': 'space that can be covered',
           'error': 'depth error that can be taken away'}
 
+
 def rows_of_curve(plans: Sequence[Plan]) -> list[dict[str, Any]]:
     """Return what each number of cameras is worth, as plain data."""
     return [{'cameras': len(plan.rig.cameras), 'loss': plan.worth.loss,
