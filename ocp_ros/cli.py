@@ -2,12 +2,12 @@
 """``ocp``: the package's tools for people without a ROS graph."""
 
 import argparse
-from collections.abc import Callable
 import os
 from pathlib import Path
 import sys
 
 from ocp_ros.agent.checkpoint import CheckpointError
+from ocp_ros.arguments import at_least, count, names, seconds, share, whole_numbers
 from ocp_ros.configuration import ConfigurationError
 from ocp_ros.scenes.scene import SceneError
 
@@ -108,17 +108,17 @@ def _add_rooms(commands) -> None:
     rooms = commands.add_parser('rooms', help='list, make and look at generated rooms')
     actions = rooms.add_subparsers(title='actions', required=True, metavar='ACTION')
     listed = actions.add_parser('list', help='kinds and sizes')
-    listed.add_argument('--first', type=_at_least(0), default=0, help='first seed')
-    listed.add_argument('--count', type=_at_least(1), default=20, help='how many')
+    listed.add_argument('--first', type=at_least(0), default=0, help='first seed')
+    listed.add_argument('--count', type=at_least(1), default=20, help='how many')
     listed.set_defaults(run=_list_rooms)
     made = actions.add_parser('make', help='write scans and meshes as PLY')
-    made.add_argument('seeds', type=_at_least(0), nargs='+', metavar='SEED')
-    made.add_argument('--points', type=_at_least(1000), default=15000, help='of each scan')
+    made.add_argument('seeds', type=at_least(0), nargs='+', metavar='SEED')
+    made.add_argument('--points', type=at_least(1000), default=15000, help='of each scan')
     made.add_argument('--out', type=Path, default=Path('out/rooms'), help='folder to write to')
     made.set_defaults(run=_make_rooms)
     seen = actions.add_parser('preview', help='draw rooms cut open')
     seen.add_argument('rooms', nargs='+', metavar='ROOM', help='a seed or a scan')
-    seen.add_argument('--points', type=_at_least(1000), default=40000, help='of each room')
+    seen.add_argument('--points', type=at_least(1000), default=40000, help='of each room')
     seen.add_argument('--out', type=Path, default=Path('out/rooms.png'), help='picture to write')
     seen.set_defaults(run=_preview_rooms)
 
@@ -127,7 +127,7 @@ def _add_evaluate(commands) -> None:
     """Add ``ocp evaluate``."""
     judged = commands.add_parser('evaluate', help='judge a policy room by room')
     judged.add_argument('--model', default='default', help='weights: a path, or a name')
-    judged.add_argument('--planners', type=_names, default=('learned', 'hand_rule'),
+    judged.add_argument('--planners', type=names, default=('learned', 'hand_rule'),
                         help='names with commas between; the first is compared with the others')
     rooms = judged.add_mutually_exclusive_group()
     rooms.add_argument('--set', choices=('fresh', 'test', 'training', 'validation'),
@@ -136,14 +136,14 @@ def _add_evaluate(commands) -> None:
     judged.add_argument('--scale', type=float, default=1.0, help='metres per unit of the scans')
     judged.add_argument('--up', choices=('x', 'y', 'z'), default='z',
                         help='axis of the scans that points up')
-    judged.add_argument('--rotations', type=_whole_numbers, default=(0,),
+    judged.add_argument('--rotations', type=whole_numbers, default=(0,),
                         help='degrees, with commas between')
-    judged.add_argument('--cameras', type=_whole_numbers, default=(4,),
+    judged.add_argument('--cameras', type=whole_numbers, default=(4,),
                         help='how many, with commas between')
-    judged.add_argument('--budgets', type=_whole_numbers, default=(1000,),
+    judged.add_argument('--budgets', type=whole_numbers, default=(1000,),
                         help='evaluations of offline planners, with commas between')
-    judged.add_argument('--seeds', type=_at_least(1), default=1, help='runs of each')
-    judged.add_argument('--workers', type=_at_least(1),
+    judged.add_argument('--seeds', type=at_least(1), default=1, help='runs of each')
+    judged.add_argument('--workers', type=at_least(1),
                         help='processes; one for each core unless named')
     judged.add_argument('--out', type=Path, default=Path('out/evaluation'),
                         help='folder of the results; an interrupted evaluation goes on')
@@ -174,75 +174,26 @@ def _add_plan(commands) -> None:
     rig.add_argument('--rig', type=Path, help='cameras and what is asked of them: docs/rig.md')
     rig.add_argument('--model', metavar='SENSOR', default='omnidirectional',
                      help='the sensor of all cameras, or a part of its name such as d455')
-    planned.add_argument('--cameras', '--count', dest='count', type=_count, metavar='N',
+    planned.add_argument('--cameras', '--count', dest='count', type=count, metavar='N',
                          help='how many, or auto; 4 or what the rig file says unless named')
-    planned.add_argument('--target', type=_share, default=0.95,
+    planned.add_argument('--target', type=share, default=0.95,
                          help='with auto: share of what can be reached at all, 0.95 unless named')
     planned.add_argument('--by', choices=('seen', 'coverage', 'error'), default='seen',
                          help='with auto, share of what: points seen, space covered, or depth '
                          'error taken away')
-    planned.add_argument('--most', type=_at_least(1), default=12,
+    planned.add_argument('--most', type=at_least(1), default=12,
                          help='with auto: the most cameras to try')
-    planned.add_argument('--seconds', type=_seconds, help='of search for each number of cameras; '
+    planned.add_argument('--seconds', type=seconds, help='of search for each number of cameras; '
                          '60, or 15 with auto, unless evaluations are named')
-    planned.add_argument('--evaluations', type=_at_least(1),
+    planned.add_argument('--evaluations', type=at_least(1),
                          help='judge so many placements; the same seed finds the same answer')
-    planned.add_argument('--seed', type=_at_least(0), default=0, help='of all chance')
+    planned.add_argument('--seed', type=at_least(0), default=0, help='of all chance')
     planned.add_argument('--out', type=Path, default=Path('out/plan'), metavar='DIR',
                          help='write placement, CSV, launch file, xacro and installer page here')
     planned.add_argument('--json', action='store_true', help='print JSON and nothing else')
     planned.add_argument('--scale', type=float, help='metres per unit of the scan')
     planned.add_argument('--up', choices=('x', 'y', 'z'), help='axis of the scan that points up')
     planned.set_defaults(run=_plan)
-
-
-def _count(text: str) -> int:
-    """Read how many cameras: a number above 0, or 0 for auto."""
-    return 0 if text == 'auto' else _at_least(1)(text)
-
-
-def _seconds(text: str) -> float:
-    """Read a time."""
-    return _number(text, 'seconds above 0', lambda value: 0.0 < value < float('inf'))
-
-
-def _share(text: str) -> float:
-    """Read a share."""
-    return _number(text, 'a share above 0, at most 1', lambda value: 0.0 < value <= 1.0)
-
-
-def _number(text: str, expected: str, holds: Callable[[float], bool]) -> float:
-    """Read a number of which something holds."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = float('nan')
-    if not holds(value):
-        raise argparse.ArgumentTypeError(f'found {text!r}; expected {expected}')
-    return value
-
-
-def _names(text: str) -> tuple[str, ...]:
-    """Read names with commas between."""
-    return tuple(text.split(','))
-
-
-def _whole_numbers(text: str) -> tuple[int, ...]:
-    """Read whole numbers with commas between."""
-    try:
-        return tuple(int(number) for number in text.split(','))
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(
-            f'found {text!r}; expected whole numbers with commas between') from error
-
-
-def _at_least(least: int) -> Callable[[str], int]:
-    """Return a reader of whole numbers from some number on."""
-    def read(text: str) -> int:
-        if not text.isdecimal() or int(text) < least:
-            raise argparse.ArgumentTypeError(f'found {text!r}; expected {least} or more')
-        return int(text)
-    return read
 
 
 def parser() -> argparse.ArgumentParser:
@@ -262,13 +213,13 @@ def parser() -> argparse.ArgumentParser:
     compare.add_argument('--rooms', type=Path, help='folder of scans to take instead')
     compare.add_argument('--scale', type=float, help='metres per unit of the scans')
     compare.add_argument('--up', choices=('x', 'y', 'z'), help='axis of the scans that points up')
-    compare.add_argument('--planners', type=_names,
+    compare.add_argument('--planners', type=names,
                          help='names with commas between; all unless named')
-    compare.add_argument('--budgets', type=_whole_numbers, help='evaluations, with commas between')
+    compare.add_argument('--budgets', type=whole_numbers, help='evaluations, with commas between')
     compare.add_argument('--seeds', type=int, help='runs of each')
     compare.add_argument('--out', type=Path, default=Path('out/benchmark'),
                          help='folder of the results; an interrupted comparison goes on')
-    compare.add_argument('--workers', type=_at_least(1),
+    compare.add_argument('--workers', type=at_least(1),
                          help='processes; one for each core unless named')
     compare.add_argument('--ray', metavar='ADDRESS', help='run on a Ray cluster, such as auto')
     compare.add_argument('--report', type=Path, nargs='?', const=Path('docs/benchmark'),

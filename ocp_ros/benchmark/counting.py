@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ocp_ros.planners.budget import Budget
-from ocp_ros.planners.rig_plan import Plan, Planner
+from ocp_ros.planners.rig_plan import Plan, RigPlanner
 from ocp_ros.scenes.source import make_room
 from ocp_ros.simulation.config import EngineConfig
 from ocp_ros.simulation.rig_file import rig_of, with_count
@@ -26,7 +26,7 @@ def curves(room: str, sensor: str, evaluations: int, most: int, points: int, see
     :returns: the plans for 1, 2, ... ``most`` cameras, each from the one before, and each anew.
     """
     scene, rig = make_room(room, 0.0, points), rig_of(1, sensor)
-    planner = Planner(scene, rig, EngineConfig(), Budget(evaluations=evaluations), seed)
+    planner = RigPlanner(scene, rig, EngineConfig(), Budget(evaluations=evaluations), seed)
 
     def counted(count: int):
         return with_count(rig, count)

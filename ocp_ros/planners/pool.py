@@ -62,40 +62,49 @@ def _features(poses: np.ndarray) -> np.ndarray:
     return np.hstack([poses[:, :3], TURN * ahead.T])
 
 
+def _offered(allowed: Allowed, model: CameraModel, most: int) -> np.ndarray:
+    """Return allowed poses of a camera, those of any beginning spread over the room: (M, 6)."""
+    poses = as_written(allowed.candidates(model, most))
+    # Rounding may have moved some into a zone.
+    poses = poses[allowed.allowed(poses, model)]
+    if len(poses) == 0:
+        raise allowed.rig.document.error(
+            ('mount',), f'no place in {allowed.scene.name} where a camera may hang to the tenth '
+            'of a millimetre', 'more room', 'lower keep_clear, or change the mount or its height')
+    return np.random.default_rng(0).permutation(poses)
+
+
 class Pool:
     """
     Candidates for each model of a rig, and what they see.
 
     :param objective: of a rig of these models.
     :param allowed: its constraints.
-    :param most: how many poses, those of all models together.
+    :param most: how many poses to look from, those of all models together.
+    :param among: of how many, spread over the room, they are drawn.
     :param threads: how many to use.
     :param over: tells whether to stop looking; the first poses of each model are looked from
         in any case.
     :raises ConfigurationError: if a camera may hang nowhere.
     """
 
-    def __init__(self, objective: Objective, allowed: Allowed, most: int, threads: int = 1,
-                 over: Callable[[], bool] = lambda: False) -> None:
+    def __init__(self, objective: Objective, allowed: Allowed, most: int, among: int = 0,
+                 threads: int = 1, over: Callable[[], bool] = lambda: False) -> None:
         rig, self._kinds = objective.rig, {}
         self._found: dict[CameraModel, list[View]] = defaultdict(list)
         models = list(dict.fromkeys(camera.model for camera in rig.cameras))
-        #: Whether all that was asked for was looked from.
+        #: Whether all that are spread over the room were looked from.
         self.complete = True
         with ThreadPoolExecutor(threads) as workers:
             for model in models:
-                camera = rig.models.index(model)
-                poses = as_written(allowed.candidates(model, max(most // len(models), 1)))
-                # Rounding may have moved some into a zone.
-                kept = allowed.allowed(poses, model)
-                poses, views = poses[kept] if kept.any() else poses, []
-                # So that the first ones are spread over places and headings, too.
-                poses = np.random.default_rng(0).permutation(poses)
+                camera, count = rig.models.index(model), max(most // len(models), 1)
+                offered = _offered(allowed, model, max(count, among // len(models)))
+                poses, views = offered[:count], []
                 while len(views) < len(poses) and (len(views) < LEAST or not over()):
                     part = poses[len(views):len(views) + CHUNK]
                     views += workers.map(
                         lambda pose, camera=camera: objective.simulator.look(pose, camera), part)
-                self.complete &= len(views) == len(poses)
+                self.complete &= len(views) == len(offered)
                 poses = poses[:len(views)]
                 self._kinds[model] = Kind(poses, views, cKDTree(_features(poses)))
 

@@ -72,7 +72,7 @@ class Plan:
         return met and self.shares[by] >= target - ROUNDING
 
 
-class Planner:
+class RigPlanner:
     """
     Plan rigs of the same models in one room.
 
@@ -94,7 +94,7 @@ class Planner:
         most = CANDIDATES
         if budget.evaluations is not None:
             most = int(np.clip(budget.evaluations // 2, FEWEST, CANDIDATES))
-        self.pool = Pool(objective, allowed, most, os.cpu_count() or 1, self._looked)
+        self.pool = Pool(objective, allowed, most, CANDIDATES, os.cpu_count() or 1, self._looked)
         self._check_regions(objective)
 
     def judges_of(self, rig: Rig) -> tuple[Objective, Allowed]:

@@ -2,8 +2,9 @@
 """``ocp plan``: where to hang the cameras of a rig, how good that is, and how many are needed."""
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 import json
 import signal
 from threading import current_thread, main_thread
@@ -15,7 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
 from ocp_ros.planners.budget import Budget
-from ocp_ros.planners.rig_plan import Plan, Planner
+from ocp_ros.planners.rig_plan import Plan, RigPlanner
 from ocp_ros.report.counting import draw_curve, rows_of_curve, show_curve
 from ocp_ros.report.exports import export
 from ocp_ros.report.installer import COLUMNS, rows_of, walls_around
@@ -49,14 +50,13 @@ def plan(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     folder.mkdir(parents=True, exist_ok=True)
     engine, budget = EngineConfig(), budget_of(arguments)
     with _stopped_by_hand(budget), _progress() as progress:
-        planner = Planner(scene, rig, engine, budget, arguments.seed, progress)
+        planner = RigPlanner(scene, rig, engine, budget, arguments.seed, progress)
         plans = list(_counted(planner, rig, arguments) if counting else [planner.plan(rig)])
     best = plans[-1]
     placement = placement_of(best.rig, best.answer.poses, room=room, engine=engine,
                              created=created_by(command))
     found = {'room': room, **verdict(*planner.judges_of(best.rig), placement.poses), 'notes': []}
-    placement = placement_of(best.rig, best.answer.poses, room=room, engine=engine,
-                             created=created_by(command), scores=found['scores'])
+    placement = replace(placement, scores=found['scores'])
     found |= {'cameras': data_of(placement)['cameras'],
               'search': _search_of(best, budget, arguments.seed)}
     written = export(folder, scene, placement)
@@ -91,7 +91,7 @@ def budget_of(arguments: argparse.Namespace) -> Budget:
     return Budget(seconds, arguments.evaluations)
 
 
-def _counted(planner: Planner, rig: Rig, arguments: argparse.Namespace) -> Iterator[Plan]:
+def _counted(planner: RigPlanner, rig: Rig, arguments: argparse.Namespace) -> Iterator[Plan]:
     """Yield plans with ever more cameras until one reaches the target."""
     first = max(rig.seen_by - len(rig.fixed), 1)
     for plan in planner.count_up(lambda count: with_count(rig, count), first,
@@ -120,7 +120,7 @@ def _stopped_by_hand(budget: Budget) -> Iterator[None]:
 
 
 @contextmanager
-def _progress():
+def _progress() -> Iterator[Callable[[float, float], None]]:
     """Show the progress on the terminal, where there is one; yields a function to call."""
     console = Console(stderr=True)
     with Progress(TextColumn('{task.description}'), BarColumn(), TextColumn('{task.fields[loss]}'),
