@@ -5,8 +5,8 @@ import argparse
 from pathlib import Path
 import sys
 
+from ocp_ros.arguments import at_least, names, whole_numbers
 from ocp_ros.command_line import (
-    at_least,
     Commands,
     COMPARE,
     file_to_write,
@@ -14,11 +14,10 @@ from ocp_ros.command_line import (
     JUDGE,
     LEARN,
     LOOK,
-    names,
     run,
     show_written,
-    whole_numbers,
 )
+from ocp_ros.plan_commands import add_plan
 from ocp_ros.replay_commands import add_replay
 from ocp_ros.room_commands import add_rooms
 
@@ -182,8 +181,8 @@ def _add_view(commands: Commands) -> None:
 def commands() -> Commands:
     """Build all commands."""
     made = Commands('ocp', 'Where do I put my depth cameras? Tools that need no ROS graph.')
-    for add in (_add_score, _add_view, add_rooms, _add_train, _add_evaluate, _add_benchmark,
-                add_replay):
+    for add in (add_plan, _add_score, _add_view, add_rooms, _add_train, _add_evaluate,
+                _add_benchmark, add_replay):
         add(made)
     return made
 

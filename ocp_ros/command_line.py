@@ -2,7 +2,7 @@
 """What all commands of ``ocp`` have in common: contents, examples, JSON and errors."""
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext, redirect_stdout
 import json
 import math
@@ -176,26 +176,3 @@ def file_to_write(path: Path, what: str) -> Path:
                                  f'({error.strerror}); expected a file to write {what} to'
                                  ) from error
     return path
-
-
-def names(text: str) -> tuple[str, ...]:
-    """Read names with commas between."""
-    return tuple(text.split(','))
-
-
-def whole_numbers(text: str) -> tuple[int, ...]:
-    """Read whole numbers with commas between."""
-    try:
-        return tuple(int(number) for number in text.split(','))
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(
-            f'found {text!r}; expected whole numbers with commas between') from error
-
-
-def at_least(least: int) -> Callable[[str], int]:
-    """Return a reader of whole numbers from some number on."""
-    def read(text: str) -> int:
-        if not text.isdecimal() or int(text) < least:
-            raise argparse.ArgumentTypeError(f'found {text!r}; expected {least} or more')
-        return int(text)
-    return read

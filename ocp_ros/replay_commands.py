@@ -5,6 +5,7 @@ import argparse
 import math
 from pathlib import Path
 
+from ocp_ros.arguments import number
 from ocp_ros.command_line import Commands, Found, REPLAY
 from ocp_ros.configuration import ConfigurationError
 
@@ -75,22 +76,11 @@ def add_replay(commands: Commands) -> None:
     played.set_defaults(run=_replay, show=_show)
 
 
-def _number(text: str, least: float, words: str) -> float:
-    """Read a finite number."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not least <= value < math.inf:
-        raise argparse.ArgumentTypeError(f'found {text!r}; expected {words}')
-    return value
-
-
 def _seconds(text: str) -> float:
     """Read seconds from 0 on."""
-    return _number(text, 0.0, 'seconds, 0 or more')
+    return number(text, 'seconds, 0 or more', lambda value: 0.0 <= value < math.inf)
 
 
 def _above_zero(text: str) -> float:
     """Read a number above 0."""
-    return _number(text, 1e-6, 'a number above 0')
+    return number(text, 'a number above 0', lambda value: 1e-6 <= value < math.inf)

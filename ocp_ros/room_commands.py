@@ -4,14 +4,8 @@
 import argparse
 from pathlib import Path
 
-from ocp_ros.command_line import (
-    at_least,
-    Commands,
-    file_to_write,
-    Found,
-    LOOK,
-    show_written,
-)
+from ocp_ros.arguments import at_least
+from ocp_ros.command_line import Commands, file_to_write, Found, LOOK, show_written
 
 
 def _list_rooms(arguments: argparse.Namespace) -> Found:

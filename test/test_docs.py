@@ -99,6 +99,20 @@ def test_the_example_with_a_rig_runs(capsys):
     assert 0.0 < loss < 1.0 and error > 0.0 and broken == 0.0
 
 
+def test_the_example_with_a_plan_runs(capsys):
+    exec(python_example('docs/plan.md'), {})
+    loss, everywhere, cameras = map(float, capsys.readouterr().out.split())
+    assert 0.0 <= everywhere < loss < 1.0 and cameras == 2
+
+
+def test_every_option_of_plan_is_explained():
+    from ocp_ros.cli import parser
+    text = (ROOT / 'docs' / 'plan.md').read_text()
+    plan = next(action for action in parser()._actions if action.choices).choices['plan']
+    for option in (name for action in plan._actions for name in action.option_strings):
+        assert option in ('-h', '--help') or f'`{option}`' in text, option
+
+
 def test_the_example_with_sensors_runs(capsys):
     exec(python_example('docs/sensors.md'), {})
     error, coverage, seen = map(float, capsys.readouterr().out.split())

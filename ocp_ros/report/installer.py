@@ -31,6 +31,8 @@ PART, STANDS = 0.25, 0.3
 STRAIGHT, DOWN = 0.5, 85.0
 #: Metres above the floor and below the ceiling that a plan leaves out, and points that it shows.
 LOW, HIGH, SHOWN = 0.15, 0.4, 12000
+#: What stands above the rows of an installer's table, but for the camera's number.
+COLUMNS = ('camera', 'sensor', 'place', 'height', 'pan', 'tilt')
 
 
 class Wall(NamedTuple):
@@ -179,6 +181,16 @@ def _tilt(placed: Placed) -> str:
     return tilt
 
 
+def rows_of(placement: Placement, walls: Sequence[Wall], floor: float) -> list[list[str]]:
+    """Return what an installer is told of each camera, the names of :data:`COLUMNS` above it."""
+    rows = []
+    for number, placed in enumerate(placement.cameras, start=1):
+        words = words_for(placed, walls, floor)
+        name = f'{words.name} (in place)' if placed.mount == 'fixed' else words.name
+        rows.append([str(number), name, *words[1:]])
+    return rows
+
+
 def instructions(scene: Scene, placement: Placement, plan: str) -> str:
     """
     Write the installer's page as Markdown.
@@ -194,12 +206,8 @@ def instructions(scene: Scene, placement: Placement, plan: str) -> str:
              'room is not', 'a rectangle they are the sides of the rectangle around it. Distances '
              'are at right angles to the wall, to', "the middle of the camera's front. Left and "
              'right are those of somebody who stands behind the camera.', '',
-             '| | camera | sensor | place | height | pan | tilt |',
-             '|---|---|---|---|---|---|---|']
-    for number, placed in enumerate(placement.cameras, start=1):
-        words = words_for(placed, walls, floor)
-        name = f'{words.name} (in place)' if placed.mount == 'fixed' else words.name
-        lines.append(f'| {number} | ' + ' | '.join([name, *words[1:]]) + ' |')
+             f'| | {" | ".join(COLUMNS)} |', '|---' * (len(COLUMNS) + 1) + '|']
+    lines += ['| ' + ' | '.join(row) + ' |' for row in rows_of(placement, walls, floor)]
     return '\n'.join([*lines, ''])
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import webbrowser
 
 from ocp_ros.configuration import ConfigurationError
-from ocp_ros.report.score import judge, room_and_placement, room_given
+from ocp_ros.report.score import judge, room_and_placement, room_asked
 from ocp_ros.report.viewer import write_view
 
 
@@ -23,7 +23,7 @@ def view(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
         raise ConfigurationError(f'--rig: found {arguments.rig} and no placement; expected a '
                                  'placement that it is about; name one, or leave it out')
     if arguments.placement is None:
-        scene, room = room_given(arguments, None)
+        scene, room = room_asked(arguments, {})
         write_view(arguments.out, scene)
     else:
         scene, placement, room = room_and_placement(arguments)
