@@ -52,7 +52,7 @@ class Commands:
     def __init__(self, program: str, description: str) -> None:
         self.parser = Parser(prog=program, usage=f'{program} COMMAND ...', description=description,
                              formatter_class=argparse.RawDescriptionHelpFormatter)
-        self._added = self.parser.add_subparsers(required=True, metavar='COMMAND',
+        self._added = self.parser.add_subparsers(prog=program, required=True, metavar='COMMAND',
                                                  help=argparse.SUPPRESS)
         self._contents: dict[str, list[tuple[str, str]]] = {
             title: [] for title in TITLES}

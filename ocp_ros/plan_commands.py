@@ -34,9 +34,9 @@ def add_plan(commands: Commands) -> None:
                          help='how many, or auto; 4 or what the rig file says unless named')
     planned.add_argument('--target', type=share, default=0.95,
                          help='with auto: share of what can be reached at all, 0.95 unless named')
-    planned.add_argument('--by', choices=('seen', 'coverage', 'error'), default='seen',
-                         help='with auto, share of what: points seen, space covered, or depth '
-                         'error taken away')
+    planned.add_argument('--by', choices=('error', 'seen', 'coverage'), default='error',
+                         help='with auto, share of what: depth error taken away, points seen, or '
+                         'space covered')
     planned.add_argument('--most', type=at_least(1), default=12,
                          help='with auto: the most cameras to try')
     planned.add_argument('--seconds', type=seconds, help='of search for each number of cameras; '
