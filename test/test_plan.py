@@ -411,7 +411,6 @@ def test_ctrl_c_writes_the_best_so_far(files):
 INTERRUPTED = f"""
 from contextlib import suppress
 import os, signal, sys
-from ocp_ros.benchmark.counting import curves, needed
 from ocp_ros.cli import main
 from ocp_ros.planners import rig_search
 judge = rig_search.Search.judge
