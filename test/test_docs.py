@@ -184,7 +184,7 @@ def test_every_command_in_the_documentation_can_be_run(command, tmp_path, monkey
 
 def test_the_commands_are_found():
     found = {command[0] for command in commands()}
-    assert found == {'score', 'view', 'rooms', 'train', 'evaluate', 'benchmark'}
+    assert found == {'plan', 'score', 'view', 'rooms', 'train', 'evaluate', 'benchmark', 'replay'}
 
 
 def templates():

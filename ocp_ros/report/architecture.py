@@ -36,8 +36,12 @@ TOPICS = (
     ((8.85, 4.2), (8.85, 2.3), ('observation', 'camera_poses', 'camera_commands', 'reward'),
      (8.27, 3.05)),
     ((9.45, 2.3), (9.45, 4.2), ('policy_weights',), (9.45, 3.25)),
-    ((6.0, 4.2), (6.0, 2.3), ('scene', 'markers', 'space_coverage', 'depth_error'), (6.0, 3.35)),
-    ((8.35, 4.2), (6.75, 2.3), ('placement', 'instructions'), (7.3, 2.9)))
+    ((6.0, 4.2), (6.0, 2.3), (
+        'scene', 'markers', 'space_coverage', 'depth_error', 'true_coverage_cloud',
+        'true_error_cloud'), (5.95, 3.35)),
+    ((8.35, 4.2), (6.75, 2.3), (
+        'placement', 'placement_status', 'instructions', 'rig_markers', 'coverage_cloud',
+        'error_cloud'), (7.25, 2.85)))
 FILLS = ('#e8f1f8', '#d7e6f2')
 
 
