@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from ocp_ros.configuration import ConfigurationError
 from ocp_ros.nodes.bags import Bag
-from ocp_ros.nodes.processes import end_on_signals
 from ocp_ros.nodes.replay import Replay
 from ocp_ros.nodes.replay_options import chosen_topics, ReplayOptions
 from ocp_ros.nodes.runner import ENDING
@@ -64,12 +63,21 @@ def topics_of(bag: Bag) -> list[dict[str, Any]]:
 
 
 @contextmanager
-def _ended_by_signals() -> Iterator[None]:
-    """Let what ends a program end a block as Ctrl-C does, in the background too."""
-    before = {number: signal.getsignal(number) for number in ENDING}
-    end_on_signals()
+def _noted_signals(executor: Executor) -> Iterator[list[int]]:
+    """
+    Note the signals that end a program, and wake who waits.
+
+    Nothing is raised: rclpy swallows what is raised in the wrong moment, and would go on for ever.
+    """
+    noted: list[int] = []
+
+    def note(number, frame):
+        noted.append(number)
+        executor.wake()
+
+    before = {number: signal.signal(number, note) for number in ENDING}
     try:
-        yield
+        yield noted
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -86,19 +94,21 @@ def replay(arguments: argparse.Namespace) -> dict[str, Any]:
     with Bag(arguments.bag) as bag:
         if arguments.list:
             return {'bag': bag.path.name, 'seconds': bag.seconds, 'topics': topics_of(bag)}
-        with _ended_by_signals():
-            return _publish(bag, options)
+        return _publish(bag, options)
 
 
 def _publish(bag: Bag, options: ReplayOptions) -> dict[str, Any]:
     """Publish a bag to its end, and return what it was."""
-    # Python's own handlers: an interrupt ends the spinning, wherever it is.
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     executor, node = SingleThreadedExecutor(), None
     try:
-        node = Replay(bag, options)
-        executor.add_node(node)
-        executor.spin_until_future_complete(node.done)
+        with _noted_signals(executor) as noted:
+            node = Replay(bag, options)
+            executor.add_node(node)
+            while not (node.done.done() or noted):
+                executor.spin_once()
+        if noted:
+            raise KeyboardInterrupt
         if node.done.exception() is not None:
             raise node.done.exception()
         node.flush()
