@@ -32,11 +32,12 @@ setup(
         share('config/train', '*.yaml'),
         share('models', '*.*'),
     ],
+    package_data={NAME: ['report/*.html']},
     zip_safe=True,
     install_requires=[
         'setuptools', 'numpy>=1.26', 'numba', 'scipy', 'torch', 'safetensors', 'gymnasium', 'cma',
         'stable-baselines3', 'tensorboard', 'open3d', 'plyfile', 'laspy[lazrs]', 'matplotlib',
-        'plotly', 'rich', 'pyyaml', 'jsonschema'],
+        'plotly', 'rich', 'rosbags', 'pyyaml', 'jsonschema'],
     extras_require={'test': ['pytest', 'pytest-timeout', 'hypothesis'], 'ray': ['ray']},
     entry_points={
         'console_scripts': [

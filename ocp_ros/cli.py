@@ -2,237 +2,199 @@
 """``ocp``: the package's tools for people without a ROS graph."""
 
 import argparse
-from collections.abc import Callable
-import os
 from pathlib import Path
 import sys
 
-from ocp_ros.agent.checkpoint import CheckpointError
-from ocp_ros.configuration import ConfigurationError
-from ocp_ros.scenes.scene import SceneError
+from ocp_ros.arguments import at_least, names, whole_numbers
+from ocp_ros.command_line import (
+    Commands,
+    COMPARE,
+    file_to_write,
+    Found,
+    JUDGE,
+    LEARN,
+    LOOK,
+    run,
+    show_written,
+)
+from ocp_ros.plan_commands import add_plan
+from ocp_ros.replay_commands import add_replay
+from ocp_ros.room_commands import add_rooms
 
 
-def _train(arguments: argparse.Namespace) -> None:
-    """Train a policy and print what it does in rooms it has never seen."""
+def _train(arguments: argparse.Namespace) -> Found:
+    """Train a policy, and say what it does in rooms it has never seen."""
     from ocp_ros.training.train import read_config, train
     config = read_config(arguments.config)
     checkpoint = train(config, arguments.out, f'ocp train --config {arguments.config}')
-    test = checkpoint.provenance['test']
-    for name in ('random_moves', 'policy'):
-        figures = test[name]
-        print(f'{name:>12}: depth error {figures["depth_error_start"]:.2f} m -> '
-              f'{figures["depth_error_end"]:.2f} m ({figures["ratio"]:.3f})')
     if arguments.model:
         checkpoint.save(arguments.model)
-        print(f'wrote {arguments.model}')
+    return {'test': checkpoint.provenance['test'],
+            'written': [arguments.model] if arguments.model else []}
 
 
-def _benchmark(arguments: argparse.Namespace) -> None:
+def _show_training(found: Found) -> None:
+    """Print what a policy does in rooms it has never seen."""
+    for name in ('random_moves', 'policy'):
+        figures = found['test'][name]
+        print(f'{name:>12}: depth error {figures["depth_error_start"]:.2f} m -> '
+              f'{figures["depth_error_end"]:.2f} m ({figures["ratio"]:.3f})')
+    show_written(found)
+
+
+def _benchmark(arguments: argparse.Namespace) -> Found:
     """Compare planners, write the results and, where it is wanted, a report."""
     from ocp_ros.report.compare import command_of, compare
-    compare(arguments, command_of(arguments.argv))
+    return compare(arguments, command_of(arguments.argv))
 
 
-def _evaluate(arguments: argparse.Namespace) -> None:
+def _evaluate(arguments: argparse.Namespace) -> Found:
     """Compare a policy with other planners, room by room."""
     from ocp_ros.report.compare import command_of
     from ocp_ros.report.evaluate import evaluate
-    evaluate(arguments, command_of(arguments.argv))
+    return evaluate(arguments, command_of(arguments.argv))
 
 
-def _score(arguments: argparse.Namespace) -> None:
+def _show_nothing(found: Found) -> None:
+    """Print nothing: it was printed as it was found."""
+
+
+def _score(arguments: argparse.Namespace) -> Found:
     """Judge a placement of a rig in a room."""
     from ocp_ros.report.compare import command_of
     from ocp_ros.report.score import score
-    score(arguments, command_of(arguments.argv))
+    return score(arguments, command_of(arguments.argv))
 
 
-def _list_rooms(arguments: argparse.Namespace) -> None:
-    """Print kinds and sizes of generated rooms."""
-    from rich.console import Console
-    from rich.table import Table
-
-    from ocp_ros.scenes.rooms import plan_of
-    table = Table('seed', 'kind', 'size (m)', 'solids')
-    for seed in range(arguments.first, arguments.first + arguments.count):
-        plan = plan_of(seed)
-        table.add_row(str(seed), plan.kind.replace('_', ' '),
-                      ' x '.join(f'{edge:.1f}' for edge in plan.size), str(len(plan.solids)))
-    Console().print(table)
+def _show_score(found: Found) -> None:
+    """Print a verdict."""
+    from ocp_ros.report.score import show
+    show(found)
 
 
-def _make_rooms(arguments: argparse.Namespace) -> None:
-    """Write generated rooms and their meshes."""
-    from rich.console import Console
-    from rich.progress import track
-
-    from ocp_ros.scenes.files import save_scene
-    from ocp_ros.scenes.rooms import generate_room
-    for seed in track(arguments.seeds, 'making rooms', console=Console(stderr=True)):
-        save_scene(generate_room(seed, arguments.points), arguments.out / f'room-{seed}.ply')
-    print(f'wrote {len(arguments.seeds)} rooms and their meshes to {arguments.out}')
+def _view(arguments: argparse.Namespace) -> Found:
+    """Write a page of a room that can be turned around, and open it where that is wanted."""
+    from ocp_ros.report.compare import command_of
+    from ocp_ros.report.view import view
+    file_to_write(arguments.out, 'a page')
+    return view(arguments, command_of(arguments.argv))
 
 
-def _preview_rooms(arguments: argparse.Namespace) -> None:
-    """Draw generated rooms and scans."""
-    from ocp_ros.report.rooms import draw_sheet, titled
-    from ocp_ros.scenes.cached import load_cached
-    scenes = []
-    try:
-        arguments.out.parent.mkdir(parents=True, exist_ok=True)
-        if arguments.out.is_dir():
-            raise IsADirectoryError(0, 'it is a folder')
-    except OSError as error:
-        raise ConfigurationError(f'--out: found {arguments.out}, which cannot be written '
-                                 f'({error.strerror}); expected a file to write a picture to'
-                                 ) from error
-    for name in arguments.rooms:
-        if name.isdecimal():
-            scenes.append(titled(int(name), arguments.points))
-        else:
-            scene = load_cached(name, max_points=arguments.points)
-            scenes.append((scene.name, scene))
-    draw_sheet(arguments.out, scenes)
-    print(f'wrote {arguments.out}')
+def _add_train(commands: Commands) -> None:
+    """Add ``ocp train``."""
+    train = commands.add(
+        LEARN, 'train', 'train a policy',
+        'ocp train --config config/train/default.yaml --out out/train --model mine.safetensors')
+    train.add_argument('--config', type=Path, required=True, help='YAML of training settings')
+    train.add_argument('--out', type=Path, required=True,
+                       help='folder of the run; an interrupted one goes on')
+    train.add_argument('--model', type=Path, help='write the best weights here as well')
+    train.set_defaults(run=_train, show=_show_training)
 
 
-def _add_rooms(commands) -> None:
-    """Add ``ocp rooms`` and what it can do."""
-    rooms = commands.add_parser('rooms', help='list, make and look at generated rooms')
-    actions = rooms.add_subparsers(title='actions', required=True, metavar='ACTION')
-    listed = actions.add_parser('list', help='kinds and sizes')
-    listed.add_argument('--first', type=_at_least(0), default=0, help='first seed')
-    listed.add_argument('--count', type=_at_least(1), default=20, help='how many')
-    listed.set_defaults(run=_list_rooms)
-    made = actions.add_parser('make', help='write scans and meshes as PLY')
-    made.add_argument('seeds', type=_at_least(0), nargs='+', metavar='SEED')
-    made.add_argument('--points', type=_at_least(1000), default=15000, help='of each scan')
-    made.add_argument('--out', type=Path, default=Path('out/rooms'), help='folder to write to')
-    made.set_defaults(run=_make_rooms)
-    seen = actions.add_parser('preview', help='draw rooms cut open')
-    seen.add_argument('rooms', nargs='+', metavar='ROOM', help='a seed or a scan')
-    seen.add_argument('--points', type=_at_least(1000), default=40000, help='of each room')
-    seen.add_argument('--out', type=Path, default=Path('out/rooms.png'), help='picture to write')
-    seen.set_defaults(run=_preview_rooms)
+def _add_benchmark(commands: Commands) -> None:
+    """Add ``ocp benchmark``."""
+    compare = commands.add(
+        COMPARE, 'benchmark', 'compare planners under equal budgets',
+        'ocp benchmark --rooms my_scans --planners tdsa,cma_es --budgets 1000 --seeds 5')
+    compare.add_argument('--preset', choices=('smoke', 'full'), default='smoke',
+                         help='smoke: two rooms, under two minutes; full: ten rooms, three '
+                         'rotations, up to 10,000 evaluations')
+    compare.add_argument('--rooms', type=Path, help='folder of scans to take instead')
+    _add_units(compare, 'of the scans')
+    compare.add_argument('--planners', type=names,
+                         help='names with commas between; all unless named')
+    compare.add_argument('--budgets', type=whole_numbers, help='evaluations, with commas between')
+    compare.add_argument('--seeds', type=int, help='runs of each')
+    compare.add_argument('--out', type=Path, default=Path('out/benchmark'),
+                         help='folder of the results; an interrupted comparison goes on')
+    compare.add_argument('--workers', type=at_least(1),
+                         help='processes; one for each core unless named')
+    compare.add_argument('--ray', metavar='ADDRESS', help='run on a Ray cluster, such as auto')
+    compare.add_argument('--report', type=Path, nargs='?', const=Path('docs/benchmark'),
+                         help='write tables and figures here')
+    compare.set_defaults(run=_benchmark, show=_show_nothing)
 
 
-def _add_evaluate(commands) -> None:
+def _add_units(command: argparse.ArgumentParser, what: str) -> None:
+    """Add how scans are to be read."""
+    command.add_argument('--scale', type=float, help=f'metres per unit {what}')
+    command.add_argument('--up', choices=('x', 'y', 'z'), help=f'axis {what} that points up')
+
+
+def _add_evaluate(commands: Commands) -> None:
     """Add ``ocp evaluate``."""
-    judged = commands.add_parser('evaluate', help='judge a policy room by room')
+    judged = commands.add(LEARN, 'evaluate', 'judge a policy room by room',
+                          'ocp evaluate --model models/mine.safetensors --set test')
     judged.add_argument('--model', default='default', help='weights: a path, or a name')
-    judged.add_argument('--planners', type=_names, default=('learned', 'hand_rule'),
+    judged.add_argument('--planners', type=names, default=('learned', 'hand_rule'),
                         help='names with commas between; the first is compared with the others')
     rooms = judged.add_mutually_exclusive_group()
     rooms.add_argument('--set', choices=('fresh', 'test', 'training', 'validation'),
                        default='fresh', help='which generated rooms; fresh ones unless named')
     rooms.add_argument('--rooms', type=Path, nargs='+', metavar='SCAN', help='scans instead')
-    judged.add_argument('--scale', type=float, default=1.0, help='metres per unit of the scans')
-    judged.add_argument('--up', choices=('x', 'y', 'z'), default='z',
-                        help='axis of the scans that points up')
-    judged.add_argument('--rotations', type=_whole_numbers, default=(0,),
+    _add_units(judged, 'of the scans')
+    judged.add_argument('--rotations', type=whole_numbers, default=(0,),
                         help='degrees, with commas between')
-    judged.add_argument('--cameras', type=_whole_numbers, default=(4,),
+    judged.add_argument('--cameras', type=whole_numbers, default=(4,),
                         help='how many, with commas between')
-    judged.add_argument('--budgets', type=_whole_numbers, default=(1000,),
+    judged.add_argument('--budgets', type=whole_numbers, default=(1000,),
                         help='evaluations of offline planners, with commas between')
-    judged.add_argument('--seeds', type=_at_least(1), default=1, help='runs of each')
-    judged.add_argument('--workers', type=_at_least(1),
+    judged.add_argument('--seeds', type=at_least(1), default=1, help='runs of each')
+    judged.add_argument('--workers', type=at_least(1),
                         help='processes; one for each core unless named')
     judged.add_argument('--out', type=Path, default=Path('out/evaluation'),
                         help='folder of the results; an interrupted evaluation goes on')
-    judged.set_defaults(run=_evaluate)
+    judged.set_defaults(run=_evaluate, show=_show_nothing, scale=1.0, up='z')
 
 
-def _add_score(commands) -> None:
+def _add_score(commands: Commands) -> None:
     """Add ``ocp score``."""
-    judged = commands.add_parser('score', help='judge cameras that hang, or shall hang, in a room')
+    judged = commands.add(JUDGE, 'score', 'judge cameras that hang, or shall hang, in a room',
+                          'ocp score room.ply placement.yaml --rig rig.yaml --out out/hang-up')
     judged.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
     judged.add_argument('placement', type=Path, metavar='PLACEMENT',
                         help='YAML or JSON: docs/placement.md')
     judged.add_argument('--rig', type=Path,
                         help='what is asked for, in place of what the placement says: docs/rig.md')
-    judged.add_argument('--json', action='store_true', help='print JSON and nothing else')
-    judged.add_argument('--export', type=Path, metavar='DIR',
-                        help='write placement, CSV, launch file, xacro and installer page here')
-    judged.add_argument('--scale', type=float, help='metres per unit of the scan')
-    judged.add_argument('--up', choices=('x', 'y', 'z'), help='axis of the scan that points up')
-    judged.set_defaults(run=_score)
+    judged.add_argument('--out', '--export', type=Path, metavar='DIR',
+                        help='write report, placement, CSV, launch file, xacro and more here')
+    _add_units(judged, 'of the scan')
+    judged.set_defaults(run=_score, show=_show_score)
 
 
-def _names(text: str) -> tuple[str, ...]:
-    """Read names with commas between."""
-    return tuple(text.split(','))
+def _add_view(commands: Commands) -> None:
+    """Add ``ocp view``."""
+    seen = commands.add(LOOK, 'view', 'write a page of a room, and a placement, to turn around',
+                        'ocp view room.ply placement.yaml --out out/view.html')
+    seen.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
+    seen.add_argument('placement', type=Path, nargs='?', metavar='PLACEMENT',
+                      help='cameras in it: docs/placement.md')
+    seen.add_argument('--rig', type=Path,
+                      help='what is asked for, in place of what the placement says: docs/rig.md')
+    seen.add_argument('--out', type=Path, default=Path('out/view.html'), help='page to write')
+    seen.add_argument('--open', action='store_true', help='open it in a browser')
+    _add_units(seen, 'of the scan')
+    seen.set_defaults(run=_view, show=show_written)
 
 
-def _whole_numbers(text: str) -> tuple[int, ...]:
-    """Read whole numbers with commas between."""
-    try:
-        return tuple(int(number) for number in text.split(','))
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(
-            f'found {text!r}; expected whole numbers with commas between') from error
-
-
-def _at_least(least: int) -> Callable[[str], int]:
-    """Return a reader of whole numbers from some number on."""
-    def read(text: str) -> int:
-        if not text.isdecimal() or int(text) < least:
-            raise argparse.ArgumentTypeError(f'found {text!r}; expected {least} or more')
-        return int(text)
-    return read
+def commands() -> Commands:
+    """Build all commands."""
+    made = Commands('ocp', 'Where do I put my depth cameras? Tools that need no ROS graph.')
+    for add in (add_plan, _add_score, _add_view, add_rooms, _add_train, _add_evaluate,
+                _add_benchmark, add_replay):
+        add(made)
+    return made
 
 
 def parser() -> argparse.ArgumentParser:
     """Build the parser of all commands."""
-    top = argparse.ArgumentParser(prog='ocp', description=__doc__)
-    commands = top.add_subparsers(title='commands', required=True, metavar='COMMAND')
-    train = commands.add_parser('train', help='train a policy')
-    train.add_argument('--config', type=Path, required=True, help='YAML of training settings')
-    train.add_argument('--out', type=Path, required=True,
-                       help='folder of the run; an interrupted one goes on')
-    train.add_argument('--model', type=Path, help='write the best weights here as well')
-    train.set_defaults(run=_train)
-    compare = commands.add_parser('benchmark', help='compare planners under equal budgets')
-    compare.add_argument('--preset', choices=('smoke', 'full'), default='smoke',
-                         help='smoke: two rooms, under two minutes; full: ten rooms, three '
-                         'rotations, up to 10,000 evaluations')
-    compare.add_argument('--rooms', type=Path, help='folder of scans to take instead')
-    compare.add_argument('--scale', type=float, help='metres per unit of the scans')
-    compare.add_argument('--up', choices=('x', 'y', 'z'), help='axis of the scans that points up')
-    compare.add_argument('--planners', type=_names,
-                         help='names with commas between; all unless named')
-    compare.add_argument('--budgets', type=_whole_numbers, help='evaluations, with commas between')
-    compare.add_argument('--seeds', type=int, help='runs of each')
-    compare.add_argument('--out', type=Path, default=Path('out/benchmark'),
-                         help='folder of the results; an interrupted comparison goes on')
-    compare.add_argument('--workers', type=_at_least(1),
-                         help='processes; one for each core unless named')
-    compare.add_argument('--ray', metavar='ADDRESS', help='run on a Ray cluster, such as auto')
-    compare.add_argument('--report', type=Path, nargs='?', const=Path('docs/benchmark'),
-                         help='write tables and figures here')
-    compare.set_defaults(run=_benchmark)
-    _add_evaluate(commands)
-    _add_score(commands)
-    _add_rooms(commands)
-    return top
+    return commands().parser
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command; bad input gets one sentence and exit code 2."""
-    arguments = parser().parse_args(argv)
-    arguments.argv = sys.argv[1:] if argv is None else argv
-    try:
-        arguments.run(arguments)
-        sys.stdout.flush()
-    except BrokenPipeError:
-        # Whoever reads has seen enough, such as head; nobody is left to be told.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (SceneError, ConfigurationError, CheckpointError, OSError) as error:
-        print(f'ocp: {error}', file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
-    return 0
+    return run(parser(), sys.argv[1:] if argv is None else argv)
 
 
 if __name__ == '__main__':

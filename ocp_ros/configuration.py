@@ -18,7 +18,7 @@ class ConfigurationError(ValueError):
 
 
 def setting(default: Any, description: str, low: float | None = None, high: float | None = None,
-            choices: tuple[str, ...] = ()) -> Any:
+            choices: tuple[str, ...] = (), running: bool = False) -> Any:
     """
     Declare a field of a configuration dataclass.
 
@@ -27,8 +27,10 @@ def setting(default: Any, description: str, low: float | None = None, high: floa
     :param low: smallest value allowed.
     :param high: largest value allowed.
     :param choices: the values allowed, for text.
+    :param running: whether a node that runs can change it.
     """
-    metadata = {'description': description, 'low': low, 'high': high, 'choices': choices}
+    metadata = {'description': description, 'low': low, 'high': high, 'choices': choices,
+                'running': running}
     return field(default=default, metadata=metadata)
 
 

@@ -14,6 +14,7 @@ from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.config import AgentConfig, INPUTS
 from ocp_ros.agent.encoder import Encoder
 from ocp_ros.configuration import ConfigurationError
+from ocp_ros.scenes.files import save_scene
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import Scene
 
@@ -253,3 +254,52 @@ def refused_in_one_sentence(place, remedy):
     message = str(caught.value)
     assert '\n' not in message and message.startswith(place), message
     assert remedy in message and 'found' in message and 'expected' in message, message
+
+
+SCAN = generate_room(8, 2500).points
+
+
+def write_half(path):
+    """Write a scan whose end is missing."""
+    save_scene(Scene(SCAN, 'room'), path)
+    content = path.read_bytes()
+    path.write_bytes(content[:len(content) // 2])
+
+
+#: Files that are no room, by what they are: name, how to write it, what its error says.
+BAD_ROOMS = {
+    'not there': ('none.ply', lambda path: None, 'none.ply: found no such file', 'check the path'),
+    'a folder': ('folder.ply', lambda path: path.mkdir(), 'found a folder', 'give the path'),
+    'of a kind nobody knows': ('room.stl', lambda path: path.write_text('x'), "suffix '.stl'",
+                               'CloudCompare'),
+    'empty': ('empty.ply', lambda path: path.write_bytes(b''), 'empty.ply: found an empty file',
+              'copy or export it again'),
+    'no ply': ('room.ply', lambda path: path.write_text('hello\n'), 'room.ply: found content',
+               'copy or export it again'),
+    'a ply that broke off': ('half.ply', write_half, 'half.ply: found content', 'export it again'),
+    'a ply without vertices': ('faces.ply', lambda path: path.write_text(
+        'ply\nformat ascii 1.0\nelement face 1\nproperty list uchar int vertex_indices\n'
+        'end_header\n3 0 1 2\n'), 'faces.ply: found no vertices', 'export the points'),
+    'a word in a line': ('word.xyz', lambda path: path.write_text(
+        '1 2 3\n' * 4 + '1 two 3\n' + '1 2 3\n' * 200), 'line 5', 'correct the line or delete it'),
+    'a line that broke off': ('line.xyz', lambda path: path.write_text(
+        '1 2 3 4 5 6\n' * 200 + '1 2 3 4'), 'line.xyz: found 4 numbers', 'export it again'),
+    'two columns': ('two.npy', lambda path: np.save(path, SCAN[:, :2]), 'two.npy: found float32',
+                    'save it so'),
+    'not a number': ('nan.npy', lambda path: np.save(path, np.where(SCAN > 3, np.nan, SCAN)),
+                     'nan.npy: found', 'remove them first'),
+    'hardly any points': ('few.npy', lambda path: np.save(path, SCAN[:50]), 'few.npy: found 50',
+                          'use a denser scan'),
+    'millimetres': ('mm.npy', lambda path: np.save(path, 1000.0 * SCAN), 'mm.npy: found',
+                    'scale=0.001'),
+    'a point': ('small.npy', lambda path: np.save(path, 0.01 * SCAN), 'small.npy: found',
+                'scale=1000'),
+    'flat': ('flat.npy', lambda path: np.save(path, SCAN * [1, 1, 0]), 'flat.npy: found',
+             'more than one wall'),
+    'pickled': ('pickled.npy', lambda path: np.save(path, np.array([{}], dtype=object)),
+                'pickled.npy: found', 'export it again'),
+    'all alike': ('alike.npy', lambda path: np.save(path, np.tile(SCAN[::40][:60], (5, 1))),
+                  'alike.npy: found 60 points', 'denser scan'),
+    'nothing but NaN': ('all.npy', lambda path: np.save(path, np.full((300, 3), np.nan)),
+                        'all.npy: found', 'remove them first'),
+}

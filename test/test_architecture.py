@@ -19,7 +19,7 @@ BESIDE = {'configuration', 'documents', 'resources', '__version__'}
 #: Packages that only some layers may import at all.
 ONLY = {
     'rclpy': {'nodes'}, 'tf2_ros': {'nodes'}, 'sensor_msgs': {'nodes'},
-    'geometry_msgs': {'nodes'},
+    'geometry_msgs': {'nodes'}, 'rosbags': {'nodes'},
     'stable_baselines3': {'training'}, 'torch': {'agent', 'training', 'nodes'},
     'gymnasium': {'simulation', 'training'}, 'matplotlib': {'report'},
     'open3d': {'scenes', 'benchmark'}}

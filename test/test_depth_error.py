@@ -44,6 +44,25 @@ def test_depth_error_agrees_with_its_twin(small, seed, share):
     assert error(pack(seen)) == pytest.approx(expected, rel=2e-3, abs=2e-3)
 
 
+def test_where_the_error_is_agrees_with_its_twin(small):
+    scene, error = small
+    seen = np.random.default_rng(1).random(len(scene)) < 0.4
+    expected = twins.depth_error_by_point(scene.points, 0.75 * scene.spacing, error.viewpoints,
+                                          error.far, 24, seen)
+    found = error.by_point(pack(seen))
+    assert np.abs(found - expected).sum() <= 2e-3 * expected.sum()
+
+
+@given(seed=seeds, share=st.floats(0.0, 1.0))
+@budget(max_examples=10, deadline=None)
+def test_all_of_the_error_is_somewhere_and_none_where_points_are_seen(small, seed, share):
+    scene, error = small
+    seen = np.random.default_rng(seed).random(len(scene)) < share
+    found = error.by_point(pack(seen))
+    assert found.sum() == pytest.approx(error(pack(seen)), rel=1e-4, abs=ROUNDING)
+    assert (found >= 0.0).all() and not found[seen].any()
+
+
 @given(seed=seeds, share=st.floats(0.0, 1.0))
 @budget(max_examples=30, deadline=None)
 def test_depth_error_falls_or_stays_when_more_is_seen(small, seed, share):

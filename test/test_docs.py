@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the documentation says is what there is."""
 
+import ast
 import re
+import shlex
 import subprocess
 import sys
 
@@ -38,9 +40,11 @@ def test_every_topic_and_field_is_documented():
         assert f'`{name}`' in text, name
 
 
-@pytest.mark.parametrize('page', ['README.md', 'CONTRIBUTING.md', 'docs/ros.md', 'docs/engine.md',
-                                  'docs/sensors.md', 'docs/planners.md', 'docs/rooms.md',
-                                  'docs/rig.md', 'docs/placement.md'])
+PAGES = sorted(str(path.relative_to(ROOT)) for path in [
+    *ROOT.glob('*.md'), *(ROOT / 'docs').rglob('*.md'), ROOT / 'models' / 'README.md'])
+
+
+@pytest.mark.parametrize('page', PAGES)
 def test_links_and_folders_exist(page):
     path = ROOT / page
     text = path.read_text()
@@ -96,6 +100,20 @@ def test_the_example_with_a_rig_runs(capsys):
     assert 0.0 < loss < 1.0 and error > 0.0 and broken == 0.0
 
 
+def test_the_example_with_a_plan_runs(capsys):
+    exec(python_example('docs/plan.md'), {})
+    loss, everywhere, cameras = map(float, capsys.readouterr().out.split())
+    assert 0.0 <= everywhere < loss < 1.0 and cameras == 2
+
+
+def test_every_option_of_plan_is_explained():
+    from ocp_ros.cli import parser
+    text = (ROOT / 'docs' / 'plan.md').read_text()
+    plan = next(action for action in parser()._actions if action.choices).choices['plan']
+    for option in (name for action in plan._actions for name in action.option_strings):
+        assert option in ('-h', '--help') or f'`{option}`' in text, option
+
+
 def test_the_example_with_sensors_runs(capsys):
     exec(python_example('docs/sensors.md'), {})
     error, coverage, seen = map(float, capsys.readouterr().out.split())
@@ -126,3 +144,85 @@ def test_the_readmes_python_example_runs(tmp_path, monkeypatch, capsys):
     exec(python_example('README.md'), {})
     error, coverage, share = map(float, capsys.readouterr().out.split())
     assert error > 0.0 and coverage > 1.0 and 0.0 < share < 1.0
+
+
+def commands():
+    """Return every command line of ocp in the code blocks of the documentation."""
+    found = {}
+    for page in PAGES:
+        for line in (ROOT / page).read_text().splitlines():
+            match = re.match(r'    (?:\$ )?(?:\.venv/bin/)?ocp (.*)', line)
+            if match:
+                found.setdefault(tuple(shlex.split(match.group(1), comments=True)), page)
+    return found
+
+
+#: What runs here in a second or two; the others are held against the parser.
+CHEAP = {('score',), ('view',), ('rooms', 'list'), ('rooms', 'make'), ('rooms', 'preview')}
+
+
+@pytest.mark.parametrize('command', commands(), ids=' '.join)
+def test_every_command_in_the_documentation_can_be_run(command, tmp_path, monkeypatch, capsys):
+    from ocp_ros import cli
+    cli.parser().parse_args(command)
+    if not CHEAP & {command[:1], command[:2]}:
+        return
+    from ocp_ros.scenes.files import save_scene
+    from ocp_ros.scenes.rooms import generate_room
+    room = generate_room(8, 1500)
+    for name in ('room.ply', 'scan.ply', 'scans/room-8.ply', 'scans/room-9.ply'):
+        save_scene(room, tmp_path / name)
+    (tmp_path / 'placement.yaml').write_text(yaml_example('docs/quickstart_scan.md', 'cameras:'))
+    (tmp_path / 'rig.yaml').write_text(
+        'cameras:\n  - {sensor: realsense_d455, count: 2}\nmount: {on: free, height: [1, 2.4]}\n')
+    monkeypatch.chdir(tmp_path)
+    if 'out/hang-up/placement.yaml' in command:
+        assert cli.main(['score', 'room.ply', 'placement.yaml', '--out', 'out/hang-up']) == 0
+        capsys.readouterr()
+    assert cli.main([*command]) == 0, capsys.readouterr().err
+    assert capsys.readouterr().out.strip()
+
+
+def test_the_commands_are_found():
+    found = {command[0] for command in commands()}
+    assert found == {'plan', 'score', 'view', 'rooms', 'train', 'evaluate', 'benchmark', 'replay'}
+
+
+def templates():
+    """Return every text in the package's code, with dots for what is filled in."""
+    found = set()
+    for path in (ROOT / 'ocp_ros').rglob('*.py'):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.JoinedStr):
+                found.add(''.join(part.value if isinstance(part, ast.Constant) else '...'
+                                  for part in node.values))
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                found.add(node.value)
+    return found
+
+
+def test_every_sentence_of_the_troubleshooting_is_still_in_the_code():
+    text = (ROOT / 'docs' / 'troubleshooting.md').read_text()
+    quoted = re.findall(r'^\| `(.+?)` \|', text, re.M)
+    assert len(quoted) > 15
+    known = templates()
+    for sentence in quoted:
+        parts = re.escape(sentence).replace(re.escape('...'), '.+')
+        assert any(re.search(parts, template) for template in known), sentence
+
+
+def test_the_index_lists_every_page():
+    text = (ROOT / 'docs' / 'README.md').read_text()
+    for path in (ROOT / 'docs').glob('*.md'):
+        assert path.name == 'README.md' or f'({path.name})' in text, path.name
+
+
+def test_the_picture_of_the_architecture_shows_the_layers_and_topics_there_are():
+    from test_architecture import LAYERS
+
+    from ocp_ros.nodes import topics
+    from ocp_ros.report import architecture
+    assert list(architecture.LAYERS) == LAYERS
+    names = {value for name, value in vars(topics).items()
+             if name.isupper() and isinstance(value, str)}
+    assert {topic for _, _, shown, _ in architecture.TOPICS for topic in shown} == names

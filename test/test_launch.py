@@ -2,13 +2,14 @@
 """Launch files describe what they say, where ROS's launch system is installed."""
 
 import importlib.util
+import re
 
 from conftest import ROOT
 import pytest
 
 
 @pytest.mark.parametrize(('name', 'given', 'nodes'), [
-    ('demo', {}, 2), ('train', {}, 3), ('train', {'envs': '8'}, 17)])
+    ('demo', {}, 2), ('train', {}, 3), ('train', {'envs': '8'}, 17), ('live', {}, 2)])
 def test_a_launch_file_starts_its_nodes(name, given, nodes, monkeypatch):
     pytest.importorskip('launch_ros', reason='launch files need ROS 2 from apt (launch_ros)')
     from launch import LaunchContext
@@ -30,3 +31,13 @@ def test_a_launch_file_starts_its_nodes(name, given, nodes, monkeypatch):
         else:
             entity.visit(context)
     assert len(started) == nodes and all(isinstance(node, Node) for node in started)
+
+
+def test_the_arguments_for_live_cameras_are_parameters():
+    from ocp_ros.configuration import leaves
+    from ocp_ros.nodes.policy_config import PolicyNodeConfig
+    text = (ROOT / 'launch' / 'live.launch.py').read_text()
+    found = re.findall(r"^    \('\w+', '(\w+)', (\w+), ", text, re.M)
+    assert len(found) == 5
+    for name, kind in found:
+        assert leaves(PolicyNodeConfig)[name].type.__name__ == kind

@@ -3,6 +3,7 @@
 
 import argparse
 import csv
+from dataclasses import replace
 import io
 import sys
 from types import ModuleType
@@ -12,9 +13,10 @@ from conftest import box_room, refused_in_one_sentence
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+import yaml
 
 from ocp_ros.geometry.cameras import rotation_matrix
-from ocp_ros.report.exports import launch_of, table_of, xacro_of
+from ocp_ros.report.exports import launch_of, rviz_of, table_of, xacro_of
 from ocp_ros.report.installer import instructions, walls_around, words_for
 from ocp_ros.report.verdict import scores_of
 from ocp_ros.scenes.rooms import generate_room
@@ -320,3 +322,14 @@ def test_the_installers_page_names_walls_and_cameras(mixed):
     text = instructions(room, placement_of(mixed, POSES), 'plan.png')
     assert 'A 6.00 m, B 4.00 m, C 6.00 m, D 4.00 m' in text and '](plan.png)' in text
     assert '| 4 | x (in place) | realsense_d455 |' in text and '290 cm above the floor' in text
+
+
+def test_rviz_shows_the_frame_that_the_launch_file_publishes_in():
+    placement = replace(placement_of(rig_of(2), np.array([[1.0, 2, 2], [3.0, 4, 2]])),
+                        frame='hall')
+    manager = yaml.safe_load(rviz_of(placement))['Visualization Manager']
+    assert manager['Global Options']['Fixed Frame'] == 'hall'
+    assert "('hall', 'camera_1'" in launch_of(placement)
+    shown = {display['Class'] for display in manager['Displays'] if display['Enabled']}
+    assert 'rviz_default_plugins/TF' in shown
+    assert manager['Views']['Current']['Focal Point'] == {'X': 2.0, 'Y': 3.0, 'Z': 2.0}

@@ -12,16 +12,13 @@ import laspy
 import numpy as np
 from plyfile import PlyData, PlyElement
 import pytest
+from scipy.spatial import cKDTree
 
+from ocp_ros.geometry.voxels import voxel_downsample, voxel_size_for
 from ocp_ros.scenes.files import load_scene, SceneWarning
+from ocp_ros.scenes.neighbours import nearest
 from ocp_ros.scenes.rooms import generate_room
-from ocp_ros.scenes.scene import (
-    likely_up_axis,
-    Scene,
-    SceneError,
-    voxel_downsample,
-    voxel_size_for,
-)
+from ocp_ros.scenes.scene import likely_up_axis, Scene, SceneError
 
 SCANS = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'rooms'
 ROOM = generate_room(3, 2500).points
@@ -484,6 +481,38 @@ def test_the_voxel_size_found_keeps_its_promise(seed, max_points):
     points = room(seed).points
     kept = len(voxel_downsample(points, voxel_size_for(points, max_points)))
     assert 0.75 * min(max_points, len(points)) < kept <= max_points
+
+
+@given(seed=strategies.integers(0, 2 ** 32 - 1),
+       kind=strategies.sampled_from(['even', 'clustered', 'line', 'stray', 'lattice']),
+       count=strategies.integers(1, 400), neighbours=strategies.integers(1, 20))
+@settings(max_examples=120, deadline=None)
+def test_nearest_points_are_those_of_a_tree(seed, kind, count, neighbours):
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-3.0, 3.0, (count, 3))
+    # Points on the sides of a box, as a scan of a room has them.
+    points[np.arange(count), rng.integers(0, 3, count)] = rng.choice([-3.0, 3.0], count)
+    if kind == 'clustered':
+        points[:count // 2] *= 1e-3
+    elif kind == 'line':
+        points[:, :2] = 0.0
+    elif kind == 'stray':
+        points[0] = 1e4
+    elif kind == 'lattice':
+        points = np.round(points)
+    points = points.astype(np.float32)
+    distances, indices = nearest(points, neighbours)
+    expected, _ = cKDTree(points.astype(np.float64)).query(
+        points, k=np.arange(1, neighbours + 1))
+    np.testing.assert_array_equal(distances, expected)
+    # Of points that are equally far, any may be named; none twice.
+    found = np.isfinite(distances)
+    assert (indices[~found] == count).all()
+    for row, others in enumerate(indices):
+        named = others[found[row]]
+        assert len(set(named)) == len(named)
+        away = np.linalg.norm(points[named].astype(np.float64) - points[row], axis=1)
+        np.testing.assert_allclose(away, distances[row, found[row]], rtol=1e-12)
 
 
 # Which way is up.

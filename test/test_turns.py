@@ -65,6 +65,22 @@ def test_the_first_turn_is_due_when_every_topic_has_delivered(clock):
     assert turns.stamp == 11 * S and not turns.silent()
 
 
+def test_a_turn_lasts_as_long_as_it_has_to(clock):
+    turns = make(clock)
+    turns.change(0.05, 20.0, 2.0, 5.0)
+    played(turns)
+    turns.on_poses(12 * S, THERE)
+    for topic in 'ab':
+        turns.on_cloud(topic, 12 * S, topic)
+    assert len(taken(turns)) == 2
+    clock.now = 4.9
+    assert not turns.due()
+    clock.now = 5.0
+    assert turns.due()
+    # The first turn has no command to be carried out.
+    assert played(make(clock)) is not None
+
+
 def test_a_turn_waits_until_every_camera_is_there(clock):
     turns = played(make(clock))
     for stamp, positions in ((11, HERE), (12, THERE + [[0.0] * 3, [0.06, 0.0, 0.0]])):

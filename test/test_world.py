@@ -25,6 +25,7 @@ from ocp_ros.agent.world import (
     WorldInputs,
 )
 from ocp_ros.geometry.blocks import count_bits
+from ocp_ros.geometry.visibility import FAST, FINE
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import turned
 from ocp_ros.simulation.space import Space
@@ -152,20 +153,34 @@ def test_a_place_is_worth_what_looking_from_there_gives(room, camera):
 def test_a_model_is_kept_while_little_is_added(room):
     kept, positions, cloud = KeptModel(MAX_RANGE, MARGIN, 2000, 16), placed(room), room.points
     count = int(len(cloud) / 1.02)
-    model, space = kept(cloud[:count], positions)
+    model, space = kept(cloud[:count], positions, FAST)
     assert len(model.visibility.order) <= 2000
     assert space.area == Space.of(cloud[:count], 1.9, 3, MARGIN).area
-    assert kept(cloud[:count + count // 200], positions)[0] is model
-    assert kept(cloud[:count], positions + [0.3, -0.2, 0.0])[0] is model
-    larger = kept(cloud, positions)[0]
+    assert kept(cloud[:count + count // 200], positions, FAST)[0] is model
+    assert kept(cloud[:count], positions + [0.3, -0.2, 0.0], FAST)[0] is model
+    larger = kept(cloud, positions, FAST)[0]
     assert larger is not model
     # It is made anew for fewer points, other cameras and another height.
     for others, where in [(cloud[:-1], positions), (cloud[:-1], positions[:2]),
                           (cloud[:-1], positions[:2] - [0.0, 0.0, 0.1])]:
-        fresh = kept(others, where)[0]
+        fresh = kept(others, where, FAST)[0]
         assert fresh is not larger
-        assert kept(others, where)[0] is fresh
+        assert kept(others, where, FAST)[0] is fresh
         larger = fresh
+
+
+def test_a_kept_model_follows_other_rules_and_sees_as_one_made_by_them(room):
+    kept, positions = KeptModel(MAX_RANGE, MARGIN, 2000, 16), placed(room)
+    model, _ = kept(room.points, positions, FAST)
+    fast = model.look(positions[0])
+    assert kept(room.points, positions, FINE)[0] is model
+    fine = model.look(positions[0])
+    made = Observed(room.points, positions, MAX_RANGE, 2000, 16, FINE)
+    np.testing.assert_array_equal(fine.seen, made.look(positions[0]).seen)
+    np.testing.assert_array_equal(fine.covered, made.look(positions[0]).covered)
+    assert (fine.seen != fast.seen).any()
+    kept(room.points, positions, FAST)
+    np.testing.assert_array_equal(model.look(positions[0]).seen, fast.seen)
 
 
 def test_a_camera_is_told_where_those_before_it_will_be(room):

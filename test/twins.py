@@ -103,6 +103,24 @@ def depth_error(points, half_sides, positions, far, rows, seen):
     return total
 
 
+def depth_error_by_point(points, half_sides, positions, far, rows, seen):
+    """Return (N,): of each viewpoint's mean difference, what pixels lose that show the point."""
+    lost = np.zeros(len(points))
+    for position in positions:
+        d = points.astype(np.float64) - position
+        r = np.linalg.norm(d, axis=1)
+        e, a = np.arctan2(d[:, 2], np.hypot(d[:, 0], d[:, 1])), np.arctan2(d[:, 1], d[:, 0])
+        full = shadow_map(r, e, a, half_sides, rows, far)
+        part = shadow_map(r[seen], e[seen], a[seen], half_sides[seen], rows, far)
+        left = np.ones(full.shape, dtype=bool)
+        for i in np.argsort(r, kind='stable'):
+            shown = np.zeros(full.shape, dtype=bool)
+            shown[covered(r[i], e[i], a[i], half_sides[i], rows)] = True
+            lost[i] += (part - full)[shown & left].sum() / full.size
+            left &= ~shown
+    return lost
+
+
 def edge_aware_normals(points, neighbours):
     """Return normals (N, 3) and how well the best plane fits (N,)."""
     around = points.astype(np.float64)[neighbours]

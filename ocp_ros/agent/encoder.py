@@ -8,6 +8,7 @@ import numpy as np
 from ocp_ros.agent.config import AgentConfig
 from ocp_ros.agent.observation import encode
 from ocp_ros.agent.world import nothing_known, WorldInputs, WorldTurn
+from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.simulation.moves import bounded_moves
 
@@ -136,5 +137,5 @@ def encode_cloud(cloud: np.ndarray, positions: np.ndarray, config: AgentConfig
     positions = positions.astype(np.float32)
     # Where nothing is seen, the cameras themselves are all that is known to be there.
     known = cloud if len(cloud) else positions
-    bounds = np.stack([known.min(axis=0), known.max(axis=0)])
+    bounds = corners_of(known)
     return encode(known, positions, bounds, config)

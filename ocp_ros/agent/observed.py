@@ -14,7 +14,8 @@ from ocp_ros.geometry.clouds import cell_numbers, fixed_size
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.surfels import SurfelSettings
 from ocp_ros.geometry.visibility import FAST, SurfelVisibility
-from ocp_ros.scenes.scene import Scene, SceneError, voxel_downsample, voxel_size_for
+from ocp_ros.geometry.voxels import voxel_downsample, voxel_size_for
+from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.simulator import ERROR_CUBE, View
 from ocp_ros.simulation.space import Space
 
@@ -94,6 +95,11 @@ class Observed:
         self.visibility.look(Pose.of(position), self._lens, *view)
         return view
 
+    def follow(self, settings: SurfelSettings) -> None:
+        """Look by these rules from now on; what was seen by others has to be looked at again."""
+        if self.visibility.settings != settings:
+            self.visibility = self.visibility.by(settings)
+
     def error(self, views: list[View]) -> float:
         """Return the depth error of some views together, metres."""
         return self.depth_error(np.bitwise_or.reduce([view.seen for view in views]))
@@ -115,33 +121,34 @@ class KeptModel:
     :param wall_margin: cameras stay this far inside the observed bounding box, metres.
     :param most: of :class:`Observed`, like those that follow.
     :param rows: of the depth maps.
-    :param settings: rules of visibility.
     """
 
-    def __init__(self, max_range: float, wall_margin: float, most: int, rows: int,
-                 settings: SurfelSettings = FAST) -> None:
+    def __init__(self, max_range: float, wall_margin: float, most: int, rows: int) -> None:
         self._max_range, self._wall_margin = max_range, wall_margin
-        self._sizes = most, rows, settings
+        self._sizes = most, rows
         #: What was made last, if anything, and of how many points and cameras, at which height.
         self.made: tuple[Observed, Space] | None = None
         self._of = 0, 0, 0.0
 
-    def __call__(self, cloud: np.ndarray, positions: np.ndarray) -> tuple[Observed, Space]:
-        """Return the model and where cameras may be; see :meth:`make`."""
+    def __call__(self, cloud: np.ndarray, positions: np.ndarray, settings: SurfelSettings
+                 ) -> tuple[Observed, Space]:
+        """Return the model, by some rules, and where cameras may be; see :meth:`make`."""
         if self.made is None or not self.lasts(cloud, positions):
-            self.make(cloud, positions)
+            self.make(cloud, positions, settings)
+        self.made[0].follow(settings)
         return self.made
 
-    def make(self, cloud: np.ndarray, positions: np.ndarray) -> None:
+    def make(self, cloud: np.ndarray, positions: np.ndarray, settings: SurfelSettings) -> None:
         """
         Make the model.
 
         :param cloud: (M, 3) float32, metres, map frame: the points seen so far.
         :param positions: (K, 3) metres: where the cameras are.
+        :param settings: rules of visibility.
         :raises SceneError: if the points are too few or too flat to be a room.
         """
         height = float(np.median(positions[:, 2]))
-        self.made = (Observed(cloud, positions, self._max_range, *self._sizes),
+        self.made = (Observed(cloud, positions, self._max_range, *self._sizes, settings),
                      Space.of(cloud, height, len(positions), self._wall_margin))
         self._of = len(cloud), len(positions), height
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from ocp_ros.agent.observed import KeptModel, Memory, Observed
 from ocp_ros.geometry.blocks import count_bits
-from ocp_ros.geometry.visibility import FINE
+from ocp_ros.geometry.visibility import FAST, FINE
 from ocp_ros.simulation.space import Space
 
 #: Directions, and the distances, metres, at which a camera is tried in each of them. The first
@@ -128,8 +128,7 @@ class WorldInputs:
         """Forget the last episode."""
         self._memory = Memory()
         self._last: np.ndarray | None = None
-        self._model = KeptModel(self.max_range, self.wall_margin, POINTS, ROWS)
-        self._fine = KeptModel(self.max_range, self.wall_margin, POINTS, ROWS, FINE)
+        self._kept = KeptModel(self.max_range, self.wall_margin, POINTS, ROWS)
 
     def turn(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> WorldTurn:
         """
@@ -146,8 +145,7 @@ class WorldInputs:
             moved = (positions - self._last)[:, :2] / self.max_step
         self._last = positions.copy()
         self._memory.visit(positions)
-        kept = self._fine if turn >= LATE * turns else self._model
-        model, space = kept(cloud, positions)
+        model, space = self._kept(cloud, positions, FINE if turn >= LATE * turns else FAST)
         return WorldTurn(model, self._memory.unseen(model), space, positions, moved, turn / turns)
 
     def __call__(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int

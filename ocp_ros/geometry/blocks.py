@@ -13,6 +13,7 @@ from numba import njit
 import numpy as np
 
 from ocp_ros.geometry.cameras import PINHOLE
+from ocp_ros.geometry.clouds import corners_of
 
 #: Points of a block, and 64-bit words that hold a flag for each.
 BLOCK, WORDS = 256, 4
@@ -27,8 +28,8 @@ def spatial_order(points: np.ndarray) -> np.ndarray:
     """
     if len(points) == 0:
         return np.empty(0, dtype=np.int64)
-    low = points.min(axis=0)
-    extent = max(float(np.ptp(points, axis=0).max()), 1e-9)
+    low, high = corners_of(points)
+    extent = max(float((high - low).max()), 1e-9)
     cells = ((points - low) / extent * 1023).astype(np.int64)
     code = np.zeros(len(points), dtype=np.int64)
     for bit in range(10):

@@ -128,6 +128,22 @@ def _error(trees, seen):
     return total
 
 
+@njit(cache=True, nogil=True)
+def _lost_at(trees, seen, lost):
+    """Sum the depth that pixels lose at the point that they show of the whole scene: (N,) lost."""
+    node = np.uint32(0)
+    while node < trees.point.shape[0]:
+        first, last = trees.point[node], trees.end[node]
+        while node < last:
+            point = trees.point[node]
+            if (seen[point >> np.uint32(6)] >> np.uint64(point & np.uint32(63))) & np.uint64(1):
+                lost[first] += trees.gap[node]
+                node = trees.end[node]
+            else:
+                lost[first] += trees.rest[node]
+                node += np.uint32(1)
+
+
 class DepthError:
     """
     The depth observation error of a scene for any subset of its points.
@@ -143,6 +159,7 @@ class DepthError:
                  cube_scale: float) -> None:
         self.far = float(np.linalg.norm(bounds[1] - bounds[0]))
         self.shape = (rows, 2 * rows)
+        self._count = len(points)
         self.viewpoints = viewpoints(bounds)
         half_sides = (cube_scale * spacing).astype(np.float32)
         self._maps, grown = [], []
@@ -199,6 +216,17 @@ class DepthError:
         :returns: metres: the sum over the viewpoints of the mean over the pixels.
         """
         return _error(self._trees, seen) / (self.shape[0] * self.shape[1])
+
+    def by_point(self, seen: np.ndarray) -> np.ndarray:
+        """
+        Say where the error comes from: each pixel's loss goes to the point that it should show.
+
+        :param seen: (W,) uint64, packed bits of the points.
+        :returns: (N,) metres, in the order of the points; their sum is the error.
+        """
+        lost = np.zeros(self._count)
+        _lost_at(self._trees, seen, lost)
+        return lost / (self.shape[0] * self.shape[1])
 
     @property
     def nbytes(self) -> int:

@@ -13,6 +13,7 @@ Either class keeps its points in spatial order and answers in packed bits of tha
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from copy import copy
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -73,15 +74,25 @@ class SurfelVisibility:
 
     def __init__(self, points: np.ndarray, normals: np.ndarray, pitch: np.ndarray,
                  places: np.ndarray, settings: SurfelSettings) -> None:
-        self.settings = settings
         self.order, self.place_order = spatial_order(points), spatial_order(places)
         points, radius = points[self.order], (DISC_SCALE * pitch)[self.order]
         self._surfels = Surfels.of(points, normals[self.order], radius)
         self._bounds = block_bounds(points, radius)
         self._places = Places.of(places[self.place_order])
         self._place_bounds = block_bounds(places[self.place_order], self._places.radius)
-        self._shelf = _Shelf(
-            lambda: Workspace.of(settings.rows, max(len(points), len(places))))
+        self._use(settings)
+
+    def _use(self, settings: SurfelSettings) -> None:
+        """Look by some rules from now on."""
+        self.settings = settings
+        count = max(len(self.order), len(self.place_order))
+        self._shelf = _Shelf(lambda: Workspace.of(settings.rows, count))
+
+    def by(self, settings: SurfelSettings) -> 'SurfelVisibility':
+        """Return visibility of the same points and places, which are shared, by other rules."""
+        other = copy(self)
+        other._use(settings)
+        return other
 
     def look(self, pose: Pose, lens: Lens, seen: np.ndarray,
              covered: np.ndarray | None = None) -> None:

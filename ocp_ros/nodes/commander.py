@@ -2,7 +2,7 @@
 """
 One policy commands a rig: of several, the one that was there first, and the others hold still.
 
-Each says once a second since when it has been there, and all of them go by the same rule, so they
+Each says twice a second since when it has been there, and all of them go by the same rule, so they
 agree without asking anybody. Where the first one falls silent, the next one takes over.
 """
 

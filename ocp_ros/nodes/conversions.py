@@ -57,6 +57,24 @@ def cloud_to_msg(points: np.ndarray, header: Header) -> PointCloud2:
     return message
 
 
+def cloud_with(points: np.ndarray, name: str, values: np.ndarray, header: Header) -> PointCloud2:
+    """
+    Pack a cloud with a number for each point.
+
+    :param points: (N, 3), metres, in the header's frame.
+    :param name: of the field.
+    :param values: (N,) float32 or uint32.
+    """
+    kind = PointField.UINT32 if values.dtype == np.uint32 else PointField.FLOAT32
+    rows = np.empty(len(points), dtype=[('xyz', '<f4', 3), ('value', values.dtype)])
+    rows['xyz'], rows['value'] = points, values
+    message = cloud_to_msg(points[:0], header)
+    message.width, message.point_step, message.row_step = len(rows), 16, 16 * len(rows)
+    message.fields = [*message.fields, PointField(name=name, offset=12, datatype=kind, count=1)]
+    message.data = array('B', rows.tobytes())
+    return message
+
+
 def msg_to_cloud(message: PointCloud2) -> np.ndarray:
     """
     Unpack the positions of a cloud of any field layout.

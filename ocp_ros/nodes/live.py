@@ -67,9 +67,8 @@ class LiveTurns:
         self._node, self._config, self._commands = node, config, commands
         self._answer, self._final, self._refuse = answer, final, refuse
         self._fused = FusedCloud(config.voxel_size, config.most_points)
-        self._turns: Turns[PointCloud2] = Turns(
-            config.clouds, config.arrival_distance,
-            math.inf if config.manual else config.arrival_timeout, config.cloud_timeout)
+        self._turns: Turns[PointCloud2] = Turns(config.clouds, *self._patience()[:3])
+        self._turns.change(*self._patience())
         self._transforms = Transforms(node)
         #: The newest poses, as they came and as what they mean.
         self._poses: PoseArray | None = None
@@ -88,6 +87,18 @@ class LiveTurns:
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(TICK, self._act, clock=steady)
         self._again = node.create_timer(AGAIN, self._command_again, clock=steady)
+
+    def _patience(self) -> tuple[float, float, float, float]:
+        """Return what turns wait for: distance, and how long for what."""
+        config = self._config
+        return (config.arrival_distance,
+                math.inf if config.manual else config.arrival_timeout, config.cloud_timeout,
+                config.turn_seconds)
+
+    def change(self, config: PolicyNodeConfig) -> None:
+        """Go on with other parameters."""
+        self._config = config
+        self._turns.change(*self._patience())
 
     def _names(self, clouds: list[str]) -> dict[str, str]:
         """Return the full names of the topics of clouds."""

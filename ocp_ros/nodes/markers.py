@@ -1,37 +1,62 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Markers for RViz and Foxglove: cameras, the ways they took, and how far they see."""
+"""Markers for RViz and Foxglove: cameras, the ways they took, and what they could see."""
+
+from collections.abc import Sequence
 
 from geometry_msgs.msg import Point, Vector3
 import numpy as np
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
+from ocp_ros.geometry.cameras import CameraModel, PINHOLE, Pose
+
 CAMERA_COLOUR = ColorRGBA(r=0.84, g=0.15, b=0.16, a=1.0)
 TRAJECTORY_COLOUR = ColorRGBA(r=1.0, g=1.0, b=1.0, a=0.9)
 RANGE_COLOUR = ColorRGBA(r=0.4, g=0.65, b=1.0, a=0.08)
+FRUSTUM_COLOUR = ColorRGBA(r=0.4, g=0.65, b=1.0, a=0.8)
 MOVE_COLOUR = ColorRGBA(r=1.0, g=0.75, b=0.1, a=1.0)
 
 
-def rig_markers(trajectories: np.ndarray, ranges: np.ndarray, header: Header) -> MarkerArray:
+def rig_markers(trajectories: np.ndarray, poses: Sequence[Pose], models: Sequence[CameraModel],
+                header: Header) -> MarkerArray:
     """
-    Draw a rig.
+    Draw a rig: of each camera its place, its way, and its frustum, or its range all around.
 
     :param trajectories: (T, K, 3), metres: where the cameras were after each turn, last row now.
-    :param ranges: (K,) effective ranges, metres.
+    :param poses: K, where they are now and how they are turned.
+    :param models: what each of them sees, or one model for all.
     """
     markers = []
-    for camera in range(trajectories.shape[1]):
-        way = [Point(x=float(x), y=float(y), z=float(z)) for x, y, z in trajectories[:, camera]]
+    for camera, pose in enumerate(poses):
+        model = models[camera if len(models) > 1 else 0]
+        way = _points(trajectories[:, camera])
         markers.append(_ball(header, 'cameras', camera, way[-1], 0.2, CAMERA_COLOUR))
-        markers.append(_ball(header, 'ranges', camera, way[-1], 2.0 * float(ranges[camera]),
-                             RANGE_COLOUR))
-        # RViz complains of a line of one point.
-        line = Marker(header=header, ns='trajectories', id=camera, type=Marker.LINE_STRIP,
-                      action=Marker.ADD if len(way) > 1 else Marker.DELETE,
-                      scale=Vector3(x=0.03), color=TRAJECTORY_COLOUR, points=way)
-        line.pose.orientation.w = 1.0
-        markers.append(line)
+        if model.lens.kind == PINHOLE:
+            markers.append(_lines(header, 'frusta', camera, Marker.LINE_LIST, 0.015,
+                                  FRUSTUM_COLOUR, _points(frustum_edges(pose, model))))
+        else:
+            markers.append(_ball(header, 'ranges', camera, way[-1], 2.0 * model.max_range,
+                                 RANGE_COLOUR))
+        markers.append(_lines(header, 'trajectories', camera, Marker.LINE_STRIP, 0.03,
+                              TRAJECTORY_COLOUR, way))
     return MarkerArray(markers=markers)
+
+
+def frustum_edges(pose: Pose, model: CameraModel) -> np.ndarray:
+    """
+    Return the edges of a viewing pyramid whose corners are as far away as the camera sees.
+
+    :param model: one with an image plane.
+    :returns: (16, 3) metres: eight pairs of ends, four edges from the camera, four at the end.
+    """
+    lens = model.lens
+    signs = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]], dtype=np.float64)
+    corners = np.column_stack([np.ones(4), signs * [lens.half_horizontal, lens.half_vertical]])
+    corners *= model.max_range / np.linalg.norm(corners, axis=1, keepdims=True)
+    corners = corners @ pose.rotation.T + pose.position
+    pairs = [(pose.position, corner) for corner in corners]
+    pairs += list(zip(corners, np.roll(corners, -1, axis=0)))
+    return np.array(pairs).reshape(-1, 3)
 
 
 def move_markers(positions: np.ndarray, targets: np.ndarray, moving: np.ndarray, header: Header
@@ -45,15 +70,30 @@ def move_markers(positions: np.ndarray, targets: np.ndarray, moving: np.ndarray,
     """
     markers = []
     for camera, moves in enumerate(moving):
-        way = [Point(x=float(x), y=float(y), z=float(z))
-               for x, y, z in (positions[camera], targets[camera])]
         # Diameters of the shaft and of the head, length of the head.
         arrow = Marker(header=header, ns='moves', id=camera, type=Marker.ARROW,
                        action=Marker.ADD if moves else Marker.DELETE,
-                       scale=Vector3(x=0.04, y=0.1, z=0.1), color=MOVE_COLOUR, points=way)
+                       scale=Vector3(x=0.04, y=0.1, z=0.1), color=MOVE_COLOUR,
+                       points=_points(np.array([positions[camera], targets[camera]])))
         arrow.pose.orientation.w = 1.0
         markers.append(arrow)
     return MarkerArray(markers=markers)
+
+
+def _points(positions: np.ndarray) -> list[Point]:
+    """Return positions (N, 3) as messages."""
+    return [Point(x=float(x), y=float(y), z=float(z)) for x, y, z in positions]
+
+
+def _lines(header: Header, namespace: str, number: int, kind: int, width: float,
+           colour: ColorRGBA, points: list[Point]) -> Marker:
+    """Draw lines."""
+    # RViz complains of a line of one point.
+    lines = Marker(header=header, ns=namespace, id=number, type=kind,
+                   action=Marker.ADD if len(points) > 1 else Marker.DELETE,
+                   scale=Vector3(x=width), color=colour, points=points)
+    lines.pose.orientation.w = 1.0
+    return lines
 
 
 def _ball(header: Header, namespace: str, number: int, centre: Point, diameter: float,

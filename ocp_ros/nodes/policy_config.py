@@ -19,20 +19,26 @@ class PolicyNodeConfig:
     model: str = setting(
         'default', 'path to weights, or the name of a model of the package; lookahead does not '
         'read it')
-    turns: int = setting(30, 'turns until the placement is final', 1, 100000)
-    max_step: float = setting(0.5, 'farthest a camera moves in one turn, metres', 0.001, 10.0)
-    max_range: float = setting(4.0, 'effective range of the cameras, metres', 0.1, 100.0)
+    turns: int = setting(
+        30, 'turns until the placement is final', 1, 100000, running=True)
+    max_step: float = setting(
+        0.5, 'farthest a camera moves in one turn, metres', 0.001, 10.0, running=True)
+    max_range: float = setting(
+        4.0, 'effective range of the cameras, metres', 0.1, 100.0, running=True)
     wall_margin: float = setting(
-        0.1, 'cameras stay this far inside the observed bounding box, metres', 0.0, 5.0)
+        0.1, 'cameras stay this far inside the observed bounding box, metres', 0.0, 5.0,
+        running=True)
     convergence_distance: float = setting(
-        0.02, 'moves shorter than this count as standing still, metres', 0.0, 1.0)
+        0.02, 'moves shorter than this count as standing still, metres', 0.0, 1.0, running=True)
     convergence_turns: int = setting(
         3, 'turns of standing still that make the placement final, with planner: learned; '
-        'lookahead refines until the turns are used up', 1, 1000)
+        'lookahead refines until the turns are used up', 1, 1000, running=True)
     explore: bool = setting(
         False, "draw moves from the policy's distribution, whoever is the planner, and never "
         'settle: for training')
     seed: int = setting(0, 'seed of exploration and lookahead', 0, 1 << 31)
+    rig_file: str = setting(
+        '', 'YAML of docs/rig.md that every command is held to; empty for none')
     cloud_topics: str = setting(
         '', 'live cameras: the topics of their clouds with commas between; empty to answer the '
         'turns of a simulation')
@@ -42,14 +48,19 @@ class PolicyNodeConfig:
         100000, 'live: most points of the fused cloud; where there are more, the voxels grow',
         1000, 10000000)
     min_range: float = setting(
-        0.0, 'live: points nearer to their camera are left out, metres', 0.0, 10.0)
+        0.0, 'live: points nearer to their camera are left out, metres', 0.0, 10.0, running=True)
     arrival_distance: float = setting(
-        0.05, 'live: a camera this near to where it was sent is there, metres', 0.01, 1.0)
+        0.05, 'live: a camera this near to where it was sent is there, metres', 0.01, 1.0,
+        running=True)
     arrival_timeout: float = setting(
         20.0, 'live: cameras that have not arrived after so long are where they are, seconds',
-        0.1, 3600.0)
+        0.1, 3600.0, running=True)
     cloud_timeout: float = setting(
-        2.0, 'live: clouds are waited for so long once the cameras stand, seconds', 0.1, 3600.0)
+        2.0, 'live: clouds are waited for so long once the cameras stand, seconds', 0.1, 3600.0,
+        running=True)
+    turn_seconds: float = setting(
+        0.0, 'live: a turn lasts at least so long, seconds; max_step within it is the fastest '
+        'that cameras are sent', 0.0, 3600.0, running=True)
     manual: bool = setting(
         False, 'live: a person moves the cameras, reads where to on `instructions`, and takes as '
         'long as it takes')

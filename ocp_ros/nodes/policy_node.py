@@ -20,6 +20,8 @@ import torch
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.agent.encoder import Encoder
 from ocp_ros.agent.policy import Policy
+from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.nodes import health, topics
 from ocp_ros.nodes.commander import Commander
 from ocp_ros.nodes.conversions import (
@@ -33,10 +35,13 @@ from ocp_ros.nodes.conversions import (
     stamp_to_ns,
 )
 from ocp_ros.nodes.experiences import Experiences, RecordedPolicy
+from ocp_ros.nodes.finality import Finality
 from ocp_ros.nodes.live import LiveTurns
-from ocp_ros.nodes.parameters import declare
+from ocp_ros.nodes.parameters import declare, follow
 from ocp_ros.nodes.policy_config import LEARNED, PolicyNodeConfig
+from ocp_ros.nodes.policy_views import PolicyViews
 from ocp_ros.nodes.qos import LATCHED, LOOP
+from ocp_ros.nodes.rig_guard import RigGuard
 from ocp_ros.nodes.runner import run
 from ocp_ros.planners.lookahead import Lookahead
 from ocp_ros.planners.online import Learned, Online, ThenLookahead
@@ -44,6 +49,9 @@ from ocp_ros.resources import find_model
 from ocp_ros.scenes.scene import LARGEST
 from ocp_ros.simulation.moves import bounded_moves, kept_inside
 from ocp_ros.simulation.space import Space
+
+#: Parameters that a planner is made with and that may change.
+PLANNED_WITH = ('max_step', 'max_range', 'wall_margin')
 
 
 class Exploring(Learned):
@@ -102,6 +110,9 @@ class PolicyNode(Node):
         self._told: int | None = None
         self._counts = {'turns_answered': 0, 'refused_messages': 0, 'weights_swapped': 0,
                         'weights_refused': 0}
+        self._finality = Finality(self)
+        self._guard = RigGuard(self.config.rig_file, self.config.wall_margin) \
+            if self.config.rig_file else None
         self._start_episode(episode=0)
         self._commands = self.create_publisher(PoseArray, topics.CAMERA_COMMANDS, LOOP)
         self._placement = self.create_publisher(PoseArray, topics.PLACEMENT, LATCHED)
@@ -121,6 +132,8 @@ class PolicyNode(Node):
         if self._learned is not None:
             self.create_subscription(
                 UInt8MultiArray, topics.POLICY_WEIGHTS, self._on_weights, LATCHED)
+        self._views = PolicyViews(self, self._models(), self._live is not None)
+        follow(self, self._change)
         self._health = health.Health(self, self._status)
         weights = 'no weights' if path is None else \
             f'weights of {path.name}: {self.policy.checkpoint.updates} updates'
@@ -133,11 +146,31 @@ class PolicyNode(Node):
         """Return the policy that runs, if any."""
         return None if self._learned is None else self._learned.policy
 
+    def _models(self) -> tuple[CameraModel, ...]:
+        """Return what each camera sees, or one model for all."""
+        if self._guard is not None:
+            return self._guard.models
+        return (CameraModel(self.config.min_range, self.config.max_range),)
+
     def _start_episode(self, episode: int) -> None:
         """Forget the turns of the last episode."""
         self.planner.reset()
-        self._episode, self._step, self._still = episode, 0, 0
+        self._episode, self._step = episode, 0
         self._over = self._settled = False
+        self._finality.begin()
+        self._finality.say(self._step, self.config)
+
+    def _change(self, config: PolicyNodeConfig) -> None:
+        """Go on with other parameters; a planner that begins anew knows what it needs."""
+        before, self.config = self.config, config
+        if any(getattr(before, name) != getattr(config, name) for name in PLANNED_WITH):
+            checkpoint = None if self.policy is None else self.policy.checkpoint
+            self.planner, self._learned = make_planner(config, checkpoint)
+        if self._guard is not None:
+            self._guard.change_margin(config.wall_margin)
+        self._views.change(self._models())
+        if self._live is not None:
+            self._live.change(config)
 
     def _on_reward(self, message: Float64MultiArray) -> None:
         """Learn from a simulation which turn it is; real cameras have no such topic."""
@@ -204,16 +237,19 @@ class PolicyNode(Node):
                                    msg_to_positions(self._answer))
         self._counts['turns_answered'] += 1
         self._step += 1
+        self._views.turn(cloud, poses)
+        self._finality.say(self._step, self.config)
         return self._answer
 
     def _decide(self, cloud: np.ndarray, positions: np.ndarray, poses: PoseArray) -> PoseArray:
         """Choose where the cameras go, and say so once it is where they stay."""
         if len(cloud) == 0:
             raise MessageError('cloud: found no finite point; expected what the cameras see')
-        bounds = np.stack([cloud.min(axis=0), cloud.max(axis=0)]).astype(np.float64)
+        bounds = corners_of(cloud).astype(np.float64)
         if (size := np.ptp(np.concatenate([bounds, positions]), axis=0).max()) > LARGEST:
             raise MessageError(f'cloud: found points and cameras {size:.0f} m apart; expected '
                                f'those of a room, within {LARGEST:.0f} m')
+        movable = positions if self._guard is None else self._guard.movable(positions)
         if self._done():
             self._settle(poses)
             if self._experiences:
@@ -222,14 +258,26 @@ class PolicyNode(Node):
         target = positions.copy()
         if not self._settled:
             # Nobody leaves the floor that was seen: beyond a wall one looks through its back.
-            space = Space.of(cloud, float(np.median(positions[:, 2])), len(positions),
+            space = Space.of(cloud, float(np.median(movable[:, 2])), len(movable),
                              self.config.wall_margin)
-            target[:, :2] = space.moved(positions[:, :2], self._moves(cloud, positions),
-                                        self.config.max_step)
-        target, _ = kept_inside(target, bounds, self.config.wall_margin)
-        moved = np.linalg.norm(target - positions, axis=1).max()
-        self._still = self._still + 1 if moved < self.config.convergence_distance else 0
+            target[:len(movable), :2] = space.moved(
+                movable[:, :2], self._moves(cloud, movable), self.config.max_step)
+        target = self._held(cloud, positions, target, bounds)
+        self._finality.moved(np.linalg.norm(target - positions, axis=1).max(), self.config)
         return moved_to(poses, target)
+
+    def _held(self, cloud: np.ndarray, positions: np.ndarray, target: np.ndarray,
+              bounds: np.ndarray) -> np.ndarray:
+        """Bring targets (K, 3) to where cameras may be."""
+        if self._guard is None:
+            return kept_inside(target, bounds, self.config.wall_margin)[0]
+        if self._settled:
+            return positions.copy()
+        target, _ = kept_inside(target, bounds, self.config.wall_margin)
+        target = self._guard.hold(cloud, positions, target, self.config.max_step)
+        if self._guard.held:
+            self.get_logger().warning('; '.join(self._guard.held), throttle_duration_sec=5.0)
+        return target
 
     def _moves(self, cloud: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """Ask the planner for the next moves, (K, 2) metres; where it fails, cameras stay."""
@@ -249,18 +297,20 @@ class PolicyNode(Node):
 
     def _done(self) -> bool:
         """Tell whether the cameras shall stay where they are."""
-        if self._over or self.config.explore:
-            return self._over
-        converged = self._still >= self.config.convergence_turns
-        return self._step >= self.config.turns or (
-            converged and self.planner is self._learned)
+        return bool(self._why())
+
+    def _why(self) -> str:
+        """Say why the cameras shall stay where they are; nothing while they shall not."""
+        return self._finality.reason(
+            self._step, self._over, self.planner is self._learned, self.config)
 
     def _settle(self, poses: PoseArray) -> None:
-        """Publish the placement, once per episode."""
+        """Publish the placement, once per episode, and say why it is final."""
         if not self._settled:
-            self._settled = True
+            self._settled, self._finality.why = True, self._why()
             self._placement.publish(poses)
-            self.get_logger().info(f'placement is final after {self._step} turns')
+            self.get_logger().info(
+                f'placement is {self._finality.say(self._step, self.config)}')
 
     def _on_weights(self, message: UInt8MultiArray) -> None:
         """Check new weights and swap them in whole, or keep those that run."""
@@ -287,13 +337,15 @@ class PolicyNode(Node):
         """Say what the planner is doing."""
         message = 'placement is final' if self._settled else 'answering turns'
         wrong, live = ('', {}) if self._live is None else self._live.status()
+        if self._guard is not None and self._guard.held:
+            wrong = wrong or '; '.join(self._guard.held)
         wrong = self._commander.wrong() or wrong
         run, updates = '-', 0
         if self.policy is not None:
             run, updates = self.policy.checkpoint.run or '-', self.policy.checkpoint.updates
         return health.WARN if wrong else health.OK, wrong or message, {
             'planner': self.config.planner, 'weights_run': run, 'weights_updates': updates,
-            'step': self._step, **self._counts, **live}
+            'step': self._step, **self._finality.values(), **self._counts, **live}
 
 
 def main(args: list[str] | None = None) -> int:

@@ -14,6 +14,8 @@ import sys
 
 from ocp_ros.nodes.runner import ENDING, undisturbed
 
+#: Seconds that a node has to end when it is told to: plenty, but for a machine with other work.
+PATIENCE = 60.0
 LOCALHOST = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
 
 
@@ -103,9 +105,9 @@ class NodeProcess:
             self.process.send_signal(signal.SIGINT)
 
     def wait(self) -> int:
-        """Return the node's exit code; insist after a minute: what was learned is being saved."""
+        """Return the node's exit code; insist after a while."""
         try:
-            return self.process.wait(timeout=60.0)
+            return self.process.wait(timeout=PATIENCE)
         except subprocess.TimeoutExpired:
             self.process.kill()
             return self.process.wait()

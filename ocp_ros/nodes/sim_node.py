@@ -18,10 +18,10 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64, Float64MultiArray, Header
 from std_srvs.srv import Trigger
-from visualization_msgs.msg import MarkerArray
 
 from ocp_ros.agent.encoder import order_of
 from ocp_ros.configuration import group, setting
+from ocp_ros.geometry.cameras import Pose
 from ocp_ros.nodes import health, topics
 from ocp_ros.nodes.conversions import (
     cloud_to_msg,
@@ -32,14 +32,15 @@ from ocp_ros.nodes.conversions import (
     positions_to_msg,
     stamp_to_ns,
 )
-from ocp_ros.nodes.markers import rig_markers
-from ocp_ros.nodes.parameters import declare
+from ocp_ros.nodes.parameters import declare, follow
 from ocp_ros.nodes.qos import LATCHED, LOOP
 from ocp_ros.nodes.runner import run
+from ocp_ros.nodes.views import CloudView, RigView
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.source import make_scene, SceneConfig
 from ocp_ros.simulation.config import SimulationConfig
 from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.maps import maps_of
 from ocp_ros.simulation.simulator import Simulator
 
 
@@ -49,9 +50,10 @@ class SimNodeConfig(SimulationConfig):
 
     scene: SceneConfig = group(SceneConfig)
     seed: int = setting(0, 'seed of where the cameras start', 0, 1 << 31)
-    auto_reset: bool = setting(False, 'begin the next episode when one ends')
+    auto_reset: bool = setting(False, 'begin the next episode when one ends', running=True)
     resend_period: float = setting(
-        0.5, 'send the latest turn again after so long without a command, seconds', 0.02, 60.0)
+        0.5, 'send the latest turn again after so long without a command, seconds', 0.02, 60.0,
+        running=True)
     frame_id: str = setting('map', 'frame of every message')
 
 
@@ -70,6 +72,7 @@ class SimNode(Node):
         self.create_service(Trigger, '~/reset', self._on_reset)
         self._resend = self.create_timer(self.config.resend_period, self._on_silence,
                                          clock=Clock(clock_type=ClockType.STEADY_TIME))
+        follow(self, self._change)
         self._health = health.Health(self, self._status)
         scene = self.simulator.scene
         self._scene.publish(cloud_to_msg(scene.points, self._header()))
@@ -94,7 +97,11 @@ class SimNode(Node):
         self._coverage = loop(Float64, topics.SPACE_COVERAGE)
         self._error = loop(Float64, topics.DEPTH_ERROR)
         self._scene = self.create_publisher(PointCloud2, topics.SCENE, LATCHED)
-        self._markers = self.create_publisher(MarkerArray, topics.MARKERS, LATCHED)
+        models = self.simulator.models
+        self._rig_view = RigView(self, topics.MARKERS, models, self.config.rig.cameras)
+        self._cloud_view = CloudView(
+            self, topics.TRUE_COVERAGE_CLOUD, topics.TRUE_ERROR_CLOUD,
+            lambda: maps_of(self.simulator, self._camera_poses()))
 
     def _header(self) -> Header:
         """Return a header with the latest turn's stamp."""
@@ -104,7 +111,7 @@ class SimNode(Node):
         """Begin an episode and publish its first turn."""
         self.episode = Episode(self.simulator, self._rng)
         self._episodes += 1
-        self._way = [self.episode.turn.positions]
+        self._rig_view.forget()
         self._publish_turn()
 
     def _publish_turn(self) -> None:
@@ -121,8 +128,13 @@ class SimNode(Node):
         self._send_turn()
         self._coverage.publish(Float64(data=turn.space_coverage))
         self._error.publish(Float64(data=turn.depth_error))
-        self._markers.publish(
-            rig_markers(np.array(self._way), self.config.rig.ranges, header))
+        self._rig_view.turn(header, self._camera_poses())
+        self._cloud_view.turn(header)
+
+    def _camera_poses(self) -> list[Pose]:
+        """Return where the cameras are and how they are turned."""
+        rows = np.hstack([self.episode.turn.positions, self.episode.rig.headings])
+        return [Pose.of(row) for row in rows]
 
     def _reward_fields(self) -> dict[str, float]:
         """Return the fields of the reward topic in their order."""
@@ -139,6 +151,13 @@ class SimNode(Node):
         """Send the latest turn, and wait anew for its command."""
         for publisher, message in self._turn_messages:
             publisher.publish(message)
+        self._resend.reset()
+
+    def _change(self, config: SimNodeConfig) -> None:
+        """Go on with other parameters, those of the episode included."""
+        self.config = self.simulator.config = config
+        self.episode.config = config.episode
+        self._resend.timer_period_ns = int(config.resend_period * 1e9)
         self._resend.reset()
 
     def _on_silence(self) -> None:
@@ -166,7 +185,6 @@ class SimNode(Node):
         if self.episode.turn.truncated:
             return
         self.episode.move((target - self.episode.turn.positions)[:, :2])
-        self._way.append(self.episode.turn.positions)
         self._publish_turn()
         if self.episode.turn.truncated and self.config.auto_reset:
             self._begin()

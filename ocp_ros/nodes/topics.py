@@ -10,11 +10,33 @@ DEPTH_ERROR = 'depth_error'
 SCENE = 'scene'
 MARKERS = 'markers'
 PLACEMENT = 'placement'
+PLACEMENT_STATUS = 'placement_status'
 INSTRUCTIONS = 'instructions'
 POLICY_WEIGHTS = 'policy_weights'
 EXPERIENCE = 'experience'
 TRAINING = 'training'
 COMMANDERS = 'commanders'
+RIG_MARKERS = 'rig_markers'
+COVERAGE_CLOUD = 'coverage_cloud'
+ERROR_CLOUD = 'error_cloud'
+TRUE_COVERAGE_CLOUD = 'true_coverage_cloud'
+TRUE_ERROR_CLOUD = 'true_error_cloud'
+
+#: What is on each topic, as ROS 2 writes types.
+TYPES = {
+    OBSERVATION: 'sensor_msgs/msg/PointCloud2', CAMERA_POSES: 'geometry_msgs/msg/PoseArray',
+    CAMERA_COMMANDS: 'geometry_msgs/msg/PoseArray', REWARD: 'std_msgs/msg/Float64MultiArray',
+    SPACE_COVERAGE: 'std_msgs/msg/Float64', DEPTH_ERROR: 'std_msgs/msg/Float64',
+    SCENE: 'sensor_msgs/msg/PointCloud2', MARKERS: 'visualization_msgs/msg/MarkerArray',
+    PLACEMENT: 'geometry_msgs/msg/PoseArray', PLACEMENT_STATUS: 'std_msgs/msg/String',
+    INSTRUCTIONS: 'std_msgs/msg/String',
+    POLICY_WEIGHTS: 'std_msgs/msg/UInt8MultiArray',
+    EXPERIENCE: 'std_msgs/msg/UInt8MultiArray', TRAINING: 'std_msgs/msg/Float64MultiArray',
+    COMMANDERS: 'std_msgs/msg/String',
+    RIG_MARKERS: 'visualization_msgs/msg/MarkerArray',
+    COVERAGE_CLOUD: 'sensor_msgs/msg/PointCloud2', ERROR_CLOUD: 'sensor_msgs/msg/PointCloud2',
+    TRUE_COVERAGE_CLOUD: 'sensor_msgs/msg/PointCloud2',
+    TRUE_ERROR_CLOUD: 'sensor_msgs/msg/PointCloud2'}
 
 #: A 64-bit float cannot hold today's nanoseconds, so stamps come in two numbers each:
 #: the turn this message describes, and the one before it, whose command led here.
@@ -26,6 +48,11 @@ REWARD_FIELDS = (
 #: How the training is, as a namespace's policy and whoever watches are told.
 TRAINING_FIELDS = ('hold', 'updates', 'behind', 'turns', 'transitions', 'incomplete',
                    'inconsistent', 'refused', 'dropped')
+
+
+def camera_info(camera: int) -> str:
+    """Return the topic of the sensor_msgs/CameraInfo of a camera."""
+    return f'camera_{camera}/camera_info'
 
 
 def share(number: int) -> str:

@@ -34,6 +34,7 @@ class Turns(Generic[T]):
     :param cloud_timeout: clouds are waited for so long since the cameras stand, seconds; at least
         one has to be there in any case.
     :param clock: tells the seconds.
+    :param shortest: a turn lasts so long at least, seconds.
     :ivar positions: (K, 3) metres, where the cameras are; None while nobody has said so since they
         were sent elsewhere.
     :ivar overdue: whether this turn goes on though the cameras have not arrived.
@@ -42,10 +43,10 @@ class Turns(Generic[T]):
     """
 
     def __init__(self, topics: list[str], arrival_distance: float, arrival_timeout: float,
-                 cloud_timeout: float, clock: Callable[[], float] = time.monotonic) -> None:
+                 cloud_timeout: float, clock: Callable[[], float] = time.monotonic,
+                 shortest: float = 0.0) -> None:
         self._topics, self._clock = topics, clock
-        self._arrival_distance, self._arrival_timeout, self._cloud_timeout = (
-            arrival_distance, arrival_timeout, cloud_timeout)
+        self.change(arrival_distance, arrival_timeout, cloud_timeout, shortest)
         #: Newest stamp of whoever sends anything, nanoseconds.
         self._heard: dict[str, int] = {}
         #: Stamp of the newest poses, or from which on time has begun anew, nanoseconds.
@@ -63,6 +64,12 @@ class Turns(Generic[T]):
         self._sent_at = clock()
         #: The first poses that show all cameras in place: stamp in nanoseconds, and when that was.
         self._stand: tuple[int, float] | None = None
+
+    def change(self, arrival_distance: float, arrival_timeout: float, cloud_timeout: float,
+               shortest: float) -> None:
+        """Wait for something else from now on; the parameters are those of the class."""
+        self._arrival_distance, self._arrival_timeout, self._cloud_timeout, self._shortest = (
+            arrival_distance, arrival_timeout, cloud_timeout, shortest)
 
     def sent(self, targets: np.ndarray) -> None:
         """
@@ -147,7 +154,9 @@ class Turns(Generic[T]):
         up = self._standing() and self._clock() - self._stand[1] >= self._cloud_timeout
         if up:
             self._silent |= set(self._topics) - set(self._used)
-        return len(self._used) == len(self._topics) or (up and bool(self._used))
+        soon = self._targets is not None and self._clock() - self._sent_at < self._shortest
+        return not soon and (
+            len(self._used) == len(self._topics) or (up and bool(self._used)))
 
     def _standing(self) -> bool:
         """Tell whether the cameras stand, or have been waited for long enough."""

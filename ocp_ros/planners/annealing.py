@@ -17,6 +17,9 @@ The source's text was not at hand; the moves and the acceptance are those of rev
 annealing as this project's design states them. No claim of being line for line.
 """
 
+from collections.abc import Callable, Iterable
+from typing import TypeVar
+
 import numpy as np
 
 from ocp_ros.planners.planner import Planner, Scores, Search
@@ -27,6 +30,43 @@ HOT, COLD = 0.5, 2e-4
 FAR, NEAR = 0.25, 0.01
 #: Random placements that the temperature is taken from.
 PILOTS = 16
+State = TypeVar('State')
+
+
+def between(first: float, last: float, share: float) -> float:
+    """Fall from the first to the last by a constant factor."""
+    return first * (last / first) ** share
+
+
+def accepted(rise: float, temperature: float, rng: np.random.Generator) -> bool:
+    """Tell whether annealing takes a step that raises what it minimises by so much."""
+    return rise <= 0.0 or rng.random() < np.exp(-rise / temperature)
+
+
+def annealed(state: State, judge: Callable[[State], float],
+             propose: Callable[[State], State | None], temperatures: Iterable[float],
+             rng: np.random.Generator) -> State:
+    """
+    Anneal by proposals that are as likely as the way back.
+
+    :param state: where to begin.
+    :param judge: returns what a state is worth; less is better.
+    :param propose: returns another state near one, or None where there is none to be had.
+    :param temperatures: one for each step, in units of the judge.
+    :returns: the best state of all, which may be the first.
+    """
+    value = best_value = judge(state)
+    best = state
+    for temperature in temperatures:
+        trial = propose(state)
+        if trial is None:
+            continue
+        trial_value = judge(trial)
+        if accepted(trial_value - value, temperature, rng):
+            state, value = trial, trial_value
+            if value < best_value:
+                best, best_value = state, value
+    return best
 
 
 class FixedAnnealing(Planner):

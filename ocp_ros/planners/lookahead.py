@@ -16,6 +16,7 @@ import numpy as np
 from ocp_ros.agent.observed import KeptModel, Memory, Observed
 from ocp_ros.geometry.blocks import count_bits
 from ocp_ros.geometry.visibility import FINE
+from ocp_ros.planners.annealing import accepted, annealed, between
 from ocp_ros.planners.online import cell_weight, Online, REFINING, shared_out
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.simulation.space import Space
@@ -88,17 +89,10 @@ class Candidates:
 
     def anneal(self, chosen: list[int], rng: np.random.Generator) -> list[int]:
         """Return the best choice that annealing from another one finds, which may be that one."""
-        value = best_value = self.value(chosen)
-        best, worst = chosen, self.model.depth_error.worst
-        for step in range(EXCHANGES):
-            temperature = worst * _between(HOT, COLD, step / EXCHANGES)
-            trial = self._exchanged(chosen, rng)
-            trial_value = self.value(trial)
-            if _accepted(trial_value - value, temperature, rng):
-                chosen, value = trial, trial_value
-                if value < best_value:
-                    best, best_value = chosen, value
-        return best
+        worst = self.model.depth_error.worst
+        temperatures = (worst * between(HOT, COLD, step / EXCHANGES) for step in range(EXCHANGES))
+        return annealed(chosen, self.value, lambda trial: self._exchanged(trial, rng),
+                        temperatures, rng)
 
     def _exchanged(self, chosen: list[int], rng: np.random.Generator) -> list[int]:
         """Exchange one of a choice for a neighbour or for any other place."""
@@ -125,8 +119,7 @@ class Lookahead(Online):
         self._plan: np.ndarray | None = None
         self._candidates: Candidates | None = None
         self._chosen: list[int] = []
-        self._kept = KeptModel(self.max_range, self.wall_margin, REFINING_POINTS, REFINING_ROWS,
-                               FINE)
+        self._kept = KeptModel(self.max_range, self.wall_margin, REFINING_POINTS, REFINING_ROWS)
         #: Turn of the last model or of the last candidates.
         self._made = 0
 
@@ -171,7 +164,7 @@ class Lookahead(Online):
         steps = STEPS
         if self._kept.made is None or (turn - self._made >= REFINING_KEPT
                                        and not self._kept.lasts(cloud, positions)):
-            self._kept.make(cloud, positions)
+            self._kept.make(cloud, positions, FINE)
             self._made, steps = turn, FEWER_STEPS
         (model, space), first = self._kept.made, REFINING * turns
         placed = positions[:, :2] if self._plan is None else self._plan
@@ -180,26 +173,16 @@ class Lookahead(Online):
         error = best_error = model.error(views)
         for step in range(steps):
             share = (turn - first + step / steps) / (turns - first)
-            temperature = max(best_error, LEAST) * _between(WARM, COOL, share)
+            temperature = max(best_error, LEAST) * between(WARM, COOL, share)
             trial, camera = placed.copy(), int(self.rng.integers(len(placed)))
             trial[camera] = space.reflected(
-                trial[camera] + self.rng.normal(0.0, _between(FAR, NEAR, share), 2))
+                trial[camera] + self.rng.normal(0.0, between(FAR, NEAR, share), 2))
             trial = self.towards(positions, trial, turns - turn)
             trial_views = views.copy()
             trial_views[camera] = model.look(space.placement(trial)[camera])
             trial_error = model.error(trial_views)
-            if _accepted(trial_error - error, temperature, self.rng):
+            if accepted(trial_error - error, temperature, self.rng):
                 placed, views, error = trial, trial_views, trial_error
                 if error < best_error:
                     best, best_error = placed, error
         self._plan = best
-
-
-def _between(first: float, last: float, share: float) -> float:
-    """Fall from the first to the last by a constant factor."""
-    return first * (last / first) ** share
-
-
-def _accepted(rise: float, temperature: float, rng: np.random.Generator) -> bool:
-    """Tell whether annealing takes a step that raises what it minimises by so much."""
-    return rise <= 0.0 or rng.random() < np.exp(-rise / temperature)

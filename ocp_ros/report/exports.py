@@ -7,6 +7,7 @@ from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+import yaml
 
 from ocp_ros.report.installer import draw_plan, instructions
 from ocp_ros.scenes.scene import Scene
@@ -61,7 +62,7 @@ def export(folder: Path, scene: Scene, placement: Placement) -> list[Path]:
     """
     folder.mkdir(parents=True, exist_ok=True)
     texts = {'cameras.csv': table_of(placement), 'cameras.launch.py': launch_of(placement),
-             'cameras.urdf.xacro': xacro_of(placement),
+             'cameras.urdf.xacro': xacro_of(placement), 'cameras.rviz': rviz_of(placement),
              'installer.md': instructions(scene, placement, 'plan.png')}
     for name in ('placement.yaml', 'placement.json'):
         save_placement(folder / name, placement)
@@ -115,3 +116,22 @@ def xacro_of(placement: Placement) -> str:
                         for values in (position, angles))
             joints.append(JOINT % (child, child, quoteattr(parent), child, xyz, rpy))
     return XACRO % (quoteattr(placement.frame), ''.join(joints))
+
+
+def rviz_of(placement: Placement) -> str:
+    """Return an RViz configuration that shows the frames of the launch file."""
+    position = np.mean([placed.position for placed in placement.cameras], axis=0).round(2)
+    kind = 'rviz_default_plugins'
+    return yaml.safe_dump({
+        'Panels': [{'Class': 'rviz_common/Displays', 'Name': 'Displays'}],
+        'Visualization Manager': {
+            'Class': '',
+            'Displays': [
+                {'Class': f'{kind}/Grid', 'Name': 'Grid', 'Enabled': True, 'Cell Size': 1},
+                {'Class': f'{kind}/TF', 'Name': 'TF', 'Enabled': True, 'Show Names': True,
+                 'Show Axes': True, 'Show Arrows': False, 'Marker Scale': 1}],
+            'Global Options': {'Fixed Frame': placement.frame, 'Frame Rate': 30},
+            'Tools': [{'Class': f'{kind}/MoveCamera'}, {'Class': f'{kind}/Measure'}],
+            'Views': {'Current': {'Class': f'{kind}/Orbit', 'Distance': 12, 'Pitch': 0.8,
+                                  'Yaw': 4.0, 'Focal Point': dict(
+                                      zip('XYZ', position.tolist()))}}}}, sort_keys=False)

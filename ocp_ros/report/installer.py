@@ -31,6 +31,8 @@ PART, STANDS = 0.25, 0.3
 STRAIGHT, DOWN = 0.5, 85.0
 #: Metres above the floor and below the ceiling that a plan leaves out, and points that it shows.
 LOW, HIGH, SHOWN = 0.15, 0.4, 12000
+#: What stands above the rows of an installer's table, but for the camera's number.
+COLUMNS = ('camera', 'sensor', 'place', 'height', 'pan', 'tilt')
 
 
 class Wall(NamedTuple):
@@ -158,7 +160,12 @@ def _pan(placed: Placed, walls: Sequence[Wall]) -> str:
         f'face wall {wall.letter} squarely')
     if abs(left) < STRAIGHT:
         return facing
-    return f'{facing}, then turn {abs(left):.0f} degrees to the {"left" if left > 0 else "right"}'
+    return f'{facing}, then turn {_degrees(left)} to the {"left" if left > 0 else "right"}'
+
+
+def _degrees(angle: float) -> str:
+    """Say how large an angle is, degrees."""
+    return f'{abs(angle):.0f} degree{"" if round(abs(angle)) == 1 else "s"}'
 
 
 def _tilt(placed: Placed) -> str:
@@ -167,11 +174,21 @@ def _tilt(placed: Placed) -> str:
     if placed.camera.model.omnidirectional:
         return 'upright'
     tilt = 'level' if abs(pitch) < STRAIGHT else (
-        f'{abs(pitch):.0f} degrees {"down" if pitch > 0 else "up"}')
+        f'{_degrees(pitch)} {"down" if pitch > 0 else "up"}')
     if abs(roll) >= STRAIGHT:
         side = 'clockwise' if roll > 0 else 'anticlockwise'
-        tilt += f', rolled {abs(roll):.0f} degrees {side} seen from behind'
+        tilt += f', rolled {_degrees(roll)} {side} seen from behind'
     return tilt
+
+
+def rows_of(placement: Placement, walls: Sequence[Wall], floor: float) -> list[list[str]]:
+    """Return what an installer is told of each camera, the names of :data:`COLUMNS` above it."""
+    rows = []
+    for number, placed in enumerate(placement.cameras, start=1):
+        words = words_for(placed, walls, floor)
+        name = f'{words.name} (in place)' if placed.mount == 'fixed' else words.name
+        rows.append([str(number), name, *words[1:]])
+    return rows
 
 
 def instructions(scene: Scene, placement: Placement, plan: str) -> str:
@@ -189,12 +206,8 @@ def instructions(scene: Scene, placement: Placement, plan: str) -> str:
              'room is not', 'a rectangle they are the sides of the rectangle around it. Distances '
              'are at right angles to the wall, to', "the middle of the camera's front. Left and "
              'right are those of somebody who stands behind the camera.', '',
-             '| | camera | sensor | place | height | pan | tilt |',
-             '|---|---|---|---|---|---|---|']
-    for number, placed in enumerate(placement.cameras, start=1):
-        words = words_for(placed, walls, floor)
-        name = f'{words.name} (in place)' if placed.mount == 'fixed' else words.name
-        lines.append(f'| {number} | ' + ' | '.join([name, *words[1:]]) + ' |')
+             f'| | {" | ".join(COLUMNS)} |', '|---' * (len(COLUMNS) + 1) + '|']
+    lines += ['| ' + ' | '.join(row) + ' |' for row in rows_of(placement, walls, floor)]
     return '\n'.join([*lines, ''])
 
 

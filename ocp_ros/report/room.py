@@ -142,7 +142,7 @@ def _view(azimuth: float, elevation: float) -> np.ndarray:
     return np.array([[-s, c, 0.0], [-se * c, -se * s, ce], [ce * c, ce * s, se]])
 
 
-def _cut_open(room: Room, view: np.ndarray) -> Room:
+def cut_open(room: Room, view: np.ndarray) -> Room:
     """Take away the walls that turn their backs on the viewer."""
     z, level = room.points[:, 2], np.abs(room.normals[:, 2])
     column, top = _columns(room.points, COLUMN)
@@ -159,7 +159,7 @@ def open_view(room: Room) -> tuple[np.ndarray, Room]:
     candidates = []
     for azimuth in AZIMUTHS:
         view = _view(azimuth, ELEVATION)
-        part = _cut_open(room, view)
+        part = cut_open(room, view)
         at = part.points @ view.T
         pixel = np.floor(at[:, :2] / (2.0 * np.median(part.radius))).astype(np.int64)
         _, pixel = np.unique(pixel, axis=0, return_inverse=True)
@@ -172,25 +172,61 @@ def open_view(room: Room) -> tuple[np.ndarray, Room]:
     return view, part
 
 
-def draw_discs(axes: Axes, room: Room, view: np.ndarray) -> Polygon:
+class Eye(NamedTuple):
+    """
+    Somebody who looks at a room from a distance, so that what is near is larger.
+
+    :ivar view: (3, 3) rotation to the viewer's axes, right, up and towards.
+    :ivar target: (3,) metres, what is looked at.
+    :ivar distance: metres from the viewer to it.
+    """
+
+    view: np.ndarray
+    target: np.ndarray
+    distance: float
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Return where points (..., 3), metres, are in the picture: (..., 2) metres."""
+        seen = (points - self.target) @ self.view.T
+        # What is beside or behind the viewer is not of this picture.
+        return seen[..., :2] / np.maximum(1.0 - seen[..., 2:] / self.distance, 0.2)
+
+
+def eye_at(points: np.ndarray, azimuth: float) -> Eye:
+    """
+    Stand so that a room fills the picture.
+
+    :param points: (N, 3) metres.
+    :param azimuth: radians, where the viewer stands, seen from the room's middle.
+    """
+    low, high = np.percentile(points, [1.0, 99.0], axis=0)
+    size = float(np.linalg.norm(high - low))
+    return Eye(_view(azimuth, ELEVATION), 0.5 * (low + high), 1.6 * size)
+
+
+def draw_discs(axes: Axes, room: Room, view: np.ndarray, eye: Eye | None = None,
+               contrast: float = 1.0) -> Polygon:
     """
     Draw each point as a disc on its surface, from back to front.
 
+    :param eye: of the same view; in parallel projection where there is none.
+    :param contrast: how much darker what faces away from the light is; 0 for not at all.
     :returns: the outline of the room, where also ranges end.
     """
+    flatten = eye or (lambda points: points @ view[:2].T)
     normals = room.normals * np.where(room.normals @ view[2] < 0.0, -1.0, 1.0)[:, None]
-    shade = 0.72 + 0.33 * np.clip(normals @ view.T @ LIGHT, 0.0, 1.0)
+    shade = 1.05 - contrast * 0.33 * (1.0 - np.clip(normals @ view.T @ LIGHT, 0.0, 1.0))
     first = np.cross(normals, np.where(np.abs(normals[:, 2:]) < 0.7, (0, 0, 1.0), (1.0, 0, 0)))
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     second = np.cross(normals, first)
     angle = np.arange(8)[:, None] * (np.pi / 4.0)
     rim = np.cos(angle) * first[:, None] + np.sin(angle) * second[:, None]
-    discs = (room.points[:, None] + room.radius[:, None, None] * rim) @ view[:2].T
+    discs = flatten(room.points[:, None] + room.radius[:, None, None] * rim)
     order = np.argsort(room.points @ view[2])
     colours = np.clip(room.colours * shade[:, None], 0.0, 1.0)[order]
     # Seen edge-on, a wall is its line alone.
     widths = np.where(np.abs(normals @ view[2]) < 0.2, 4.5, 0.8)[order]
-    flat = room.points @ view[:2].T
+    flat = flatten(room.points)
     outline = Polygon(flat[ConvexHull(flat, qhull_options='QJ').vertices], fill=False, linewidth=0)
     axes.add_patch(outline)
     axes.add_collection(PolyCollection(discs[order], facecolors=colours, edgecolors=colours,

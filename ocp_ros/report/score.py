@@ -5,7 +5,6 @@ import argparse
 from dataclasses import replace
 from datetime import datetime, timezone
 import hashlib
-import json
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +14,13 @@ from rich.table import Table
 from ocp_ros import __version__
 from ocp_ros.configuration import ConfigurationError
 from ocp_ros.report.exports import export
-from ocp_ros.report.verdict import broken_by, improvements, scores_of
+from ocp_ros.report.judged import Judged
+from ocp_ros.report.verdict import verdict
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.source import make_room
 from ocp_ros.simulation.constraints import Allowed
 from ocp_ros.simulation.objective import Objective, simulator_of
-from ocp_ros.simulation.placement_file import load_placement, Placement
+from ocp_ros.simulation.placement_file import ANGLES, data_of, FIXED, load_placement, Placement
 from ocp_ros.simulation.rig_file import load_rig
 
 #: Points of a room where the placement does not say.
@@ -51,50 +51,95 @@ def room_named(name: str, points: int = POINTS, scale: float = 1.0, up: str = 'z
     return scene, {'file': name, 'sha256': content, 'points': points, 'scale': scale, 'up': up}
 
 
+def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str) -> Judged:
+    """
+    Judge a placement in a room.
+
+    :param placement: it need not say what was asked for.
+    :param room: which room it is, from :func:`room_named`.
+    :param command: the command line, for the record.
+    :raises ConfigurationError: if the placement's rig cannot be used in this room.
+    """
+    rig = placement.rig_in(scene)
+    allowed = Allowed(scene, rig)
+    objective = Objective(simulator_of(scene, rig, placement.engine), rig)
+    found = {'room': room, 'cameras': data_of(placement)['cameras'],
+             **verdict(objective, allowed, placement.poses)}
+    scores = found['scores']
+    found['notes'] = _notes(placement, room, scores)
+    return Judged(objective, replace(placement, rig=rig, room=room, scores=scores,
+                                     created=created_by(command)), found)
+
+
 def score(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     """
-    Judge a placement and print what there is to say about it.
+    Judge a placement, and write what is asked for.
 
     :param arguments: of ``ocp score``.
     :param command: the command line, for the record.
     :returns: what ``--json`` prints.
     """
-    folder = arguments.export
+    folder = folder_named('--out', arguments.out)
+    judged = judge(*room_and_placement(arguments), command)
+    if folder is None:
+        return dict(judged.found)
+    written = export(folder, judged.scene, judged.placement)
+    return {**judged.found, 'written': [str(path) for path in (*written,
+                                                               *reports(folder, judged))]}
+
+
+def folder_named(option: str, folder: Path | None) -> Path | None:
+    """Return the folder that an option names, which may not be a file."""
     if folder is not None and folder.exists() and not folder.is_dir():
-        raise ConfigurationError(f'--export: found the file {folder}; expected a folder; name one')
+        raise ConfigurationError(f'{option}: found the file {folder}; expected a folder; name one')
+    return folder
+
+
+def reports(folder: Path, judged: Judged) -> list[Path]:
+    """
+    Write the one-page report and the page that can be turned around.
+
+    :param folder: it is made where it is not there.
+    :returns: the files.
+    """
+    # What draws is slow to import, and most placements are judged without.
+    from ocp_ros.report import sheet
+    from ocp_ros.report.viewer import write_view
+    sheet.draw(folder / 'report.png', judged)
+    write_view(folder / 'report.html', judged.scene, judged)
+    return [folder / 'report.png', folder / 'report.html']
+
+
+def room_and_placement(arguments: argparse.Namespace
+                       ) -> tuple[Scene, Placement, dict[str, Any]]:
+    """
+    Read what a command line names.
+
+    :param arguments: with ``room``, ``placement``, ``rig``, ``scale`` and ``up``.
+    :returns: the room, the placement, and which room it is.
+    """
     rig = load_rig(arguments.rig) if arguments.rig else None
     placement = load_placement(arguments.placement, rig)
-    scene, room = _room(arguments, placement)
-    rig = placement.rig_in(scene)
-    allowed = Allowed(scene, rig)
-    objective = Objective(simulator_of(scene, rig, placement.engine), rig)
-    poses = placement.poses
-    views = objective.look(poses)
-    scores = scores_of(objective, views)
-    found = {'room': room, 'scores': scores,
-             'broken': broken_by(objective, allowed, poses, scores),
-             **improvements(objective, allowed, poses, views),
-             'notes': _notes(placement, room, scores)}
-    if folder is not None:
-        judged = replace(placement, rig=rig, room=room, scores=scores, created=created_by(command))
-        found['written'] = [str(path) for path in export(folder, scene, judged)]
-    if arguments.json:
-        print(json.dumps(found, indent=1))
-    else:
-        show(found, placement)
-    return found
+    scene, room = room_asked(arguments, placement.room)
+    return scene, placement, room
 
 
-def _room(arguments: argparse.Namespace, placement: Placement) -> tuple[Scene, dict[str, Any]]:
-    """Read the room as the placement's scores took it, unless the command line says otherwise."""
+def room_asked(arguments: argparse.Namespace, known: dict[str, Any]
+               ) -> tuple[Scene, dict[str, Any]]:
+    """
+    Read the room of a command line.
+
+    :param arguments: with ``room``, ``scale`` and ``up``.
+    :param known: how it was read before, as placement files have it; what the command line says
+        comes first.
+    """
     given = {key: value for key in ('scale', 'up')
              if (value := getattr(arguments, key)) is not None}
     if given and arguments.room.isdecimal():
         raise ConfigurationError(
             f'--{next(iter(given))}: found it with the generated room {arguments.room}; expected '
             'a scan, since generated rooms are in metres, z up; leave it out')
-    known = {key: placement.room[key] for key in ('points', 'scale', 'up')
-             if key in placement.room}
+    known = {key: known[key] for key in ('points', 'scale', 'up') if key in known}
     if arguments.room.isdecimal():
         known = {key: value for key, value in known.items() if key == 'points'}
     return room_named(arguments.room, **{**known, **given})
@@ -111,29 +156,29 @@ def _notes(placement: Placement, room: dict[str, Any], scores: dict[str, Any]) -
     return []
 
 
-def show(found: dict[str, Any], placement: Placement) -> None:
+def show(found: dict[str, Any]) -> None:
     """Print a verdict."""
     console, scores = Console(width=100), found['scores']
     cameras = Table('camera', 'place (m)', 'yaw, pitch, roll', 'takes from the error',
                     'only it sees', title='Cameras')
-    for placed, added in zip(placement.cameras, scores['cameras']):
-        name = f'{added["name"]} (in place)' if placed.mount == 'fixed' else added['name']
-        cameras.add_row(name, ', '.join(f'{value:.2f}' for value in placed.position),
-                        ', '.join(f'{value:.0f}' for value in placed.angles),
-                        f'{added["depth_error"]:.2f} m', _percent(added['only']))
+    for placed, added in zip(found['cameras'], scores['cameras']):
+        name = f'{added["name"]} (in place)' if placed['mount'] == FIXED else added['name']
+        cameras.add_row(name, ', '.join(f'{value:.2f}' for value in placed['position']),
+                        ', '.join(f'{placed[angle]:.0f}' for angle in ANGLES),
+                        f'{added["depth_error"]:.2f} m', percent(added['only']))
     console.print(cameras)
     least = scores['seen_by']
     by = 'a camera' if least == 1 else f'{least} cameras'
     console.print(f'depth error {scores["depth_error"]:.3f} m of '
                   f'{scores["depth_error_of_nothing"]:.3f} m; space coverage '
                   f'{scores["space_coverage"]:.1f} of {scores["volume"]:.1f} m³; '
-                  f'{_percent(scores["seen"])} of the points seen by {by}; loss '
+                  f'{percent(scores["seen"])} of the points seen by {by}; loss '
                   f'{scores["loss"]:.4f}')
-    console.print('seen by ' + ', '.join(f'{count}: {_percent(points / scores["points"])}'
+    console.print('seen by ' + ', '.join(f'{count}: {percent(points / scores["points"])}'
                                          for count, points in scores['overlap'].items()))
     for region in scores['regions']:
-        must = f', {_percent(region["must_see"])} asked for' if region['must_see'] else ''
-        console.print(f'region {region["name"]}: {_percent(region["seen"])} seen{must}')
+        must = f', {percent(region["must_see"])} asked for' if region['must_see'] else ''
+        console.print(f'region {region["name"]}: {percent(region["seen"])} seen{must}')
     _show_rest(console, found)
 
 
@@ -143,11 +188,11 @@ def _show_rest(console: Console, found: dict[str, Any]) -> None:
     console.print('every constraint is kept' if not broken else 'broken constraints:')
     for sentence in broken:
         console.print(f'  {sentence}', style='red', markup=False, highlight=False)
-    console.print(f'missed: {_percent(missed["share"])} of the points; '
-                  f'{_percent(missed["hopeless"])} no candidate sees either')
+    console.print(f'missed: {percent(missed["share"])} of the points; '
+                  f'{percent(missed["hopeless"])} no candidate sees either')
     for part in missed['places']:
         corners = (', '.join(f'{value:.2f}' for value in part[key]) for key in ('low', 'high'))
-        console.print(f'  {_percent(part["share"])} from ({next(corners)}) to ({next(corners)})')
+        console.print(f'  {percent(part["share"])} from ({next(corners)}) to ({next(corners)})')
     if more is None:
         console.print('one more camera: there is no allowed place for it')
     else:
@@ -161,6 +206,6 @@ def _show_rest(console: Console, found: dict[str, Any]) -> None:
         console.print(f'wrote {path}', markup=False, highlight=False, soft_wrap=True)
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
     """Return a share as per cent."""
     return f'{100.0 * share:.1f} %'

@@ -19,6 +19,19 @@ CANDIDATES = 480
 CELL, NAMED = 1.0, 3
 
 
+def verdict(objective: Objective, allowed: Allowed, poses: np.ndarray) -> dict[str, Any]:
+    """
+    Return all there is to say about a placement as plain data.
+
+    :param poses: (K, 6) metres, map frame, and radians.
+    :returns: ``scores``, ``broken``, ``missed`` and ``one_more``.
+    """
+    views = objective.look(poses)
+    scores = scores_of(objective, views)
+    return {'scores': scores, 'broken': broken_by(allowed, poses, scores),
+            **improvements(objective, allowed, poses, views)}
+
+
 def scores_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
     """
     Return what a placement is worth as plain data, as placement files have it.
@@ -41,8 +54,7 @@ def scores_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
                     for camera, added in zip(rig.all_cameras, objective.contributions(views))]}
 
 
-def broken_by(objective: Objective, allowed: Allowed, poses: np.ndarray, scores: dict[str, Any]
-              ) -> list[str]:
+def broken_by(allowed: Allowed, poses: np.ndarray, scores: dict[str, Any]) -> list[str]:
     """
     Return a sentence for each constraint that a placement breaks, those of regions included.
 

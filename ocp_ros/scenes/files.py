@@ -9,17 +9,10 @@ import warnings
 import numpy as np
 from plyfile import PlyData, PlyElement
 
+from ocp_ros.geometry.clouds import corners_of
+from ocp_ros.geometry.voxels import SMALLEST, voxel_downsample, voxel_size_for
 from ocp_ros.scenes.pcd import read_pcd_fields
-from ocp_ros.scenes.scene import (
-    check_points,
-    likely_up_axis,
-    MIN_POINTS,
-    MIN_VOXEL,
-    Scene,
-    SceneError,
-    voxel_downsample,
-    voxel_size_for,
-)
+from ocp_ros.scenes.scene import check_points, likely_up_axis, MIN_POINTS, Scene, SceneError
 from ocp_ros.scenes.tables import read_table
 
 FAR = 1000.0
@@ -101,8 +94,8 @@ def _rows(values: np.ndarray, named: list[tuple[str, str]]) -> np.ndarray:
 def _check_options(name: str, voxel_size: float, max_points: int, scale: float, up: str) -> None:
     """Refuse options without a meaning."""
     for option, value, usable, expected in (
-            ('voxel_size', voxel_size, voxel_size == 0 or MIN_VOXEL <= voxel_size < np.inf,
-             f'0 or at least {MIN_VOXEL} m'),
+            ('voxel_size', voxel_size, voxel_size == 0 or SMALLEST <= voxel_size < np.inf,
+             f'0 or at least {SMALLEST} m'),
             ('max_points', max_points, max_points == 0 or max_points >= MIN_POINTS,
              f'0 or at least {MIN_POINTS}'),
             ('scale', scale, 0 < scale < np.inf, 'a number above 0, such as 0.001'),
@@ -171,7 +164,7 @@ def _without_nonfinite(points: np.ndarray, normals: np.ndarray | None, name: str
 
 def _near_origin(points: np.ndarray, name: str) -> np.ndarray:
     """Move coordinates that float32 would round to the neighbourhood of the origin."""
-    low, high = points.min(axis=0), points.max(axis=0)
+    low, high = corners_of(points)
     if np.linalg.norm(np.maximum(abs(low), abs(high))) <= FAR:
         return points
     offset = np.round(low, -2)

@@ -5,16 +5,17 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ocp_ros.geometry.cameras import rotation_matrix
+from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.geometry.normals import edge_aware_normals
+from ocp_ros.scenes.neighbours import nearest
 
 MIN_POINTS = 100
 #: Nearest points that a point's plane is fitted to, itself included.
 NEIGHBOURS = 14
-#: Metres: smallest edge of a voxel, largest extent of a scene, and largest of its least extent.
-MIN_VOXEL, LARGEST, HIGHEST = 0.001, 500.0, 40.0
+#: Metres: largest extent of a scene, and largest of its least extent.
+LARGEST, HIGHEST = 500.0, 40.0
 
 
 class SceneError(ValueError):
@@ -69,7 +70,7 @@ class Scene:
     @cached_property
     def bounds(self) -> np.ndarray:
         """Return the bounding box: (2, 3) float64, lowest and highest corner, metres."""
-        return np.stack([self.points.min(axis=0), self.points.max(axis=0)]).astype(np.float64)
+        return corners_of(self.points).astype(np.float64)
 
     @property
     def size(self) -> np.ndarray:
@@ -79,7 +80,7 @@ class Scene:
     @cached_property
     def _neighbours(self) -> tuple[np.ndarray, np.ndarray]:
         """Return distances and indices of the nearest points, the point itself first."""
-        return cKDTree(self.points).query(self.points, k=NEIGHBOURS)
+        return nearest(self.points, NEIGHBOURS)
 
     @cached_property
     def normals_or_estimate(self) -> np.ndarray:
@@ -149,7 +150,7 @@ def check_points(points: np.ndarray, name: str) -> None:
 
 def _check_size(points: np.ndarray, name: str) -> None:
     """Refuse a bounding box that is flat or not that of a room in metres."""
-    size = np.ptp(points, axis=0)
+    size = np.ptp(corners_of(points), axis=0)
     found = f'{name}: found a bounding box of ' + ' x '.join(f'{s:.4g}' for s in size)
     if size.max() > LARGEST:
         core = np.subtract(*np.percentile(points, [98, 2], axis=0))
@@ -190,57 +191,3 @@ def likely_up_axis(points: np.ndarray) -> str:
     size = high - low
     clear = score[best] > 1.5 * score[2] and 2.0 < size[best] < size[2]
     return 'xyz'[best] if clear else 'z'
-
-
-def voxel_downsample(points: np.ndarray, voxel_size: float) -> np.ndarray:
-    """
-    Replace the points in each cube of a grid by their mean.
-
-    :param points: (N, 3), metres.
-    :param voxel_size: edge of the cubes, metres.
-    :returns: (M, 3) float32, ordered by cube: M <= N.
-    :raises ValueError: if the voxel size is below a millimetre.
-    """
-    if not voxel_size >= MIN_VOXEL:
-        raise ValueError(f'voxel_size: found {voxel_size}; expected at least {MIN_VOXEL} m')
-    keys = _voxel_keys(points, voxel_size)
-    order = np.argsort(keys, kind='stable')
-    starts = np.flatnonzero(np.diff(keys[order], prepend=-1))
-    counts = np.diff(np.append(starts, len(keys)))
-    sums = np.add.reduceat(np.asarray(points, dtype=np.float64)[order], starts, axis=0)
-    return (sums / counts[:, None]).astype(np.float32)
-
-
-def _voxel_keys(points: np.ndarray, voxel_size: float) -> np.ndarray:
-    """Number the cube of each point: (N,) int64, unique per cube."""
-    cell = np.floor((points - points.min(axis=0)) / voxel_size).astype(np.int64)
-    extent = cell.max(axis=0) + 1
-    return (cell[:, 0] * extent[1] + cell[:, 1]) * extent[2] + cell[:, 2]
-
-
-def voxel_size_for(points: np.ndarray, max_points: int) -> float:
-    """
-    Find the smallest voxel size, to 2 %, that leaves at most ``max_points`` points.
-
-    :param points: (N, 3), metres.
-    :param max_points: the most points wanted.
-    :returns: metres.
-    """
-    low, high = MIN_VOXEL, 2.0 * LARGEST
-    x, y, z = np.maximum(np.ptp(points, axis=0), MIN_VOXEL)
-    # A room has about the surface of its bounding box.
-    middle = np.sqrt(2.0 * (x * y + y * z + z * x) / max_points)
-    attempt = 0
-    while high / low > 1.02:
-        middle, attempt = np.clip(middle, low * 1.004, high / 1.004), attempt + 1
-        found = len(np.unique(_voxel_keys(points, middle)))
-        if found > max_points:
-            low = middle
-        else:
-            high = middle
-        # Of a surface there are fewer cubes by the square of their edge; where that leads nowhere,
-        # halving does.
-        middle *= np.sqrt(found / max_points) * (1.005 if found > max_points else 1.0 / 1.005)
-        if attempt % 4 == 0:
-            middle = np.sqrt(low * high)
-    return float(high)

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from ocp_ros.configuration import ConfigurationError
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.simulation.candidates import headings_of, places_in, spread
+from ocp_ros.simulation.candidates import headings_of, onto_mount, places_in, spread
 from ocp_ros.simulation.rig_file import Rig
 from ocp_ros.simulation.space import EDGE, Space
 from ocp_ros.simulation.surfaces import (
@@ -38,21 +38,25 @@ class Check(NamedTuple):
     """
     One constraint for each of some cameras.
 
+    :ivar name: what it is called where it leaves no place at all.
     :ivar broken: (M,) bool.
     :ivar says: what is wrong with the camera of a number.
     """
 
+    name: str
     broken: np.ndarray
     says: Callable[[int], str]
 
 
-def check_heights(scene: Scene, rig: Rig) -> None:
+def check_heights(scene: Scene, rig: Rig, top: float | None = None) -> None:
     """
     Refuse heights that a room does not have.
 
+    :param top: z up to where the room goes, metres, where its points do not show all of it.
     :raises ConfigurationError: if the cameras' least height is not inside the room.
     """
-    height = float(scene.bounds[1, 2]) - floor_height(scene)
+    highest = float(scene.bounds[1, 2])
+    height = (highest if top is None else max(highest, top)) - floor_height(scene)
     if rig.mount.heights is not None and rig.mount.heights[0] >= height:
         raise rig.document.error(
             ('mount', 'height'), f'{rig.mount.heights[0]:g} m',
@@ -65,14 +69,18 @@ class Allowed:
 
     :param scene: the room.
     :param rig: the cameras and what is asked of their places.
+    :param top: z up to where the room goes at least, metres: where cameras stand is air, though
+        those that look down do not see what is above them.
     :raises ConfigurationError: if a height, a camera in place or the mount does not go with the
         room.
     """
 
-    def __init__(self, scene: Scene, rig: Rig) -> None:
+    def __init__(self, scene: Scene, rig: Rig, top: float | None = None) -> None:
         self.scene, self.rig = scene, rig
         self.floor, self.top = floor_height(scene), float(scene.bounds[1, 2])
-        check_heights(scene, rig)
+        if top is not None:
+            self.top = max(self.top, top)
+        check_heights(scene, rig, top)
         high = self.top - self.floor if rig.mount.heights is None else rig.mount.heights[1]
         height = self.floor + max(high, LEAST_VIEW)
         self.space = Space.of(scene.points, height, len(rig.cameras), 0.0)
@@ -116,14 +124,35 @@ class Allowed:
         good = self.allowed(level, model)
         if not good.any():
             raise self.rig.document.error(
-                ('mount',), f'no place in {self.scene.name} where a camera may hang', 'one at '
-                'least', 'lower keep_clear, or change the mount or its height')
+                ('mount',), f'no place in {self.scene.name} where a camera may hang'
+                f'{self._bites(level, model)}', 'one at least', 'change that, or the mount or '
+                'its height')
         positions, inwards = offered.positions[good], offered.inwards[good]
         chosen = spread(positions, max(most // len(headings), 1))
         poses = np.zeros((len(chosen), len(headings), 6))
         poses[..., :3], poses[..., 3:] = positions[chosen, None], headings
         poses[..., 3] += inwards[chosen, None]
         return poses.reshape(-1, 6)[:most]
+
+    def _bites(self, poses: np.ndarray, model: CameraModel) -> str:
+        """Name the constraint without which most of some poses, all broken, would be allowed."""
+        if len(poses) == 0:
+            return ', for the mount offers none over its floor'
+        checks = list(self._checks(poses, [model] * len(poses), ROUNDING))
+        count = np.sum([check.broken for check in checks], axis=0)
+        # Where no constraint alone is to blame, the one that most break.
+        bites = max(checks, key=lambda check: (np.count_nonzero(check.broken & (count == 1)),
+                                               np.count_nonzero(check.broken)))
+        number = np.count_nonzero(bites.broken)
+        return f', for {bites.name} takes {number} of the {len(poses)} that the mount offers'
+
+    def onto_mount(self, positions: np.ndarray) -> np.ndarray:
+        """
+        Move positions (M, 3), metres, to the nearest places that the mount offers.
+
+        They need not be allowed; as they were where there is no ceiling or wall near.
+        """
+        return onto_mount(positions, self.rig, self.floor, self.surface)
 
     def broken(self, poses: np.ndarray, cameras: Sequence[int] | None = None) -> list[str]:
         """
@@ -173,18 +202,21 @@ class Allowed:
         positions = poses[:, :3]
         contact = None if self.surface is None else self.surface.at(positions)
         yield (outside := self._outside(positions, contact, beyond))
-        yield Check(self.air.closed(positions) & ~outside.broken, lambda k: (
+        closed = self.air.closed(positions) & ~outside.broken
+        yield Check('the air of the room', closed, lambda k: (
             'found a place inside furniture or behind it; expected one in the air of the room; '
             'move it into the open'))
         yield self._too_close(positions, contact)
         yield from self._off_mount(positions, contact)
         for number, zone in enumerate(self.rig.no_go):
-            yield Check(zone.contains(positions, self.floor), lambda k, number=number: (
+            inside = zone.contains(positions, self.floor)
+            yield Check(f'no_go[{number}]', inside, lambda k, number=number: (
                 f'found a place in no_go[{number}]; expected one outside it; move it out'))
         yield from self._pitch(poses, models)
         for fixed in self.rig.fixed:
             away = np.linalg.norm(positions - fixed.pose[:3], axis=1)
-            yield Check(away < self.rig.spacing - SHORT, lambda k, away=away, fixed=fixed: (
+            near = away < self.rig.spacing - SHORT
+            yield Check('spacing', near, lambda k, away=away, fixed=fixed: (
                 self._too_near(away[k], fixed.camera.name)))
 
     def _outside(self, positions: np.ndarray, contact: Contact | None, beyond: float) -> Check:
@@ -193,7 +225,8 @@ class Allowed:
         if self.rig.mount.on == 'walls':
             places = places + INTO_THE_ROOM * contact.normals[:, :2]
         away = np.linalg.norm(self.space.inside(places) - places, axis=1)
-        return Check((away > beyond) | (z < self.floor) | (z > self.top), lambda k: (
+        wrong = (away > beyond) | (z < self.floor) | (z > self.top)
+        return Check('the floor of the room', wrong, lambda k: (
             f'found {_place(positions[k])}, which is not over floor that {self.scene.name} shows; '
             'expected a place in the room and not in furniture; move it into the open'))
 
@@ -214,7 +247,7 @@ class Allowed:
             nearest[left] = np.where(others, away, np.inf).min(axis=1)
             # All neighbours so far belong to the surface itself: look at more.
             left, count = left[full & ~others.any(axis=1)], 4 * count
-        return Check(nearest < least - SHORT, lambda k: (
+        return Check('keep_clear', nearest < least - SHORT, lambda k: (
             f'found {nearest[k]:.2f} m to the nearest surface; expected at least {least:.2f} m '
             '(keep_clear); move it away'))
 
@@ -225,7 +258,8 @@ class Allowed:
             low, high = heights
             above = positions[:, 2] - self.floor
             expected = f'{low:.2f}' + (f' to {high:.2f}' if high > low else '')
-            yield Check((above < low - LEEWAY) | (above > high + LEEWAY), lambda k: (
+            wrong = (above < low - LEEWAY) | (above > high + LEEWAY)
+            yield Check('mount.height', wrong, lambda k: (
                 f'found {above[k]:.2f} m above the floor; expected {expected} m (mount.height); '
                 'raise or lower it'))
         if contact is not None:
@@ -237,7 +271,7 @@ class Allowed:
             surface = 'wall' if on == 'walls' else on
             near = 'above it' if on == 'ceiling' and heights is not None else (
                 f'within {REACH:g} m')
-            yield Check(~on_it, lambda k: (
+            yield Check('mount.on', ~on_it, lambda k: (
                 f'found no {surface} {near} (mount.on); expected one that {self.scene.name} '
                 'shows; hang it there'))
 
@@ -249,7 +283,7 @@ class Allowed:
         turned = np.array([model is None or not model.omnidirectional for model in models])
         pitch = poses[:, 4]
         wrong = turned & ((pitch < low - LEEWAY) | (pitch > high + LEEWAY))
-        yield Check(wrong, lambda k: (
+        yield Check('pitch', wrong, lambda k: (
             f'found a pitch of {np.rad2deg(pitch[k]):.0f} degrees; expected '
             f'{np.rad2deg(low):.0f} to {np.rad2deg(high):.0f} (pitch); tilt it'))
 

@@ -9,7 +9,7 @@ import gymnasium as gym
 from gymnasium import spaces
 import numpy as np
 
-from ocp_ros.geometry.clouds import fixed_size
+from ocp_ros.geometry.clouds import corners_of, fixed_size
 from ocp_ros.scenes.scene import Scene, turned
 from ocp_ros.simulation.config import SimulationConfig
 from ocp_ros.simulation.episode import Episode
@@ -122,7 +122,7 @@ class CameraPlacementEnv(gym.Env):
         positions[:count], present[:count] = self.episode.turn.positions, 1.0
         return {'cloud': fixed_size(cloud, self.observation_points),
                 'camera_positions': positions, 'present': present,
-                'bounds': np.stack([cloud.min(axis=0), cloud.max(axis=0)])}
+                'bounds': corners_of(cloud)}
 
     def _info(self) -> dict[str, Any]:
         """Return the true state of the placement and the terms of the reward."""

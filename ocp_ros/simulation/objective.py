@@ -118,12 +118,32 @@ class Objective:
         views, simulator = self._with_fixed(views), self.simulator
         seen = self._seen(views)
         covered = seen_by([view.covered for view in views], self.rig.seen_by)[-1]
-        error = simulator.depth_error(seen)
-        shares = np.array([count_bits(seen & bits) for bits in self._regions]) / self._sizes
-        loss = (error / simulator.depth_error.worst + self._weights @ (1.0 - shares)
-                + MUST * np.maximum(self._must - shares, 0.0).sum())
-        return Worth(float(loss), error, space_coverage(covered, simulator.cell_volume), shares,
+        loss, error, shares = self._loss_of(seen)
+        return Worth(loss, error, space_coverage(covered, simulator.cell_volume), shares,
                      Subset(seen, self._order))
+
+    def loss(self, views: Sequence[View]) -> float:
+        """Return the loss alone, of views as for :meth:`judge`."""
+        return self._loss_of(self._seen(self._with_fixed(views)))[0]
+
+    def promise(self, views: Sequence[View]) -> float:
+        """
+        Return the mean of what the loss were if 1, 2, ... ``seen_by`` cameras had to see a place.
+
+        It tells too few cameras apart, which are worth nothing yet.
+
+        :param views: as for :meth:`judge`.
+        """
+        levels = self._levels(self._with_fixed(views))
+        return float(np.mean([self._loss_of(seen)[0] for seen in levels]))
+
+    def _loss_of(self, seen: np.ndarray) -> tuple[float, float, np.ndarray]:
+        """Return loss, depth error and shares of the regions where these points are seen."""
+        error = self.simulator.depth_error(seen)
+        shares = np.array([count_bits(seen & bits) for bits in self._regions]) / self._sizes
+        loss = (error / self.simulator.depth_error.worst + self._weights @ (1.0 - shares)
+                + MUST * np.maximum(self._must - shares, 0.0).sum())
+        return float(loss), error, shares
 
     def evaluate(self, poses: np.ndarray) -> Worth:
         """Judge poses (K, 6), metres, map frame, and radians."""

@@ -121,12 +121,26 @@ def placement_of(rig: Rig, poses: np.ndarray, **more: Any) -> Placement:
 
 def _rounded(camera: Camera, pose: np.ndarray, mount: str) -> Placed:
     """Return a camera where it hangs, with as many decimals as its file will have."""
-    angles = np.rad2deg(pose[3:])
-    angles[[0, 2]] = (angles[[0, 2]] + 180.0) % 360.0 - 180.0
+    position, angles = _rounded_numbers(np.asarray(pose)[None])
+    return Placed(camera, tuple(position[0].tolist()), tuple(angles[0].tolist()), mount)
+
+
+def _rounded_numbers(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions in metres and angles in degrees, (M, 3) each, as files have them."""
+    angles = np.rad2deg(poses[:, 3:])
+    angles[:, [0, 2]] = (angles[:, [0, 2]] + 180.0) % 360.0 - 180.0
     # No minus zeros.
-    position = np.round(pose[:3], METRES) + 0.0
-    return Placed(camera, tuple(position.tolist()),
-                  tuple((np.round(angles, DEGREES) + 0.0).tolist()), mount)
+    return np.round(poses[:, :3], METRES) + 0.0, np.round(angles, DEGREES) + 0.0
+
+
+def as_written(poses: np.ndarray) -> np.ndarray:
+    """
+    Return poses as they come back from a file, so that a search can judge what it will write.
+
+    :param poses: (M, 6) metres, map frame, and radians.
+    """
+    position, angles = _rounded_numbers(poses)
+    return np.hstack([position, np.deg2rad(angles)])
 
 
 def load_placement(path: str | Path, rig: Rig | None = None) -> Placement:

@@ -155,6 +155,22 @@ def rig_of(cameras: int, sensor: str = OMNIDIRECTIONAL, **more: Any) -> Rig:
     return rig_from(document)
 
 
+def with_count(rig: Rig, count: int) -> Rig:
+    """
+    Return a rig with another number of cameras that are to be placed.
+
+    :param rig: one whose cameras are of one group.
+    :param count: how many, above 0.
+    :raises ConfigurationError: if its cameras are of several groups, or too few or too many.
+    """
+    document = rig.document
+    if len(groups := document.data['cameras']) > 1:
+        raise document.error(('cameras',), f'{len(groups)} groups', 'one, whose cameras can be '
+                             'counted', 'leave out --count, or all groups but one')
+    data = {**document.data, 'cameras': [{**groups[0], 'count': count}]}
+    return rig_from(Document(document.name, data, document.lines))
+
+
 def sensor_named(name: str) -> str:
     """
     Find a preset by its name or a part of it that no other has.

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from scipy import ndimage
 
+from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.scenes.scene import LARGEST
 from ocp_ros.simulation.moves import kept_inside, towards
 
@@ -64,9 +65,12 @@ def floor_of(points: np.ndarray, height: float) -> Floor | None:
         of it, or points so far apart that they are no room.
     """
     below = points[points[:, 2] < height - BELOW, :2]
-    if len(below) == 0 or np.ptp(below, axis=0).max() > LARGEST:
+    if len(below) == 0:
         return None
-    low = below.min(axis=0) - 4.0 * EDGE
+    lowest, highest = corners_of(below)
+    if (highest - lowest).max() > LARGEST:
+        return None
+    low = lowest - 4.0 * EDGE
     cell = np.floor((below - low) / EDGE).astype(np.int64)
     # Cells at the edge of the grid would not be closed.
     cell, low = cell + max(RADII), low - max(RADII) * EDGE
@@ -126,7 +130,7 @@ class Space:
         :param cameras: K.
         :param margin: cameras stay this far inside the bounding box, metres.
         """
-        bounds = np.stack([points.min(axis=0), points.max(axis=0)]).astype(np.float64)
+        bounds = corners_of(points).astype(np.float64)
         corners, _ = kept_inside(bounds, bounds, margin)
         low, high = corners[:, :2]
         floor = floor_of(points, height)

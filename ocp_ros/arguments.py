@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Values of the command line: read, or refused with what was found and what was expected."""
+
+import argparse
+from collections.abc import Callable
+
+
+def count(text: str) -> int:
+    """Read how many cameras: a number above 0, or 0 for auto."""
+    return 0 if text == 'auto' else at_least(1)(text)
+
+
+def seconds(text: str) -> float:
+    """Read a time."""
+    return number(text, 'seconds above 0', lambda value: 0.0 < value < float('inf'))
+
+
+def share(text: str) -> float:
+    """Read a share."""
+    return number(text, 'a share above 0, at most 1', lambda value: 0.0 < value <= 1.0)
+
+
+def number(text: str, expected: str, holds: Callable[[float], bool]) -> float:
+    """Read a number of which something holds."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = float('nan')
+    if not holds(value):
+        raise argparse.ArgumentTypeError(f'found {text!r}; expected {expected}')
+    return value
+
+
+def names(text: str) -> tuple[str, ...]:
+    """Read names with commas between."""
+    return tuple(text.split(','))
+
+
+def whole_numbers(text: str) -> tuple[int, ...]:
+    """Read whole numbers with commas between."""
+    try:
+        return tuple(int(part) for part in text.split(','))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(
+            f'found {text!r}; expected whole numbers with commas between') from error
+
+
+def at_least(least: int) -> Callable[[str], int]:
+    """Return a reader of whole numbers from some number on."""
+    def read(text: str) -> int:
+        if not text.isdecimal() or int(text) < least:
+            raise argparse.ArgumentTypeError(f'found {text!r}; expected {least} or more')
+        return int(text)
+    return read

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Clouds on a voxel grid, and how large its voxels have to be."""
+
+from numba import njit
+import numpy as np
+
+from ocp_ros.geometry.clouds import corners_of
+
+#: Metres: smallest and largest edge of a voxel.
+SMALLEST, LARGEST = 0.001, 1000.0
+#: Multiplier of a multiplicative hash: 2^64 over the golden ratio, odd.
+GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+EMPTY = -1
+
+
+def voxel_downsample(points: np.ndarray, voxel_size: float) -> np.ndarray:
+    """
+    Replace the points in each cube of a grid by their mean.
+
+    :param points: (N, 3), metres.
+    :param voxel_size: edge of the cubes, metres.
+    :returns: (M, 3) float32, ordered by cube: M <= N.
+    :raises ValueError: if the voxel size is below a millimetre.
+    """
+    if not voxel_size >= SMALLEST:
+        raise ValueError(f'voxel_size: found {voxel_size}; expected at least {SMALLEST} m')
+    grid = _Grid(points)
+    found = grid.fill(voxel_size)
+    counts = np.bincount(grid.ranks)
+    means = np.column_stack([np.bincount(grid.ranks, column) / counts for column in points.T])
+    return means[np.argsort(grid.cells[:found])].astype(np.float32)
+
+
+def voxel_size_for(points: np.ndarray, max_points: int) -> float:
+    """
+    Find the smallest voxel size, to 2 %, that leaves at most ``max_points`` points.
+
+    :param points: (N, 3), metres.
+    :param max_points: the most points wanted.
+    :returns: metres.
+    """
+    grid, low, high = _Grid(points), SMALLEST, LARGEST
+    x, y, z = np.maximum(np.ptp(grid.corners, axis=0), SMALLEST)
+    # A room has about the surface of its bounding box.
+    middle = np.sqrt(2.0 * (x * y + y * z + z * x) / max_points)
+    attempt = 0
+    while high / low > 1.02:
+        middle, attempt = np.clip(middle, low * 1.004, high / 1.004), attempt + 1
+        found = grid.fill(middle)
+        if found > max_points:
+            low = middle
+        else:
+            high = middle
+        # Of a surface there are fewer cubes by the square of their edge; where that leads nowhere,
+        # halving does.
+        middle *= np.sqrt(found / max_points) * (1.005 if found > max_points else 1.0 / 1.005)
+        if attempt % 4 == 0:
+            middle = np.sqrt(low * high)
+    return float(high)
+
+
+class _Grid:
+    """
+    Points in the voxels of a grid that begins at their lowest corner.
+
+    :param points: (N, 3), metres.
+    :ivar corners: (2, 3) of the box around them.
+    :ivar ranks: (N,) int64: which voxel each point is in, in the order in which they were found.
+    :ivar cells: (N,) int64: the number of each voxel that was found; the rest means nothing.
+    """
+
+    def __init__(self, points: np.ndarray) -> None:
+        self._points = np.asarray(points)
+        self.corners = corners_of(self._points)
+        self.ranks, self.cells = np.empty((2, len(points)), dtype=np.int64)
+        # Half of the slots stay empty, so that a search ends soon.
+        self._slots = np.empty(1 << (2 * len(points)).bit_length(), dtype=np.int64)
+
+    def fill(self, voxel_size: float) -> int:
+        """Sort the points into voxels of an edge in metres; return how many have some."""
+        self._slots.fill(EMPTY)
+        size = self._points.dtype.type(voxel_size)
+        return _fill(self._points, self.corners, size, self._slots, self.ranks, self.cells)
+
+
+@njit(cache=True, nogil=True)
+def _fill(points, corners, size, slots, ranks, cells):
+    """
+    Number the voxels by a hash table with open addressing.
+
+    :param points: (N, 3).
+    :param corners: (2, 3) of the same type.
+    :param size: of the same type.
+    :param slots: (2^S,) int64, in and out: ranks of voxels, all ``EMPTY`` at first.
+    :param ranks: (N,) int64, out; see :class:`_Grid`.
+    :param cells: (N,) int64, out.
+    :returns: how many there are.
+    """
+    low, mask, found = corners[0], slots.shape[0] - 1, 0
+    along = np.int64(np.floor((corners[1, 1] - low[1]) / size)) + 1
+    up = np.int64(np.floor((corners[1, 2] - low[2]) / size)) + 1
+    for i in range(points.shape[0]):
+        x = np.int64(np.floor((points[i, 0] - low[0]) / size))
+        y = np.int64(np.floor((points[i, 1] - low[1]) / size))
+        z = np.int64(np.floor((points[i, 2] - low[2]) / size))
+        cell = (x * along + y) * up + z
+        slot = np.int64((np.uint64(cell) * GOLDEN) >> np.uint64(32)) & mask
+        while slots[slot] != EMPTY and cells[slots[slot]] != cell:
+            slot = (slot + 1) & mask
+        if slots[slot] == EMPTY:
+            slots[slot], cells[found] = found, cell
+            found += 1
+        ranks[i] = slots[slot]
+    return found

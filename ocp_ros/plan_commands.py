@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``ocp plan``: find where to hang cameras."""
+
+import argparse
+from pathlib import Path
+
+from ocp_ros.arguments import at_least, count, seconds, share
+from ocp_ros.command_line import Commands, Found, PLAN
+
+
+def _plan(arguments: argparse.Namespace) -> Found:
+    """Find where to hang the cameras of a rig, and how many are needed."""
+    from ocp_ros.report.compare import command_of
+    from ocp_ros.report.plan import plan
+    return plan(arguments, command_of(arguments.argv))
+
+
+def _show(found: Found) -> None:
+    """Print a plan."""
+    from ocp_ros.report.plan import show_plan
+    show_plan(found)
+
+
+def add_plan(commands: Commands) -> None:
+    """Add ``ocp plan``."""
+    planned = commands.add(PLAN, 'plan', 'find where to hang cameras in a room',
+                           'ocp plan room.ply --cameras 4 --model d455 --out out/plan')
+    planned.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
+    rig = planned.add_mutually_exclusive_group()
+    rig.add_argument('--rig', type=Path, help='cameras and what is asked of them: docs/rig.md')
+    rig.add_argument('--model', metavar='SENSOR', default='omnidirectional',
+                     help='the sensor of all cameras, or a part of its name such as d455')
+    planned.add_argument('--cameras', '--count', dest='count', type=count, metavar='N',
+                         help='how many, or auto; 4 or what the rig file says unless named')
+    planned.add_argument('--target', type=share, default=0.95,
+                         help='with auto: share of what can be reached at all, 0.95 unless named')
+    planned.add_argument('--by', choices=('error', 'seen', 'coverage'), default='error',
+                         help='with auto, share of what: depth error taken away, points seen, or '
+                         'space covered')
+    planned.add_argument('--most', type=at_least(1), default=12,
+                         help='with auto: the most cameras to try')
+    planned.add_argument('--seconds', type=seconds, help='of search for each number of cameras; '
+                         '60, or 15 with auto, unless evaluations are named')
+    planned.add_argument('--evaluations', type=at_least(1),
+                         help='judge so many placements; the same seed finds the same answer')
+    planned.add_argument('--seed', type=at_least(0), default=0, help='of all chance')
+    planned.add_argument('--out', type=Path, default=Path('out/plan'), metavar='DIR',
+                         help='write report, placement, CSV, launch file, xacro and more here')
+    planned.add_argument('--scale', type=float, help='metres per unit of the scan')
+    planned.add_argument('--up', choices=('x', 'y', 'z'), help='axis of the scan that points up')
+    planned.set_defaults(run=_plan, show=_show)

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How long a search may go on: by the clock, by a count, or until somebody has had enough."""
+
+from collections.abc import Callable
+from threading import Event
+import time
+
+
+class Budget:
+    """
+    The limit of a search, which threads may share; its clock runs from the beginning.
+
+    :param seconds: the most time to take.
+    :param evaluations: the most placements to judge; with it and without seconds the same seed
+        finds the same answer.
+    :param clock: tells the seconds.
+    """
+
+    def __init__(self, seconds: float | None = None, evaluations: int | None = None,
+                 clock: Callable[[], float] = time.monotonic) -> None:
+        if seconds is None and evaluations is None:
+            raise ValueError('budget: found no limit; expected seconds, evaluations or both')
+        self.seconds, self.evaluations = seconds, evaluations
+        self._clock, self._began = clock, clock()
+        self._stopped = Event()
+
+    def again(self) -> 'Budget':
+        """Return a budget of the same limits that begins now; who stops one stops the other."""
+        other = Budget(self.seconds, self.evaluations, self._clock)
+        other._stopped = self._stopped
+        return other
+
+    @property
+    def stopped(self) -> bool:
+        """Tell whether somebody has had enough."""
+        return self._stopped.is_set()
+
+    def stop(self) -> None:
+        """End the search at its next step, from any thread or signal handler."""
+        self._stopped.set()
+
+    @property
+    def elapsed(self) -> float:
+        """Return the seconds since the beginning."""
+        return self._clock() - self._began
+
+    def share(self, evaluations: int, most: int | None) -> float:
+        """
+        Return how much of the budget is used up; from 1 on there is nothing left.
+
+        :param evaluations: how many there were.
+        :param most: how many there may be, for a part of the search; None for any number.
+        """
+        if self.stopped:
+            return 1.0
+        shares = [0.0]
+        if self.seconds is not None:
+            shares.append(self.elapsed / self.seconds)
+        if most is not None:
+            shares.append(evaluations / most)
+        return max(shares)

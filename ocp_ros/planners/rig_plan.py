@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where to hang the cameras of a rig in a room, how good that is, and how many are needed."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+import os
+
+import numpy as np
+
+from ocp_ros.configuration import ConfigurationError
+from ocp_ros.planners.budget import Budget
+from ocp_ros.planners.pool import best_addition, Pool, random_sites
+from ocp_ros.planners.rig_search import Answer, Progress, search
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.simulation.config import EngineConfig
+from ocp_ros.simulation.constraints import Allowed
+from ocp_ros.simulation.objective import Objective, simulator_of, Worth
+from ocp_ros.simulation.rig_file import Rig
+
+#: Candidates, the fewest where evaluations are counted, and the share of the time that they get.
+CANDIDATES, FEWEST, LOOKING = 2000, 64, 0.2
+#: Random placements that an answer is compared with.
+RANDOM = 64
+#: Shares that fall short by less are reached.
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Plan:
+    """
+    A placement of a rig in a room and what tells how good it is.
+
+    :ivar rig: the rig.
+    :ivar answer: the placement.
+    :ivar worth: what it is worth.
+    :ivar everywhere: what each camera at all candidates and at all places found so far at once
+        would be worth; no choice among them is worth more.
+    :ivar worst: the depth error of seeing nothing, metres.
+    :ivar random: (R,) losses of random allowed placements; empty where hardly any is.
+    :ivar candidates: how many there were.
+    :ivar seconds: how long it took.
+    """
+
+    rig: Rig
+    answer: Answer
+    worth: Worth
+    everywhere: Worth
+    worst: float
+    random: np.ndarray
+    candidates: int
+    seconds: float
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """
+        Return how much of what can be reached at all the placement reaches.
+
+        :returns: points ``seen``, space for ``coverage`` and depth ``error`` taken away, each as
+            a share of what cameras at all candidates at once reach; 1 where that is nothing.
+        """
+        worth, most = self.worth, self.everywhere
+        pairs = {'seen': (len(worth.seen), len(most.seen)),
+                 'coverage': (worth.space_coverage, most.space_coverage),
+                 'error': (self.worst - worth.depth_error, self.worst - most.depth_error)}
+        return {name: float(part / whole) if whole > 0.0 else 1.0
+                for name, (part, whole) in pairs.items()}
+
+    def reaches(self, by: str, target: float) -> bool:
+        """Tell whether one of the shares is as large, and regions see what they must."""
+        met = all(share >= region.must_see
+                  for region, share in zip(self.rig.regions, self.worth.regions))
+        return met and self.shares[by] >= target - ROUNDING
+
+
+class RigPlanner:
+    """
+    Plan rigs of the same models in one room.
+
+    :param scene: the room.
+    :param rig: a rig; others that are planned may differ in the number of cameras alone.
+    :param engine: settings.
+    :param budget: how long a search may take; that of the first plan pays for the candidates.
+    :param seed: of all chance.
+    :param progress: called several times a second.
+    :raises ConfigurationError: if there is no place for a camera, or too little of a region can
+        be seen.
+    """
+
+    def __init__(self, scene: Scene, rig: Rig, engine: EngineConfig, budget: Budget, seed: int = 0,
+                 progress: Progress | None = None) -> None:
+        self.scene, self.engine, self.budget, self.seed = scene, engine, budget, seed
+        self._progress, self._judges = progress, {}
+        objective, allowed = self.judges_of(rig)
+        most = CANDIDATES
+        if budget.evaluations is not None:
+            most = int(np.clip(budget.evaluations // 2, FEWEST, CANDIDATES))
+        self.pool = Pool(objective, allowed, most, CANDIDATES, os.cpu_count() or 1, self._looked)
+        self._check_regions(objective)
+
+    def judges_of(self, rig: Rig) -> tuple[Objective, Allowed]:
+        """Return what judges placements of a rig, and what holds them to its constraints."""
+        if rig not in self._judges:
+            # Of the last rig alone: an engine holds some ten megabytes.
+            self._judges = {rig: (Objective(simulator_of(self.scene, rig, self.engine), rig),
+                                  Allowed(self.scene, rig))}
+        return self._judges[rig]
+
+    def _looked(self) -> bool:
+        """Tell whether candidates have had their share of the time."""
+        return self.budget.share(0, None) >= LOOKING
+
+    def _check_regions(self, objective: Objective) -> None:
+        """Refuse a rig that asks for more of a region than all candidates see together."""
+        rig = objective.rig
+        shares = objective.judge(self.pool.everywhere(rig)).regions
+        for k, (region, share) in enumerate(zip(rig.regions, shares)):
+            if self.pool.complete and share < region.must_see:
+                raise rig.document.error(
+                    ('regions', k, 'must_see'), f'{100.0 * region.must_see:.1f} % of '
+                    f'{region.name}, of which all {len(self.pool)} candidates together see '
+                    f'{100.0 * share:.1f} %', 'a share that can be seen',
+                    'lower it, or let cameras hang or look elsewhere')
+
+    def plan(self, rig: Rig, before: Answer | None = None) -> Plan:
+        """
+        Find the best placement of a rig.
+
+        :param before: of a rig with one camera less; what is found is worth no less.
+        :raises ConfigurationError: if its cameras do not find room.
+        """
+        objective, allowed = self.judges_of(rig)
+        start = () if before is None else self._and_one_more(objective, before)
+        answer = search(objective, allowed, self.pool, self.budget, self.seed, start,
+                        self._progress)
+        self.pool.add(rig, answer.sites)
+        rng = np.random.default_rng([self.seed, RANDOM])
+        drawn = [random_sites(rig, self.pool, rng) for _ in range(RANDOM)]
+        return Plan(
+            rig, answer, objective.evaluate(answer.poses),
+            objective.judge(self.pool.everywhere(rig)), objective.simulator.depth_error.worst,
+            np.array([objective.loss([site.view for site in sites]) for sites in drawn if sites]),
+            len(self.pool), self.budget.elapsed)
+
+    def _and_one_more(self, objective: Objective, before: Answer) -> tuple:
+        """Return a placement with one more camera, the best addition; () where it has no room."""
+        more = best_addition(objective, self.pool, before.sites)
+        return () if more is None else (*before.sites, more)
+
+    def count_up(self, rig_of_count: Callable[[int], Rig], first: int, most: int
+                 ) -> Iterator[Plan]:
+        """
+        Plan with ever more cameras, each time from the plan before: the loss never rises.
+
+        :param rig_of_count: returns the rig with so many cameras.
+        :param first: how many to begin with.
+        :param most: how many to end with; sooner where no more find room or the budget is stopped.
+        """
+        before = None
+        for count in range(first, most + 1):
+            try:
+                plan = self.plan(rig_of_count(count), before)
+            except ConfigurationError:
+                if before is None:
+                    raise
+                return
+            yield plan
+            if self.budget.stopped:
+                return
+            before, self.budget = plan.answer, self.budget.again()

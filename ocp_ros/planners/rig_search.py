@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Where to hang the cameras of a rig: exchanges among candidates, then small moves, by annealing.
+
+Several searches begin anew, each with a source of chance of its own: how far their answers agree
+says how good the best of them may be. Every proposal is rounded as its file will be and held to
+the rig's constraints before it is judged, so the answer is judged as it will be read.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.planners.annealing import annealed, between
+from ocp_ros.planners.budget import Budget
+from ocp_ros.planners.pool import apart, best_addition, packed, Pool, Site
+from ocp_ros.simulation.constraints import Allowed
+from ocp_ros.simulation.objective import Objective, simulator_of
+from ocp_ros.simulation.placement_file import as_written
+from ocp_ros.simulation.simulator import View
+
+#: Searches that begin anew, and candidates that each begins from.
+SEARCHES, BEGINNINGS = 4, 300
+#: Share of the budget for exchanges among candidates, and rows of the depth maps meanwhile, which
+#: put placements in nearly the same order in a quarter of the time.
+EXCHANGING, QUICK_ROWS = 0.35, 32
+#: First and last temperature of the exchanges and of the moves, in multiples of the loss that a
+#: search begins with.
+HOT, COLD = 0.06, 5e-4
+WARM, COOL = 0.01, 1e-4
+#: Share of exchanges that go anywhere; the others go to one of so many nearest candidates.
+ANYWHERE, NEIGHBOURS = 0.3, 12
+#: Share of exchanges among the moves.
+EXCHANGED = 0.1
+#: Standard deviation of a move's first and last steps: metres and radians.
+FAR, NEAR = np.array([0.4, 0.3]), np.array([0.01, 0.01])
+#: Moves that are drawn at once, of which the first that is allowed is taken.
+DRAWN = 4
+#: Temperatures are taken from this loss at least.
+LEAST = 1e-3
+#: Seconds between two reports of progress.
+REPORTED = 0.2
+#: Gets the share of the budget that is used up and the least loss so far.
+Progress = Callable[[float, float], None]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """
+    The best placement that was found.
+
+    :ivar sites: the cameras where they hang, in the rig's order.
+    :ivar loss: what it is worth; less is better.
+    :ivar losses: what the answer of each search is worth.
+    :ivar evaluations: how many placements were judged, or refused for where a camera hung.
+    """
+
+    sites: tuple[Site, ...]
+    loss: float
+    losses: tuple[float, ...]
+    evaluations: int
+
+    @property
+    def poses(self) -> np.ndarray:
+        """Return (K, 6) metres, map frame, and radians, as files have them."""
+        return np.array([site.pose for site in self.sites])
+
+
+def views_of(sites: Sequence[Site]) -> list[View]:
+    """Return what cameras see."""
+    return [site.view for site in sites]
+
+
+class Search:
+    """
+    One search.
+
+    :param objective: judges placements.
+    :param quick: the same with smaller depth maps.
+    :param allowed: the rig's constraints.
+    :param pool: candidates.
+    :param budget: of all searches.
+    :param rng: the only source of chance.
+    :param start: a placement to begin with, where there is one.
+    """
+
+    def __init__(self, objective: Objective, quick: Objective, allowed: Allowed, pool: Pool,
+                 budget: Budget, rng: np.random.Generator, start: Sequence[Site] = ()) -> None:
+        self.objective, self.quick, self.allowed, self.pool = objective, quick, allowed, pool
+        self.rig, self.budget, self.rng, self.start = objective.rig, budget, rng, tuple(start)
+        self.most = budget.evaluations and max(budget.evaluations // SEARCHES, 1)
+        self.evaluations, self.share, self.least = 0, 0.0, np.inf
+
+    def run(self) -> tuple[Site, ...]:
+        """Return the best placement that is found."""
+        first = self.start or self.fill()
+        self.judge(first)
+        loss = max(self.quick.loss(views_of(first)), LEAST)
+        chosen = annealed(
+            first, lambda sites: self.quick.loss(views_of(sites)), self._exchanged,
+            self._temperatures(loss * HOT, loss * COLD, 0.0, EXCHANGING), self.rng)
+        if self.start and self.objective.loss(views_of(first)) < self.objective.loss(
+                views_of(chosen)):
+            # What larger depth maps say counts.
+            chosen = first
+        return annealed(chosen, self.judge, self._moved,
+                        self._temperatures(loss * WARM, loss * COOL, EXCHANGING, 1.0), self.rng)
+
+    def fill(self) -> tuple[Site, ...]:
+        """Hang one camera after the other where it helps most, each among some candidates."""
+        sites: list[Site] = []
+        count = BEGINNINGS
+        if self.most is not None:
+            count = int(np.clip(self.most // (4 * len(self.rig.cameras)), 1, BEGINNINGS))
+        for camera in self.rig.cameras:
+            total = len(self.pool.kind(camera.model).poses)
+            # Where there is no time left, any placement will do.
+            some = max(min(count if self.used() < 1.0 else 8, total), 1)
+            among = np.sort(self.rng.choice(total, some, replace=False))
+            self.evaluations += some
+            site = (best_addition(self.quick, self.pool, sites, among)
+                    or self._any(sites, camera.model))
+            if site is None:
+                return tuple(packed(self.rig, self.pool))
+            sites.append(site)
+        return tuple(sites)
+
+    def _any(self, sites: Sequence[Site], model: CameraModel) -> Site | None:
+        """Return any candidate of a model that is far enough from others."""
+        far = np.flatnonzero(apart(self.pool.kind(model).poses, sites, self.rig.spacing))
+        return self.pool.site(model, self.rng.choice(far)) if len(far) else None
+
+    def judge(self, sites: Sequence[Site]) -> float:
+        """Return the loss."""
+        loss = self.objective.loss(views_of(sites))
+        self.least = min(self.least, loss)
+        return loss
+
+    def used(self) -> float:
+        """Return how much of the budget is used up."""
+        return self.budget.share(self.evaluations, self.most)
+
+    def _temperatures(self, first: float, last: float, begin: float, end: float
+                      ) -> Iterator[float]:
+        """Yield one temperature for each step, between two shares of the budget."""
+        while (used := self.used()) < end:
+            self.share = max(used - begin, 0.0) / (end - begin)
+            self.evaluations += 1
+            yield between(first, last, self.share)
+
+    def _exchanged(self, sites: tuple[Site, ...]) -> tuple[Site, ...] | None:
+        """Exchange a camera's pose for a candidate, any one or a near one."""
+        camera = int(self.rng.integers(len(sites)))
+        model = self.rig.cameras[camera].model
+        kind = self.pool.kind(model)
+        if self.rng.random() < ANYWHERE:
+            number = int(self.rng.integers(len(kind.poses)))
+        else:
+            number = int(self.rng.choice(kind.near(sites[camera].pose, NEIGHBOURS + 1)))
+        others = (*sites[:camera], *sites[camera + 1:])
+        site = self.pool.site(model, number)
+        if not apart(site.pose[None], others, self.rig.spacing)[0]:
+            return None
+        return (*sites[:camera], site, *sites[camera + 1:])
+
+    def _moved(self, sites: tuple[Site, ...]) -> tuple[Site, ...] | None:
+        """Move and turn a camera a little, or exchange its pose now and then."""
+        if self.rng.random() < EXCHANGED:
+            return self._exchanged(sites)
+        camera = int(self.rng.integers(len(sites)))
+        others = (*sites[:camera], *sites[camera + 1:])
+        model = self.rig.cameras[camera].model
+        poses = self._around(sites[camera].pose, model)
+        good = self.allowed.allowed(poses, model) & apart(poses, others, self.rig.spacing)
+        if not good.any():
+            return None
+        pose = poses[int(np.argmax(good))]
+        site = Site(pose, self.objective.simulator.look(pose, camera))
+        return (*sites[:camera], site, *sites[camera + 1:])
+
+    def _around(self, pose: np.ndarray, model: CameraModel) -> np.ndarray:
+        """Draw poses on the mount near one, allowed or not, as files will have them."""
+        far, turn = between(FAR, NEAR, self.share)
+        poses = np.repeat(pose[None], DRAWN, axis=0)
+        poses[:, :3] += self.rng.normal(0.0, far, (DRAWN, 3))
+        poses[:, :3] = self.allowed.onto_mount(poses[:, :3])
+        if not model.omnidirectional:
+            poses[:, 3:5] += self.rng.normal(0.0, turn, (DRAWN, 2))
+            poses[:, 4] = np.clip(poses[:, 4], *self.rig.pitch)
+        return as_written(poses)
+
+
+def search(objective: Objective, allowed: Allowed, pool: Pool, budget: Budget, seed: int,
+           start: Sequence[Site] = (), progress: Progress | None = None) -> Answer:
+    """
+    Find the best placement of a rig's cameras.
+
+    :param objective: judges placements of the rig.
+    :param allowed: its constraints.
+    :param pool: candidates of all its models.
+    :param budget: how long to go on.
+    :param seed: of all chance.
+    :param start: a placement that the answer is to be no worse than, where there is one.
+    :param progress: called several times a second.
+    :raises ConfigurationError: if there is no placement.
+    """
+    rig, simulator = objective.rig, objective.simulator
+    if len(sites := packed(rig, pool)) < len(rig.cameras):
+        raise rig.document.error(
+            ('spacing',), f'{rig.spacing:g} m, at which only {len(sites)} of the '
+            f'{len(rig.cameras)} cameras find room in {simulator.scene.name}',
+            'a distance at which all do', 'lower it or hang up fewer')
+    engine = replace(simulator.config.engine, error_rows=QUICK_ROWS)
+    quick = Objective(simulator_of(simulator.scene, rig, engine), rig)
+    searches = [Search(objective, quick, allowed, pool, budget, np.random.default_rng([seed, k]),
+                       start if k == 0 else ()) for k in range(SEARCHES)]
+    with ThreadPoolExecutor(SEARCHES) as workers:
+        runs = [workers.submit(one.run) for one in searches]
+        try:
+            while wait(runs, REPORTED).not_done:
+                if progress is not None:
+                    progress(min(one.used() for one in searches),
+                             min(one.least for one in searches))
+        except BaseException:
+            budget.stop()
+            raise
+    found = [run.result() for run in runs]
+    losses = [one.judge(sites) for one, sites in zip(searches, found)]
+    best = int(np.argmin(losses))
+    return Answer(found[best], losses[best], tuple(losses),
+                  sum(one.evaluations for one in searches))

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far cameras see, as drawn: the part of a plan that they reach, and the edges of a cone."""
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from ocp_ros.geometry.cameras import CameraModel, OMNIDIRECTIONAL, PINHOLE, rotation_matrix
+
+#: Directions along each edge of a field of view.
+STEPS = 25
+
+
+def rim(model: CameraModel) -> np.ndarray:
+    """
+    Return directions along the edge of a field of view, once round it.
+
+    :returns: (M, 3) unit vectors, body frame (x forward, y left, z up).
+    """
+    lens, half = model.lens, np.linspace(-1.0, 1.0, STEPS)
+    one = np.ones_like(half)
+    # Bottom, left, top and right, of a square from -1 to 1.
+    across = np.concatenate([half, one, -half, -one])
+    up = np.concatenate([-one, half, one, -half])
+    if lens.kind == PINHOLE:
+        ways = np.column_stack([np.ones(len(across)), across * lens.half_horizontal,
+                                up * lens.half_vertical])
+        return ways / np.linalg.norm(ways, axis=1, keepdims=True)
+    azimuth, elevation = across * 0.5 * model.horizontal_fov, up * 0.5 * model.vertical_fov
+    return np.column_stack([np.cos(elevation) * np.cos(azimuth),
+                            np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+
+
+def reach(model: CameraModel, pose: np.ndarray, heights: tuple[float, float]) -> np.ndarray:
+    """
+    Return the part of a plan that a camera could see if nothing stood in its way.
+
+    :param pose: (6,) metres, map frame, and radians.
+    :param heights: metres, of floor and ceiling, which end what it sees.
+    :returns: (M, 2) metres, map frame, corners of a polygon.
+    """
+    position, turn = pose[:3], rotation_matrix(*pose[3:])
+    if model.lens.kind != PINHOLE:
+        half = 0.5 * model.horizontal_fov
+        azimuth = np.linspace(-half, half, 8 * STEPS)
+        level = np.column_stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)])
+        arc = position + _ended(level @ turn.T, position[2], model.max_range, heights)
+        full = half >= np.pi - 1e-6
+        return arc[:, :2] if full else np.concatenate([arc, [position]])[:, :2]
+    # The directions inside the rim matter as well: straight ahead a camera sees farthest.
+    ways = np.concatenate([scale * rim(model) + [1.0 - scale, 0.0, 0.0]
+                           for scale in np.linspace(0.1, 1.0, 10)])
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    ends = position + _ended(ways @ turn.T, position[2], model.max_range, heights)
+    flat = np.concatenate([ends, [position]])[:, :2]
+    return flat[ConvexHull(flat, qhull_options='QJ').vertices]
+
+
+def _ended(ways: np.ndarray, height: float, far: float, heights: tuple[float, float]
+           ) -> np.ndarray:
+    """Make directions (M, 3) as long as the range, or as floor and ceiling let them be."""
+    room = np.where(ways[:, 2] > 0.0, heights[1] - height, height - heights[0])
+    steep = np.maximum(np.abs(ways[:, 2]), 1e-9)
+    return ways * np.minimum(far, np.maximum(room, 0.0) / steep)[:, None]
+
+
+def edges(model: CameraModel, pose: np.ndarray, length: float) -> np.ndarray:
+    """
+    Return a camera's viewing cone as lines: its rim, and four rays to it.
+
+    :param pose: (6,) metres, map frame, and radians.
+    :param length: metres, from the camera to the rim.
+    :returns: (M, 3) metres, map frame; a row of NaN between two lines; empty for a camera
+        that sees all around.
+    """
+    if model.lens.kind == OMNIDIRECTIONAL:
+        return np.empty((0, 3))
+    ring = pose[:3] + length * rim(model) @ rotation_matrix(*pose[3:]).T
+    gap = np.full((1, 3), np.nan)
+    rays = [np.stack([pose[:3], ring[k]]) for k in range(0, len(ring), STEPS)]
+    lines = [np.concatenate([ring, ring[:1]])] + (rays if model.lens.kind == PINHOLE else [])
+    return np.concatenate([part for line in lines for part in (line, gap)])[:-1]

@@ -1,0 +1,282 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A page without a server: a room to turn around, with what a placement sees in it."""
+
+from base64 import b64encode
+from collections.abc import Iterator, Sequence
+from html import escape
+from importlib import resources
+import json
+from pathlib import Path
+from string import Template
+from typing import Any, NamedTuple
+
+import numpy as np
+import plotly.graph_objects as go
+
+from ocp_ros.report.cones import edges
+from ocp_ros.report.figures import figures_of
+from ocp_ros.report.judged import Judged
+from ocp_ros.report.maps import camera_colour, COUNT_COLOURS, COUNT_NAMES, ERROR_COLOURS
+from ocp_ros.report.room import HEIGHTS, heights_of, INK, PALE_INK, room_of
+from ocp_ros.report.tables import tables_of
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.simulation.zones import Zone
+
+#: Points that the page shows: more take longer to turn than they tell.
+SHOWN = 40000
+#: Metres: grid of positions in the page, which keeps it small.
+ROUND = 3
+#: What is seen, or right, and how much of a wall's votes has to point one way.
+PLAIN, WALL = '#dcdcd6', 0.3
+#: How far a cone is drawn, as a share of the room's diagonal.
+CONE = 0.12
+REGION, NO_GO, MORE = '#009e73', '#cc79a7', '#e69f00'
+
+
+class Layer(NamedTuple):
+    """
+    What can be switched on and off.
+
+    :ivar name: what the switch is called.
+    :ivar traces: what is drawn.
+    :ivar shown: whether it is at first.
+    """
+
+    name: str
+    traces: list[Any]
+    shown: bool = True
+
+
+class Paint(NamedTuple):
+    """
+    A way to colour the points.
+
+    :ivar name: what its switch is called.
+    :ivar values: (N,) from 0 to 1, of all points of the scene.
+    :ivar scale: what these stand for, as plotly has it.
+    :ivar legend: colours and what they mean; empty for a scale from low to high.
+    :ivar ends: what 0 and 1 mean, where there is no legend.
+    """
+
+    name: str
+    values: np.ndarray
+    scale: list[list[Any]]
+    legend: tuple[tuple[str, str], ...] = ()
+    ends: tuple[str, str] = ('', '')
+
+
+def write_view(path: str | Path, scene: Scene, judged: Judged | None = None) -> None:
+    """
+    Write a room as an HTML page that contains all it needs.
+
+    :param path: file to write; its folder is made.
+    :param judged: a placement in the room, to be shown as well.
+    """
+    points = scene.points.astype(np.float64)
+    some = np.arange(len(points))
+    if len(points) > SHOWN:
+        some = np.sort(np.random.default_rng(0).choice(len(points), SHOWN, replace=False))
+    groups, facing = groups_of(points[some])
+    groups = [some[group] for group in groups]
+    paints = paints_of(scene, judged)
+    layers = [Layer('ceiling', [_cloud(points[groups.pop()], '#a3aeb6')], False)]
+    layers += [layer for layer in layers_of(judged) if layer.traces] if judged else []
+    figure = go.Figure([_cloud(points[group], PALE_INK) for group in groups])
+    numbers = []
+    for layer in layers:
+        numbers.append(list(range(len(figure.data), len(figure.data) + len(layer.traces))))
+        figure.add_traces([trace.update(visible=layer.shown) for trace in layer.traces])
+    _lay_out(figure, scene)
+    plot = figure.to_html(full_html=False, include_plotlyjs=True, div_id='view',
+                          config={'displaylogo': False, 'responsive': True})
+    data = {'facing': facing, 'paints': [
+        {'scale': paint.scale, 'values': [_bytes_of(paint.values[group]) for group in groups]}
+        for paint in paints]}
+    template = resources.files('ocp_ros.report').joinpath('viewer.html').read_text('utf-8')
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(Template(template).substitute(
+        title=escape(_title(scene, judged)), subtitle=escape(_subtitle(scene, judged)),
+        paints='\n'.join(map(_paint_switch, paints, range(len(paints)))),
+        layers='\n'.join(map(_layer_switch, layers, numbers)), plot=plot, data=json.dumps(data),
+        tables='' if judged is None else '\n'.join(tables_of(judged))), encoding='utf-8')
+
+
+def _lay_out(figure: go.Figure, scene: Scene) -> None:
+    """Set the axes to the room, in metres, seen from above one corner."""
+    low, high = scene.bounds
+    margin = 0.03 * float((high - low).max())
+    figure.update_layout(
+        template='plotly_white', margin={'l': 0, 'r': 0, 'b': 0, 't': 0}, showlegend=False,
+        uirevision='kept', scene={
+            'aspectmode': 'data', 'camera': {'eye': {'x': -1.0, 'y': -1.35, 'z': 1.35}},
+            **{f'{axis}axis': {'title': {'text': f'{axis} (m)'}, 'color': PALE_INK,
+                               'range': [low[k] - margin, high[k] + margin]}
+               for k, axis in enumerate('xyz')}})
+
+
+def groups_of(points: np.ndarray) -> tuple[list[np.ndarray], list[list[float]]]:
+    """
+    Sort points by the side of the room that has to go for somebody to look inside.
+
+    :param points: (N, 3) metres.
+    :returns: indices of what always stays, of walls that face each of four ways, and of the
+        ceiling; and these four ways, x and y.
+    """
+    room = room_of(points, np.arange(len(points))[:, None])
+    ways = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]]
+    along = room.inward[:, :2] @ np.array(ways).T
+    side = np.where(along.max(axis=1) > WALL, along.argmax(axis=1), -1)
+    shown = room.colours[:, 0]
+    groups = [shown[side == k] for k in range(-1, 4)]
+    return [*groups, np.setdiff1d(np.arange(len(points)), shown)], ways
+
+
+def paints_of(scene: Scene, judged: Judged | None) -> list[Paint]:
+    """Return the ways to colour the points, the one that is shown at first in front."""
+    low, high = np.percentile(scene.points[:, 2], [2.0, 98.0])
+    height = Paint('height', heights_of(scene.points), _scale(HEIGHTS), (),
+                   tuple(f'{value + 0.0:.1f} m' for value in np.round([low, high], 1)))
+    if judged is None:
+        return [height]
+    last = len(COUNT_COLOURS) - 1
+    steps = [[(k + edge) / (last + 1), colour] for k, colour in enumerate(COUNT_COLOURS)
+             for edge in (0, 1)]
+    lost = 1000.0 * judged.lost
+    most = float(np.percentile(lost[lost > 0.0], 98.0)) if (lost > 0.0).any() else 1.0
+    return [Paint('seen by how many cameras', (np.minimum(judged.counts, last) + 0.5) / (last + 1),
+                  steps, tuple(zip(COUNT_NAMES, COUNT_COLOURS))),
+            Paint('what is missed', judged.missed.astype(float),
+                  [[0.0, PLAIN], [0.5, PLAIN], [0.5, COUNT_COLOURS[0]], [1.0, COUNT_COLOURS[0]]],
+                  (('seen', PLAIN), ('missed', COUNT_COLOURS[0]))),
+            Paint('depth error', np.sqrt(np.minimum(lost / most, 1.0)),
+                  [[0.0, PLAIN], *([max(share, 0.004), colour]
+                                   for share, colour in _scale(ERROR_COLOURS))], (),
+                  ('0', f'{most:.2g} mm or more at a point')), height]
+
+
+def _bytes_of(shares: np.ndarray) -> str:
+    """Return shares from 0 to 1 as one byte each, base64."""
+    return b64encode(np.rint(255.0 * shares).astype(np.uint8).tobytes()).decode()
+
+
+def layers_of(judged: Judged) -> Iterator[Layer]:
+    """Return the cameras, what they could see, the rig's zones and where one more would help."""
+    placed, scene, rig = judged.placement.cameras, judged.scene, judged.objective.rig
+    yield Layer('cameras', [_cameras(judged)])
+    longest = float(np.linalg.norm(scene.size))
+
+    def cones(part: float) -> list[go.Scatter3d]:
+        return [_line(edges(one.camera.model, one.pose, min(one.camera.model.max_range,
+                                                            part * longest)),
+                      camera_colour(number), f'camera {number + 1}')
+                for number, one in enumerate(placed) if not one.camera.model.omnidirectional]
+    yield Layer('fields of view', cones(CONE))
+    balls = [_ball(one.position, one.camera.model.max_range, camera_colour(number))
+             for number, one in enumerate(placed) if one.camera.model.omnidirectional]
+    # Cones as long as the range hide the room where there are several.
+    yield Layer('ranges', [*balls, *cones(1.0)], len(balls) == len(placed))
+    for name, zones, colour in (
+            ('regions', {region.name: region.zone for region in rig.regions}, REGION),
+            ('no-go zones', {f'no-go zone {k + 1}': zone for k, zone in enumerate(rig.no_go)},
+             NO_GO)):
+        yield Layer(name, [_line(_outline(zone, scene, judged.floor), colour, label)
+                           for label, zone in zones.items()])
+    more = judged.found.get('one_more')
+    yield Layer('one more camera', [go.Scatter3d(
+        x=[more['position'][0]], y=[more['position'][1]], z=[more['position'][2]],
+        mode='markers', hovertemplate=f'one more {escape(more["sensor"])}: x %{{x:.2f}}, '
+        f'y %{{y:.2f}}, z %{{z:.2f}} m, {more["gain"]:.3f} m less error<extra></extra>',
+        marker={'size': 9, 'color': MORE, 'symbol': 'diamond',
+                'line': {'color': INK, 'width': 2}})] if more else [], False)
+
+
+def _scale(colours: Any) -> list[list[Any]]:
+    """Return a colour map as plotly has it."""
+    return [[share, 'rgb({:.0f},{:.0f},{:.0f})'.format(*(255 * value for value in
+                                                         colours(share)[:3]))]
+            for share in np.linspace(0.0, 1.0, 12).tolist()]
+
+
+def _cloud(points: np.ndarray, colour: str) -> go.Scatter3d:
+    """Draw points."""
+    x, y, z = np.round(points, ROUND).astype(np.float32).T
+    return go.Scatter3d(x=x.copy(), y=y.copy(), z=z.copy(), mode='markers', hoverinfo='skip',
+                        marker={'size': 2.8, 'color': colour, 'line': {'width': 0}})
+
+
+def _cameras(judged: Judged) -> go.Scatter3d:
+    """Draw cameras with their numbers, and how to hang them up where one points at them."""
+    x, y, z = np.array([one.position for one in judged.placement.cameras]).T
+    numbers = range(len(judged.placement.cameras))
+    about = [' <br>'.join(escape(part) for part in words) for words in judged.words]
+    return go.Scatter3d(
+        x=x, y=y, z=z, mode='markers+text', text=[f'<b>{k + 1}</b>' for k in numbers],
+        textposition='top center', textfont={'size': 15, 'color': INK}, customdata=about,
+        hovertemplate='camera %{text}: x %{x:.2f}, y %{y:.2f}, z %{z:.2f} m<br>%{customdata}'
+        '<extra></extra>',
+        marker={'size': 9, 'color': [camera_colour(k) for k in numbers],
+                'line': {'color': 'white', 'width': 2}})
+
+
+def _line(points: np.ndarray, colour: str, label: str) -> go.Scatter3d:
+    """Draw lines (M, 3); rows of NaN end them."""
+    x, y, z = np.round(points, ROUND).T
+    return go.Scatter3d(x=x, y=y, z=z, mode='lines', line={'color': colour, 'width': 3},
+                        hovertemplate=f'{escape(label)}<extra></extra>')
+
+
+def _ball(centre: Sequence[float], radius: float, colour: str) -> go.Mesh3d:
+    """Draw the range of a camera that sees all around."""
+    azimuth, elevation = np.meshgrid(np.linspace(-np.pi, np.pi, 37),
+                                     np.linspace(-np.pi / 2, np.pi / 2, 19))
+    way = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
+                    np.sin(elevation)], axis=-1).reshape(-1, 3)
+    x, y, z = np.round(np.asarray(centre) + radius * way, ROUND).T
+    return go.Mesh3d(x=x, y=y, z=z, alphahull=0, color=colour, opacity=0.05, hoverinfo='skip')
+
+
+def _outline(zone: Zone, scene: Scene, floor: float) -> np.ndarray:
+    """Return the edges of a zone (M, 3), as far as the room goes."""
+    lift = floor if zone.above_floor else 0.0
+    bottom, top = np.clip([zone.low[2] + lift, zone.high[2] + lift], *scene.bounds[:, 2])
+    corners = zone.polygon
+    if corners is None:
+        (x0, y0), (x1, y1) = zone.low[:2], zone.high[:2]
+        corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+    rings = [np.column_stack([np.concatenate([corners, corners[:1]]),
+                              np.full(len(corners) + 1, z)]) for z in (bottom, top)]
+    gap = np.full((1, 3), np.nan)
+    posts = [np.array([[x, y, bottom], [x, y, top]]) for x, y in corners]
+    return np.concatenate([part for line in (*rings, *posts) for part in (line, gap)])[:-1]
+
+
+def _title(scene: Scene, judged: Judged | None) -> str:
+    """Return the headline."""
+    return scene.name if judged is None else figures_of(judged).title
+
+
+def _subtitle(scene: Scene, judged: Judged | None) -> str:
+    """Return the line below the headline."""
+    shown = min(len(scene), SHOWN)
+    text = f'{" x ".join(f"{edge:.1f}" for edge in scene.size)} m, {len(scene):,} points' \
+        if judged is None else figures_of(judged).subtitle
+    return text + (f'; {shown:,} points are shown' if shown < len(scene) else '')
+
+
+def _paint_switch(paint: Paint, number: int) -> str:
+    """Return the switch of a way to colour the points, and what its colours mean."""
+    legend = ''.join(f'<i style="background:{colour}"></i>{escape(name)} '
+                     for name, colour in paint.legend)
+    if not paint.legend:
+        stops = ', '.join(f'{colour} {100 * share:.0f}%' for share, colour in paint.scale)
+        low, high = map(escape, paint.ends)
+        legend = f'{low} <b style="background:linear-gradient(to right, {stops})"></b> {high}'
+    return (f'<label><input type="radio" name="paint" value="{number}"'
+            f'{"" if number else " checked"}> {escape(paint.name)}</label><small>{legend}</small>')
+
+
+def _layer_switch(layer: Layer, numbers: list[int]) -> str:
+    """Return the switch of a layer, which knows its traces by number."""
+    return (f'<label><input type="checkbox" data-traces="{numbers}"'
+            f'{" checked" if layer.shown else ""}> {escape(layer.name)}</label>')

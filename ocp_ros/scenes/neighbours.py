@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Nearest neighbours of all points of a cloud among themselves.
+
+Clouds that were thinned on a voxel grid are even: the points nearest to one lie in the few cells
+of a coarse grid around it, which are looked through faster than a tree is built. What is not found
+so, and clouds that are not even, are left to a k-d tree.
+"""
+
+from itertools import product
+
+from numba import njit
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ocp_ros.geometry.clouds import corners_of
+
+#: Points that an occupied cell should hold, as a share of the neighbours that are sought: most of
+#: these then lie in the 27 cells around a point.
+SHARE = 0.5
+#: A cloud is not even if its fullest cell holds so many times as many, or if there are so many
+#: cells per point.
+CROWDED, SPARSE = 16.0, 16.0
+
+
+def nearest(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Find the points nearest to each point, itself first.
+
+    :param points: (N, 3), metres, N >= 1.
+    :param count: how many to find, K.
+    :returns: distances (N, K) float64, metres, ascending, and indices (N, K) int64; infinity and N
+        where there are fewer points than that.
+    """
+    points = np.ascontiguousarray(points, dtype=np.float64)
+    low, high = corners_of(points)
+    extent = high - low
+    # A room has about the surface of its bounding box.
+    surface = 2.0 * float(extent @ np.roll(extent, 1))
+    edge = np.sqrt(max(surface, 1e-12) * SHARE * count / len(points))
+    # A border of empty cells: every cell of a point has all its neighbours.
+    shape = np.floor(extent / edge) + 3
+    if len(points) > count and np.prod(shape) <= SPARSE * len(points):
+        shape = shape.astype(np.int64)
+        cells = ((points - low) / edge).astype(np.int64) + 1
+        numbers = (cells[:, 0] * shape[1] + cells[:, 1]) * shape[2] + cells[:, 2]
+        held = np.bincount(numbers, minlength=np.prod(shape))
+        if held.max() <= CROWDED * SHARE * count:
+            order = np.argsort(numbers, kind='stable')
+            starts = np.concatenate([[0], np.cumsum(held)])
+            offsets = np.array(sorted(product((-1, 0, 1), repeat=3), key=np.linalg.norm))
+            around = offsets @ [shape[1] * shape[2], shape[2], 1]
+            distances, indices = _search(points[order], order, numbers[order], starts, around,
+                                         count)
+            far = np.flatnonzero(distances[:, -1] > edge)
+            if len(far):
+                distances[far], indices[far] = _by_tree(points, points[far], count)
+            return distances, indices
+    return _by_tree(points, points, count)
+
+
+def _by_tree(points: np.ndarray, of: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Find the points nearest to some (M, 3); see :func:`nearest`."""
+    return cKDTree(points).query(of, k=np.arange(1, count + 1))
+
+
+@njit(cache=True, nogil=True)
+def _search(points, order, numbers, starts, around, count):
+    """
+    Look through the 27 cells around each point.
+
+    :param points: (N, 3) float64, metres, in the order of their cells.
+    :param order: (N,) int64, what their indices are among the caller's points.
+    :param numbers: (N,) int64, the cell of each.
+    :param starts: (C + 1,) int64, where each cell begins.
+    :param around: (27,) int64, the way from the number of a cell to those around it.
+    :param count: how many to find, K.
+    :returns: distances (N, K) and indices (N, K) in the caller's order; a last distance of more
+        than the edge says that nearer ones may lie elsewhere.
+    """
+    distances = np.full((points.shape[0], count), np.inf)
+    indices = np.full((points.shape[0], count), points.shape[0])
+    squares, found = np.empty(count), np.empty(count, dtype=np.int64)
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        squares[:] = np.inf
+        last = count - 1
+        for number in numbers[i] + around:
+            for j in range(starts[number], starts[number + 1]):
+                dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
+                square = dx * dx + dy * dy + dz * dz
+                if square < squares[last]:
+                    k = last
+                    while k > 0 and squares[k - 1] > square:
+                        squares[k], found[k] = squares[k - 1], found[k - 1]
+                        k -= 1
+                    squares[k], found[k] = square, j
+        own = order[i]
+        for k in range(count):
+            if squares[k] < np.inf:
+                distances[own, k], indices[own, k] = np.sqrt(squares[k]), order[found[k]]
+    return distances, indices

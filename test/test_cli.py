@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all commands of ocp have in common: contents, examples, and JSON on stdout alone."""
+
+import json
+import shlex
+
+from hypothesis import given
+from hypothesis import settings as budget
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from ocp_ros import cli
+from ocp_ros.command_line import document
+from ocp_ros.scenes.files import save_scene
+from ocp_ros.scenes.rooms import generate_room
+
+PLACEMENT = """\
+cameras:
+  - {sensor: realsense_d455, position: [2.0, 2.0, 1.9], yaw: 45, pitch: 25}
+"""
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    """Write a room and a placement to the folder that is worked in."""
+    for name in ('room.ply', '<b>&.ply'):
+        save_scene(generate_room(8, 1500), tmp_path / name)
+    (tmp_path / 'placement.yaml').write_text(PLACEMENT)
+    (tmp_path / 'train.yaml').write_text('nonsense: 1\n')
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def printed(capsys, *arguments):
+    """Return the exit code of a command and the one document that it prints."""
+    code = cli.main([*arguments, '--json'])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_help_lists_every_command_under_what_one_wants(capsys):
+    with pytest.raises(SystemExit) as end:
+        cli.main(['--help'])
+    out = capsys.readouterr().out
+    assert end.value.code == 0 and out.startswith('usage: ocp COMMAND ...')
+    listed = [line.split()[0] for line in out.splitlines() if line.startswith('  ')]
+    for name in ('plan', 'score', 'view', 'replay', 'rooms', 'train', 'evaluate', 'benchmark'):
+        assert listed.count(name) == 1, name
+    assert out.index('judge a placement:') < out.index('  score') < out.index('look at')
+
+
+@pytest.mark.parametrize('example', cli.commands().examples)
+def test_every_example_can_be_read_and_stands_in_the_help_of_its_command(example, capsys):
+    words = shlex.split(example)
+    assert words[0] == 'ocp'
+    cli.parser().parse_args(words[1:])
+    command = words[1:3] if words[1] == 'rooms' else words[1:2]
+    with pytest.raises(SystemExit):
+        cli.main([*command, '--help'])
+    out = capsys.readouterr().out
+    assert example in out and '--json' in out
+
+
+@pytest.mark.parametrize(('arguments', 'keys'), [
+    (['score', 'room.ply', 'placement.yaml'], {'room', 'cameras', 'scores', 'broken', 'missed',
+                                               'one_more', 'notes'}),
+    (['view', 'room.ply'], {'room', 'written'}),
+    (['rooms', 'list', '--count', '2'], {'rooms'}),
+    (['rooms', 'make', '8', '--points', '1000', '--out', 'made'], {'folder', 'written'}),
+    (['rooms', 'preview', '8', '--points', '1000', '--out', 'a.png'], {'written'}),
+    (['evaluate', '--planners', 'regular_grid,random', '--budgets', '5', '--workers', '1',
+      '--out', 'evaluation', '--rooms', 'room.ply'], {'command', 'date', 'model', 'rotations',
+                                                      'seeds', 'cameras'})])
+def test_json_is_all_that_a_command_prints(files, capsys, arguments, keys):
+    code, found = printed(capsys, *arguments)
+    assert code == 0 and set(found) == keys
+    for path in found.get('written', ()):
+        assert (files / path).is_file()
+
+
+@pytest.mark.parametrize(('arguments', 'words'), [
+    (['score', 'none.ply', 'placement.yaml'], 'none.ply: found no such file'),
+    (['score', 'room.ply'], 'required: PLACEMENT'),
+    (['view', 'room.ply', '--out', '.'], '--out: found ., which cannot be written'),
+    (['view', 'room.ply', '--rig', 'rig.yaml'], 'and no placement'),
+    (['train', '--config', 'train.yaml', '--out', 'out'], 'nonsense'),
+    (['evaluate', '--seeds', '0'], "found '0'; expected 1 or more"),
+    (['benchmark', '--scale', '0.1'], 'found no --rooms'),
+    (['rooms', 'list', '--count', 'x'], "found 'x'"),
+    (['paint'], 'invalid choice'), ([], 'required: COMMAND')])
+def test_errors_are_json_where_it_is_asked_for(files, capsys, arguments, words):
+    code, found = printed(capsys, *arguments)
+    assert code == 2 and set(found) == {'error'} and words in found['error']
+
+
+def test_a_page_of_a_room_needs_no_placement_and_no_network(files, capsys):
+    assert cli.main(['view', '<b>&.ply', 'placement.yaml', '--out', 'new/page.html']) == 0
+    assert capsys.readouterr().out == 'wrote new/page.html\n'
+    page = (files / 'new' / 'page.html').read_text()
+    assert cli.main(['view', '8', '--out', 'bare.html']) == 0
+    bare = (files / 'bare.html').read_text()
+    for words in ('depth error', 'What is missed'.lower(), 'fields of view', 'above the floor'):
+        assert words in page.split('</script>')[-2] + page.split('<aside>')[1], words
+        assert words not in bare.split('<aside>')[1].split('<script>')[0]
+    # Names are shown, not obeyed.
+    assert '<b>&' not in page.split('<aside>')[1] and '&lt;b&gt;&amp;' in page
+    assert '<script src=' not in page and '<link' not in page
+
+
+def test_a_page_is_opened_where_that_is_wanted(files, capsys, monkeypatch):
+    opened = []
+    monkeypatch.setattr('webbrowser.open', lambda address: opened.append(address))
+    assert cli.main(['view', 'room.ply', '--out', 'page.html', '--open']) == 0
+    assert opened == [(files / 'page.html').resolve().as_uri()]
+    assert 'no browser was found; open page.html' in capsys.readouterr().err
+
+
+values = st.recursive(st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+                      lambda parts: st.lists(parts) | st.dictionaries(st.text(), parts))
+
+
+@given(value=values)
+@budget(max_examples=60, deadline=None)
+def test_a_document_is_json_whatever_was_found(value):
+    def refuse(word):
+        raise AssertionError(word)
+    found = json.loads(document({'value': value, 'array': np.array([1.0, np.nan])}),
+                       parse_constant=refuse)
+    assert found['array'] == [1.0, None] and set(found) == {'value', 'array'}

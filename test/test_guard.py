@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands are held to a rig file, whatever the planner and the turns are."""
+
+from conftest import box_room, box_sides
+from hypothesis import given
+from hypothesis import settings as budget
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from ocp_ros.agent.guard import ABOVE, Guard
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.simulation.constraints import Allowed
+from ocp_ros.simulation.rig_file import rig_of
+from ocp_ros.simulation.surfaces import floor_height
+
+MARGIN = 0.1
+FIXED = {'sensor': 'omnidirectional', 'position': [3.0, 2.0, 1.9]}
+MOUNTS = ({'on': 'plane', 'height': 1.9}, {'on': 'free', 'height': [1.5, 2.2]},
+          {'on': 'walls', 'height': [1.5, 2.3]}, {'on': 'ceiling'})
+
+
+@st.composite
+def turns(draw):
+    """Draw a rig, what it has seen of a room, and some turns: targets of any kind."""
+    mount = draw(st.sampled_from(MOUNTS))
+    low = draw(st.tuples(st.floats(0.5, 4.0), st.floats(0.5, 2.5)))
+    rig = rig_of(3, 'omnidirectional', mount=mount, keep_clear=draw(st.floats(0.0, 0.5)),
+                 spacing=draw(st.floats(0.0, 1.0)), fixed=[FIXED] if draw(st.booleans()) else [],
+                 no_go=[{'box': [[*low, 0.0], [low[0] + 1.5, low[1] + 1.0, 3.0]]}])
+    rng = np.random.default_rng(draw(st.integers(0, 2 ** 31)))
+    points = box_sides(np.array([6.0, 4.0, 2.8]), np.array([3.0, 2.0, 1.4]), 0.15)
+    points = points.astype(np.float32)
+    # Some of a room: what lies on one side of a plane.
+    way = rng.normal(size=2)
+    seen = points[(points[:, :2] - [3.0, 2.0]) @ way > rng.uniform(-4.0, 0.5)
+                  * np.linalg.norm(way)]
+    positions = np.column_stack([rng.uniform(0.3, 5.7, 3), rng.uniform(0.3, 3.7, 3),
+                                 np.full(3, draw(st.sampled_from([1.9, 2.7, 1.0])))])
+    targets = positions + np.concatenate([rng.normal(0.0, 0.5, (4, 3, 2)), np.zeros((4, 3, 1))],
+                                         axis=2)
+    return rig, seen, positions, targets, draw(st.floats(0.1, 1.0))
+
+
+@budget(max_examples=25, deadline=None)
+@given(turns())
+def test_every_command_holds_or_the_camera_stays(drawn):
+    rig, seen, positions, moves, max_step = drawn
+    guard, scene = Guard(rig, MARGIN), Scene(seen, 'seen')
+    for targets in moves:
+        found, _ = guard(seen, positions, targets, max_step)
+        check(rig, scene, positions, found, max_step)
+        positions = found
+    if not np.array_equal(positions, drawn[2]) and not len(rig.fixed):
+        # The judge of whole rooms agrees, where it can judge one of which a part is seen.
+        moved = np.abs(positions - drawn[2]).max(axis=1) > 0.0
+        top = float(max(drawn[2][:, 2].max(), positions[:, 2].max())) + ABOVE
+        assert Allowed(scene, rig, top).allowed(positions[moved]).all()
+
+
+def check(rig, scene, before, after, max_step):
+    """Assert that cameras that moved are where they may be; each rule by other means."""
+    assert np.linalg.norm(after - before, axis=1).max() <= max_step + 1e-6
+    moved = np.flatnonzero(np.abs(after - before).max(axis=1) > 1e-9)
+    if not len(moved):
+        return
+    floor, places = floor_height(scene), after[moved]
+    for zone in rig.no_go:
+        assert not zone.contains(places, floor).any()
+    low, high = scene.bounds[:, :2]
+    assert (places[:, :2] >= low + MARGIN - 1e-6).all()
+    assert (places[:, :2] <= high - MARGIN + 1e-6).all()
+    if rig.mount.heights is not None:
+        above = places[:, 2] - floor
+        assert (above >= rig.mount.heights[0] - 0.011).all()
+        assert (above <= rig.mount.heights[1] + 0.011).all()
+    if rig.mount.on in ('plane', 'free'):
+        assert cKDTree(scene.points).query(places)[0].min() >= rig.keep_clear - 0.0011
+    for camera in moved:
+        others = np.concatenate([np.delete(after, camera, axis=0), rig.fixed_poses[:, :3]])
+        assert np.linalg.norm(others - after[camera], axis=1).min() >= rig.spacing - 1e-9
+
+
+@pytest.mark.parametrize(('keep_clear', 'expected'), [(0.0, 0.2), (0.6, 0.6)])
+def test_a_target_too_near_to_a_wall_is_moved_to_the_nearest_place(keep_clear, expected):
+    rig = rig_of(1, 'omnidirectional', keep_clear=keep_clear, mount=MOUNTS[0])
+    position, target = np.array([[0.9, 2.0, 1.9]]), np.array([[0.2, 2.0, 1.9]])
+    found, held = Guard(rig, MARGIN)(box_room().points, position, target, 1.0)
+    assert not held
+    # The known floor ends a cell before the wall.
+    assert expected - 1e-3 <= found[0, 0] <= expected + 0.1
+    np.testing.assert_allclose(found[0, 1:], [2.0, 1.9], atol=0.03)
+
+
+def test_a_target_that_is_allowed_is_left_as_it_is():
+    rig = rig_of(2, 'omnidirectional', mount=MOUNTS[0], spacing=0.5)
+    positions = np.array([[2.0, 2.0, 1.9], [3.0, 2.0, 1.9]])
+    targets = positions + [[-0.1, 0.234, 0.0], [0.3, -0.1, 0.0]]
+    found, held = Guard(rig, MARGIN)(box_room().points, positions, targets, 0.5)
+    np.testing.assert_array_equal(found, targets)
+    assert not held
+
+
+def test_a_camera_with_nowhere_to_go_stays_and_says_so():
+    rig = rig_of(1, 'omnidirectional', mount=MOUNTS[0],
+                 no_go=[{'box': [[0.0, 0.0, 0.0], [6.0, 4.0, 3.0]]}])
+    position = np.array([[2.0, 2.0, 1.9]])
+    found, held = Guard(rig, MARGIN)(box_room().points, position, position + 0.1, 0.5)
+    np.testing.assert_array_equal(found, position)
+    assert len(held) == 1 and 'found no allowed place within 0.5 m' in held[0]
+
+
+def test_cameras_stay_while_what_they_hang_on_was_not_seen():
+    rig = rig_of(1, 'omnidirectional', mount={'on': 'ceiling'})
+    points = box_room().points
+    position = np.array([[2.0, 2.0, 2.7]])
+    guard = Guard(rig, MARGIN)
+    found, held = guard(points[points[:, 2] < 1.5], position, position + [[0.3, 0.0, 0.0]], 0.5)
+    np.testing.assert_array_equal(found, position)
+    assert 'all cameras stay' in held[0] and 'ceiling' in held[0]
+    found, held = guard(points, position, position + [[0.3, 0.0, 0.0]], 0.5)
+    assert not held and found[0, 0] == pytest.approx(2.3)
+
+
+def test_cameras_that_do_not_see_above_themselves_can_move():
+    rig = rig_of(1, 'realsense_d455', mount={'on': 'plane', 'height': 2.2})
+    points = box_room().points
+    position = np.array([[2.0, 2.0, 2.2]])
+    found, held = Guard(rig, MARGIN)(
+        points[points[:, 2] < 1.6], position, position + [[0.3, 0.0, 0.0]], 0.5)
+    assert not held and found[0, 0] == pytest.approx(2.3)
+
+
+def test_crowded_cameras_part():
+    rig = rig_of(4, 'omnidirectional', mount={'on': 'plane', 'height': 1.9}, spacing=0.6)
+    middle = np.array([3.0, 2.0, 1.9])
+    positions = middle + np.array([[0.1, 0, 0], [-0.1, 0, 0], [0, 0.1, 0], [0, -0.1, 0]])
+    guard = Guard(rig, MARGIN)
+    for _ in range(4):
+        positions, _ = guard(box_room().points, positions, positions, 0.5)
+    apart = np.linalg.norm(positions[:, None] - positions, axis=2)[np.triu_indices(4, 1)]
+    assert apart.min() >= 0.6

@@ -1,0 +1,424 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ocp plan: its placements keep to the rig, are worth what it says, and come again."""
+
+from dataclasses import replace
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+
+from conftest import BAD_ROOMS, box_room, box_sides, ROOT
+from hypothesis import given, settings, strategies
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+import yaml
+
+from ocp_ros.benchmark.counting import curves, needed
+from ocp_ros.cli import main
+from ocp_ros.configuration import ConfigurationError
+from ocp_ros.geometry.blocks import count_bits
+from ocp_ros.planners.budget import Budget
+from ocp_ros.planners.pool import apart, best_addition, packed, Pool, random_sites
+from ocp_ros.planners.rig_plan import RigPlanner
+from ocp_ros.planners.rig_search import search
+from ocp_ros.scenes.files import save_scene
+from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.simulation.config import EngineConfig
+from ocp_ros.simulation.constraints import Allowed
+from ocp_ros.simulation.objective import Objective, simulator_of
+from ocp_ros.simulation.rig_file import load_rig, rig_of, with_count
+
+FAST = EngineConfig(preset='fast', error_rows=32)
+RIG = """\
+cameras:
+  - {sensor: realsense_d455, count: 2}
+  - {sensor: omnidirectional, max_range: 3.0, name: ball}
+fixed:
+  - {sensor: realsense_d455, position: [6.5, 6.5, 2.2], yaw: 225, pitch: 25, name: door}
+mount: {on: free, height: [1.6, 2.2]}
+pitch: [10, 60]
+spacing: 0.8
+regions:
+  - {name: table, box: [[2, 2, 0], [5, 5, 1.5]], weight: 2.0}
+"""
+
+
+@pytest.fixture(scope='module')
+def furnished():
+    """Return a box of 6 x 4 x 2.8 m with a closed cabinet of 1 x 1 x 2 m in it."""
+    cabinet = box_sides(np.array([1.0, 1.0, 2.0]), np.array([4.0, 2.0, 1.0]))
+    return Scene(np.concatenate([box_room().points, cabinet]).astype(np.float32), 'furnished')
+
+
+def judges(scene, rig, engine=FAST):
+    """Return what judges placements of a rig and holds them to its constraints."""
+    return Objective(simulator_of(scene, rig, engine), rig), Allowed(scene, rig)
+
+
+def found_by(scene, rig, evaluations=240, seed=0, start=()):
+    """Search with few candidates."""
+    objective, allowed = judges(scene, rig)
+    pool = Pool(objective, allowed, 120)
+    budget = Budget(evaluations=evaluations)
+    return search(objective, allowed, pool, budget, seed, start), objective, pool
+
+
+HEIGHTS = {'plane': (1.9, 1.9), 'ceiling': (2.5, 2.75), 'rods': (2.0, 2.0), 'walls': (1.7, 2.3),
+           'free': (1.2, 2.2)}
+MOUNTS = {'plane': {'on': 'plane', 'height': 1.9}, 'ceiling': {'on': 'ceiling'},
+          'rods': {'on': 'ceiling', 'height': 2.0},
+          'walls': {'on': 'walls', 'height': [1.7, 2.3]},
+          'free': {'on': 'free', 'height': [1.2, 2.2]}}
+
+
+@settings(deadline=None, max_examples=25)
+@given(mount=strategies.sampled_from(sorted(MOUNTS)), spacing=strategies.floats(0.0, 1.5),
+       keep_clear=strategies.floats(0.05, 0.4), low=strategies.floats(-30.0, 50.0),
+       cameras=strategies.lists(strategies.sampled_from(
+           ['realsense_d455', 'kinect_v2', 'omnidirectional', 'vlp16']), min_size=1, max_size=3),
+       side=strategies.floats(1.0, 5.0), in_place=strategies.booleans(),
+       seed=strategies.integers(0, 99), seen_by=strategies.integers(1, 2))
+def test_whatever_is_asked_every_camera_keeps_to_it(
+        furnished, mount, spacing, keep_clear, low, cameras, side, in_place, seed, seen_by):
+    fixed = [{'sensor': 'kinect_v2', 'position': [1.0, 1.0, 2.0], 'name': 'door'}] * in_place
+    zone = {'polygon': [[side, 0.0], [side + 0.8, 0.0], [side + 0.8, 4.0], [side, 4.0]]}
+    rig = rig_of(1, mount=MOUNTS[mount], pitch=[low, low + 15.0], spacing=spacing,
+                 keep_clear=keep_clear, no_go=[zone], fixed=fixed)
+    several = [rig_of(1, name).cameras[0]._replace(name=f'{name}_{k}')
+               for k, name in enumerate(cameras)]
+    rig = replace(rig, cameras=tuple(several),
+                  seen_by=min(seen_by, len(cameras) + len(fixed)))
+    answer, objective, _ = found_by(furnished, rig, seed=seed)
+    poses = answer.poses
+    assert poses.shape == (len(cameras), 6)
+    assert Allowed(furnished, rig).broken(poses) == []
+    assert objective.evaluate(poses).loss == answer.loss == min(answer.losses)
+    # The same by hand, in a room whose measures are known.
+    x, y, z = poses[:, :3].T
+    least, most = HEIGHTS[mount]
+    assert (z >= least - 0.011).all() and (z <= most + 0.011).all()
+    assert (x > 0).all() and (x < 6).all() and (y > 0).all() and (y < 4).all()
+    assert not ((x > side) & (x < side + 0.8)).any()
+    assert not ((abs(x - 4) < 0.5) & (abs(y - 2) < 0.5) & (z < 2)).any()
+    places = np.vstack([poses[:, :3], *(one['position'] for one in fixed)])
+    away = np.linalg.norm(places[:, None] - places[None], axis=2)
+    assert (away[np.triu_indices(len(places), 1)] >= spacing - 0.0011).all()
+    turned = np.array(cameras) != 'omnidirectional'
+    pitch = np.rad2deg(poses[turned, 4])
+    assert (pitch >= low - 0.6).all() and (pitch <= low + 15.6).all()
+    points = furnished.points
+    if mount == 'ceiling':
+        points = points[points[:, 2] < 2.7]
+    if mount == 'walls':
+        on_wall = (points[:, :2] < 0.01) | (points[:, :2] > np.array([5.99, 3.99]))
+        assert (np.minimum(np.minimum(x, 6 - x), np.minimum(y, 4 - y)) < 0.25).all()
+        points = points[~on_wall.any(axis=1)]
+    assert (cKDTree(points).query(poses[:, :3])[0] >= keep_clear - 0.0011).all()
+
+
+@pytest.mark.parametrize('mount', MOUNTS)
+def test_a_search_beats_what_it_begins_with_and_chance(furnished, mount):
+    rig = rig_of(2, 'd455', mount=MOUNTS[mount])
+    answer, objective, pool = found_by(furnished, rig, 2000)
+    rng = np.random.default_rng(0)
+    chance = [objective.loss([site.view for site in random_sites(rig, pool, rng)])
+              for _ in range(40)]
+    sites = ()
+    for _ in range(2):
+        sites = (*sites, best_addition(objective, pool, sites))
+    greedy = objective.loss([site.view for site in sites])
+    assert answer.loss <= greedy and answer.loss < min(chance)
+    everywhere = objective.loss(pool.everywhere(rig))
+    assert everywhere <= min(chance) and everywhere <= greedy
+
+
+def test_a_search_finds_the_best_choice_of_few(furnished):
+    rig = rig_of(2, mount=MOUNTS['plane'])
+    answer, objective, pool = found_by(furnished, rig, 3000)
+    views = pool.kind(rig.models[0]).views
+    best = min(objective.loss([one, other]) for k, one in enumerate(views) for other in views[:k])
+    assert answer.loss <= best
+
+
+def test_the_same_seed_finds_the_same(furnished):
+    rig = rig_of(2, 'd455', mount=MOUNTS['walls'])
+    one, again, other = (found_by(furnished, rig, 800, seed)[0] for seed in (1, 1, 2))
+    assert np.array_equal(one.poses, again.poses) and one.losses == again.losses
+    assert not np.array_equal(one.poses, other.poses)
+
+
+def test_a_search_is_no_worse_than_what_it_is_given(furnished):
+    rig = rig_of(2, 'd455')
+    first, _, pool = found_by(furnished, rig, 3000)
+    for evaluations in (1, 100):
+        again, _, _ = found_by(furnished, rig, evaluations, 5, first.sites)
+        assert again.loss <= first.loss
+
+
+def test_two_cameras_for_each_place_hang_where_they_see_the_same(furnished):
+    rig = rig_of(2, 'd455', seen_by=2)
+    answer, objective, _ = found_by(furnished, rig, 2000)
+    seen = [site.view.seen for site in answer.sites]
+    assert answer.loss < 0.97 and count_bits(seen[0] & seen[1]) > 100
+
+
+def test_cameras_that_hardly_find_room_are_packed(furnished):
+    # Four of them fit only near the corners of what the walls leave.
+    rig = rig_of(4, mount=MOUNTS['plane'], spacing=2.6)
+    answer, _, pool = found_by(furnished, rig, 50)
+    assert len(packed(rig, pool)) == 4
+    assert Allowed(furnished, rig).broken(answer.poses) == []
+
+
+def test_one_more_camera_is_the_best_of_all_candidates(furnished):
+    rig = rig_of(2, 'd455', spacing=1.0)
+    objective, allowed = judges(furnished, rig)
+    pool = Pool(objective, allowed, 60)
+    kind = pool.kind(rig.models[0])
+    first = pool.site(rig.models[0], 7)
+    more = best_addition(objective, pool, [first])
+    losses = np.array([objective.loss([first.view, view]) for view in kind.views])
+    far = apart(kind.poses, [first], 1.0)
+    assert 0 < far.sum() < len(far)
+    assert objective.loss([first.view, more.view]) == losses[far].min()
+
+
+@pytest.mark.parametrize(('more', 'words'), [
+    ({'spacing': 9.0}, r'spacing: found 9 m, at which only 1 of the 2 cameras find room in '
+     r'furnished; .*; lower it or hang up fewer'),
+    ({'keep_clear': 3.0}, r'mount: found no place in furnished where .*, for keep_clear takes '
+     r'\d+ of the \d+'),
+    ({'no_go': [{'box': [[-9, -9, -9], [99, 99, 99]]}]}, r'for no_go\[0\] takes \d+ of'),
+    ({'fixed': [{'sensor': 'kinect_v2', 'position': [3, 2, 1.9]}], 'spacing': 8.0},
+     r'for spacing takes \d+ of'),
+    ({'regions': [{'name': 'inside', 'box': [[3.4, 1.4, -0.1], [4.6, 2.6, 0.1]],
+                   'must_see': True}]},
+     r'regions\[0\].must_see: found 95.0 % of inside, of which all \d+ candidates together see '
+     r'\d+.\d %; expected a share that can be seen')])
+def test_what_cannot_be_is_refused_by_name(furnished, more, words):
+    rig = rig_of(2, 'd455', **more)
+    with pytest.raises(ConfigurationError, match=words) as caught:
+        RigPlanner(furnished, rig, FAST, Budget(evaluations=4000)).plan(rig)
+    assert '\n' not in str(caught.value)
+
+
+def test_who_has_had_enough_gets_the_best_so_far(furnished):
+    rig = rig_of(2, 'd455')
+    objective, allowed = judges(furnished, rig)
+    pool, budget = Pool(objective, allowed, 120), Budget(seconds=3600.0)
+    calls = []
+
+    def progress(share, loss):
+        calls.append((share, loss))
+        if np.isfinite(loss):
+            budget.stop()
+
+    answer = search(objective, allowed, pool, budget, 0, (), progress)
+    assert budget.stopped and calls[-1][1] >= answer.loss and allowed.broken(answer.poses) == []
+
+
+def test_a_budget_runs_out_by_what_comes_first():
+    now = [0.0]
+    budget = Budget(10.0, 100, lambda: now[0])
+    assert budget.share(50, 100) == 0.5
+    now[0] = 8.0
+    assert budget.share(50, 100) == 0.8 and budget.share(50, None) == 0.8
+    other = budget.again()
+    assert other.share(0, 100) == 0.0 and other.elapsed == 0.0
+    other.stop()
+    assert budget.stopped and budget.share(0, None) == 1.0
+    with pytest.raises(ValueError, match='budget: found no limit'):
+        Budget()
+
+
+def test_more_cameras_are_worth_no_less(furnished):
+    rig = rig_of(1, 'd455', mount=MOUNTS['plane'])
+    planner = RigPlanner(furnished, rig, FAST, Budget(evaluations=300))
+    plans = list(planner.count_up(lambda count: with_count(rig, count), 1, 5))
+    assert [len(plan.answer.sites) for plan in plans] == [1, 2, 3, 4, 5]
+    assert (np.diff([plan.worth.loss for plan in plans]) <= 0.0).all()
+    for plan in plans:
+        assert 0.0 < min(plan.shares.values()) <= max(plan.shares.values()) <= 1.0
+        assert plan.everywhere.loss <= plan.worth.loss
+
+
+def test_counting_up_needs_as_many_as_planning_each_number_anew():
+    up, anew = curves('8', 'omnidirectional', 1000, 3, 2000, 0)
+    for target in (0.4, 0.75, 0.93):
+        assert needed(up, 'error', target) == needed(anew, 'error', target)
+    assert needed(up, 'error', 0.75) == 2 and needed(anew[:1], 'error', 0.75) is None
+
+
+def test_counting_ends_where_no_more_find_room(furnished):
+    rig = rig_of(1, spacing=3.0)
+    planner = RigPlanner(furnished, rig, FAST, Budget(evaluations=60))
+    plans = list(planner.count_up(lambda count: with_count(rig, count), 1, 9))
+    assert 1 < len(plans) < 9
+    assert len(packed(with_count(rig, len(plans) + 1), planner.pool)) == len(plans)
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    """Write a room and a rig to the folder that is worked in."""
+    save_scene(generate_room(8, 2500), tmp_path / 'room.ply')
+    (tmp_path / 'rig.yaml').write_text(RIG)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def planned(capsys, *arguments):
+    """Return what ocp plan prints as JSON, and nothing else."""
+    assert main(['plan', *map(str, arguments), '--json']) == 0
+    out, err = capsys.readouterr()
+    assert err == ''
+    return json.loads(out)
+
+
+def scored(capsys, *arguments):
+    """Return what ocp score says."""
+    assert main(['score', *map(str, arguments), '--json']) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_what_is_planned_scores_as_it_says(files, capsys):
+    found = planned(capsys, 'room.ply', '--rig', 'rig.yaml', '--evaluations', 600)
+    assert found['broken'] == [] and found['search']['loss'] == found['scores']['loss']
+    assert len(found['cameras']) == 4 and found['cameras'][-1]['mount'] == 'fixed'
+    written = {path.name for path in (files / 'out/plan').iterdir()}
+    assert written == {'placement.yaml', 'placement.json', 'cameras.csv', 'cameras.launch.py',
+                       'cameras.urdf.xacro', 'cameras.rviz', 'installer.md', 'plan.png',
+                       'report.png', 'report.html'}
+    assert sorted(found['written']) == sorted(f'out/plan/{name}' for name in written)
+    for suffix in ('yaml', 'json'):
+        again = scored(capsys, 'room.ply', f'out/plan/placement.{suffix}')
+        assert again['scores'] == found['scores'] and again['notes'] == again['broken'] == []
+        assert again['one_more'] == found['one_more'] and again['missed'] == found['missed']
+    search = found['search']
+    assert search['searches'][0] == search['loss'] <= search['random']['best']
+    assert search['everywhere']['loss'] <= search['loss']
+
+
+def test_the_same_seed_writes_the_same_file(files, capsys):
+    texts = []
+    for folder, seed in (('one', 3), ('two', 3), ('three', 4)):
+        planned(capsys, 'room.ply', '--rig', 'rig.yaml', '--evaluations', 400, '--seed', seed,
+                '--out', folder)
+        data = yaml.safe_load((files / folder / 'placement.yaml').read_text())
+        del data['created']
+        texts.append(json.dumps(data))
+    assert texts[0] == texts[1] != texts[2]
+
+
+def test_what_is_printed_names_all_of_it(files, capsys):
+    assert main(['plan', 'room.ply', '--cameras', '3', '--model', 'd455', '--evaluations', '300',
+                 '--out', 'here']) == 0
+    out, err = capsys.readouterr()
+    out = ' '.join(out.split())
+    for words in ('every constraint is kept', 'How to hang them up', 'face wall',
+                  'random allowed placements', 'what limits it', 'next best of 4 searches',
+                  'wrote here/placement.yaml', 'helps most at ('):
+        assert words in out, words
+    assert err == ''
+
+
+def test_how_many_are_needed(files, capsys):
+    found = planned(capsys, 'room.ply', '--model', 'omnidirectional', '--count', 'auto',
+                    '--target', 0.8, '--evaluations', 300)
+    curve, count = found['curve'], found['count']
+    assert count['reached'] and count['cameras'] == len(curve) == curve[-1]['cameras'] > 1
+    errors = [row['share_error'] for row in curve]
+    assert errors[-1] >= 0.8 > errors[-2] and errors == sorted(errors)
+    assert (np.diff([row['loss'] for row in curve]) <= 0.0).all()
+    assert found['scores']['loss'] == curve[-1]['loss'] == found['search']['loss']
+    assert 'out/plan/curve.png' in found['written']
+    again = scored(capsys, 'room.ply', 'out/plan/placement.yaml')
+    assert again['scores'] == found['scores'] and len(again['scores']['cameras']) == len(curve)
+    few = planned(capsys, 'room.ply', '--model', 'd455', '--count', 'auto', '--most', 1,
+                  '--by', 'seen', '--evaluations', 100)
+    assert not few['count']['reached'] and few['count']['cameras'] == 1
+
+
+def test_a_rig_file_of_one_group_is_counted_from_where_it_can_be_seen(files, capsys):
+    (files / 'rig.yaml').write_text(
+        'cameras: [{sensor: omnidirectional, count: 4}]\nseen_by: 2\nregions:\n'
+        '  - {name: table, box: [[2, 2, 0], [5, 5, 1.5]], must_see: 0.3}\n')
+    found = planned(capsys, 'room.ply', '--rig', 'rig.yaml', '--count', 'auto', '--target', 0.3,
+                    '--evaluations', 300)
+    assert found['curve'][0]['cameras'] == 2 and found['count']['reached']
+    assert found['scores']['regions'][0]['met']
+    rig = load_rig(files / 'rig.yaml')
+    assert len(with_count(rig, 7).cameras) == 7 and len(with_count(rig, 7).regions) == 1
+
+
+def refused(capsys, *arguments):
+    """Return the sentence that a command is refused with."""
+    assert main(['plan', *map(str, arguments)]) == 2
+    out, err = capsys.readouterr()
+    assert out == '' and err.startswith('ocp: ') and err.count('\n') == 1, err
+    assert 'Traceback' not in err and 'found' in err and 'expected' in err, err
+    return err
+
+
+@pytest.mark.parametrize(('name', 'write', 'words', 'remedy'), BAD_ROOMS.values(), ids=BAD_ROOMS)
+def test_a_bad_room_is_refused_in_one_sentence(files, capsys, name, write, words, remedy):
+    write(files / name)
+    sentence = refused(capsys, name, '--rig', 'rig.yaml')
+    assert words in sentence and remedy in sentence and name.rpartition('.')[0] in sentence
+    assert not (files / 'out').exists()
+
+
+@pytest.mark.parametrize(('arguments', 'words'), [
+    (['room.ply', '--rig', 'none.yaml'], 'none.yaml: found no file that can be read'),
+    (['room.ply', '--rig', 'room.ply'], 'room.ply: line'),
+    (['room.ply', '--model', 'd4'], "sensor: found 'd4', which"),
+    (['room.ply', '--out', 'rig.yaml'], '--out: found the file rig.yaml; expected a folder'),
+    (['8', '--up', 'y'], '--up: found it with the generated room 8'),
+    (['room.ply', '--rig', 'rig.yaml', '--count', 'auto'], 'cameras: found 2 groups; expected'),
+    (['room.ply', '--cameras', '65'], 'cameras')])
+def test_bad_input_ends_with_two_and_one_sentence(files, capsys, arguments, words):
+    assert words in refused(capsys, *arguments)
+
+
+@pytest.mark.parametrize('arguments', [
+    ['--seconds', '0'], ['--seconds', 'nan'], ['--target', '1.5'], ['--count', 'few'],
+    ['--evaluations', '0'], ['--rig', 'rig.yaml', '--model', 'd455']])
+def test_options_without_meaning_are_refused(files, capsys, arguments):
+    with pytest.raises(SystemExit, match='2'):
+        main(['plan', 'room.ply', *arguments])
+    assert 'ocp plan: error: argument' in capsys.readouterr().err
+
+
+def test_ctrl_c_writes_the_best_so_far(files):
+    process = subprocess.Popen(
+        [sys.executable, '-c', INTERRUPTED, 'plan', 'room.ply', '--rig', 'rig.yaml', '--seconds',
+         '3600', '--json'], cwd=files, env={**os.environ, 'PYTHONPATH': str(ROOT)},
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    timer = threading.Timer(110.0, process.kill)
+    timer.start()
+    out, err = process.communicate()
+    timer.cancel()
+    assert process.returncode == 0, err
+    found = json.loads(out)
+    assert found['search']['stopped'] and found['broken'] == []
+    assert len(list((files / 'out/plan').iterdir())) == 10
+
+
+#: The command, which gets a real signal as soon as every search has something to offer.
+INTERRUPTED = f"""
+from contextlib import suppress
+import os, signal, sys
+from ocp_ros.cli import main
+from ocp_ros.planners import rig_search
+judge = rig_search.Search.judge
+def judged(self, sites):
+    with suppress(FileExistsError):
+        os.close(os.open('sent', os.O_CREAT | os.O_EXCL))
+        os.kill(os.getpid(), {int(signal.SIGINT)})
+    return judge(self, sites)
+rig_search.Search.judge = judged
+sys.exit(main())
+"""

@@ -1,0 +1,418 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``ocp replay``: recorded clouds reach a real ``policy_node`` on real DDS."""
+
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+
+from conftest import refused_in_one_sentence
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
+pytest.importorskip('rosbags', reason='bags need rosbags (pip install rosbags)')
+
+from geometry_msgs.msg import PoseArray
+from rclpy.serialization import serialize_message
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import get_types_from_msg, get_typestore, Stores
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header, String
+
+from ocp_ros.cli import main
+from ocp_ros.configuration import ConfigurationError
+from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
+from ocp_ros.nodes import qos, topics
+from ocp_ros.nodes.bags import Bag, CLOUD, POSES, Recorded, TRANSFORMS
+from ocp_ros.nodes.conversions import (
+    cloud_to_msg,
+    msg_to_cloud,
+    msg_to_poses,
+    ns_to_stamp,
+    positions_to_msg,
+    stamp_to_ns,
+)
+from ocp_ros.nodes.policy_node import PolicyNode
+from ocp_ros.nodes.replay import Replay
+from ocp_ros.nodes.replay_command import options_of, pose_of
+from ocp_ros.nodes.replay_options import ReplayOptions
+from ocp_ros.simulation.config import EngineConfig, SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
+
+S = 1_000_000_000
+ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_JAZZY)
+#: As bags of old have transforms.
+OLD_TRANSFORMS = 'tf/msg/tfMessage'
+ROS1.register(get_types_from_msg('geometry_msgs/TransformStamped[] transforms', OLD_TRANSFORMS))
+FORMATS = ('ros1', 'sqlite3', 'mcap')
+#: Where two cameras hang, and how they are turned: yaw, pitch, roll.
+PLACES = np.array([[2.6, 2.2, 1.9], [3.4, 2.9, 1.7]])
+HEADINGS = np.array([[0.4, 0.3, 0.1], [-2.0, 0.2, 0.0]])
+#: A recorded depth camera, from moveit_tutorials, in a folder that the environment names.
+REAL = Path(os.environ.get('OCP_BAGS', 'no folder')) / 'perception_tutorial.bag'
+
+
+class Recording:
+    """Messages of a bag that is written: ``add`` them, then ``write`` it."""
+
+    def __init__(self):
+        self.messages = []
+
+    def add(self, topic, kind, time, cdr):
+        """Take a message, as ROS 2 serialises it."""
+        self.messages.append((topic, kind, time, bytes(cdr)))
+
+    def add_turn(self, clouds, frames, poses=True, time=1000 * S):
+        """Take what all cameras see at a time, and where they are."""
+        header = Header(stamp=ns_to_stamp(time), frame_id='map')
+        if poses:
+            message = positions_to_msg(PLACES, header, HEADINGS)
+            self.add('/rig/poses', POSES, time, serialize_message(message))
+        for k, (cloud, frame) in enumerate(zip(clouds, frames)):
+            header = Header(stamp=ns_to_stamp(time), frame_id=frame)
+            self.add(f'/cam{k}/points', CLOUD, time + 1 + k,
+                     serialize_message(cloud_to_msg(cloud, header)))
+
+    def add_transform(self, parent, child, position, rotation, topic='/tf_static', time=1000 * S):
+        """Take a transform."""
+        types = ROS2.types
+        quaternion = types['geometry_msgs/msg/Quaternion'](*Rotation.from_matrix(
+            rotation).as_quat())
+        transform = types['geometry_msgs/msg/Transform'](
+            types['geometry_msgs/msg/Vector3'](*position), quaternion)
+        header = types['std_msgs/msg/Header'](
+            types['builtin_interfaces/msg/Time'](time // S, time % S), parent)
+        message = types[TRANSFORMS](
+            [types['geometry_msgs/msg/TransformStamped'](header, child, transform)])
+        self.add(topic, TRANSFORMS, time, ROS2.serialize_cdr(message, TRANSFORMS))
+
+    def write(self, folder, form):
+        """Write the bag and return its path."""
+        path = folder / ('recorded.bag' if form == 'ros1' else 'recorded')
+        store = ROS1 if form == 'ros1' else ROS2
+        writer = Writer1(path) if form == 'ros1' else Writer2(
+            path, version=9, storage_plugin=StoragePlugin[form.upper()])
+        with writer:
+            known = {}
+            for topic, kind, time, cdr in sorted(self.messages, key=lambda message: message[2]):
+                if topic not in known:
+                    old = form == 'ros1' and kind == TRANSFORMS
+                    known[topic] = writer.add_connection(
+                        topic, OLD_TRANSFORMS if old else kind, typestore=store)
+                raw = ROS2.cdr_to_ros1(cdr, kind) if form == 'ros1' else cdr
+                writer.write(known[topic], time, raw)
+        return path
+
+
+@pytest.fixture(scope='module')
+def seen(room):
+    """Return what each of the two cameras sees, map frame."""
+    engine = EngineConfig(preset='fast', error_rows=32, coverage_cell=0.5)
+    simulator = Simulator(room, SimulationConfig(engine=engine), [CameraModel()])
+    return [simulator.evaluate(place[None]) for place in PLACES], room.points
+
+
+@pytest.fixture
+def clouds(seen):
+    """Return the clouds of both cameras: (N, 3) metres, map frame."""
+    return [points[one.visible] for points in [seen[1]] for one in seen[0]]
+
+
+def optical(clouds):
+    """Return clouds of the map frame in the optical frames of their cameras."""
+    found = []
+    for cloud, place, heading in zip(clouds, PLACES, HEADINGS):
+        body = (cloud - place) @ rotation_matrix(*heading)
+        found.append(np.stack([-body[:, 1], -body[:, 2], body[:, 0]], axis=1))
+    return found
+
+
+def off(points, others):
+    """Return how far the farthest of some points is from its nearest among others."""
+    return cKDTree(others).query(points)[0].max()
+
+
+@pytest.fixture
+def stage(graph, probe):
+    """Return what replays a bag to a policy and returns the fused cloud."""
+    probe.listen(PointCloud2, topics.OBSERVATION, qos.LOOP)
+    probe.listen(PoseArray, topics.CAMERA_POSES, qos.LOOP)
+    probe.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
+
+    def play(path, wait=True, clouds='cam0/points,cam1/points', **options):
+        probe.policy = graph.add(PolicyNode, cloud_topics=clouds, voxel_size=0.001,
+                                 max_range=5.0, cloud_timeout=60.0)
+        probe.bag = Bag(path).__enter__()
+        probe.replay = graph.add(lambda **kwargs: Replay(
+            probe.bag, ReplayOptions(rate=100.0, **options), **kwargs))
+        if wait:
+            graph.until(probe.replay.done.done)
+            probe.replay.done.result()
+            return msg_to_cloud(probe.last(topics.OBSERVATION))
+        return None
+
+    probe.play = play
+    yield probe
+    probe.bag.__exit__()
+
+
+@pytest.mark.parametrize('form', FORMATS)
+def test_a_policy_fuses_what_was_recorded(stage, clouds, tmp_path, form):
+    recording = Recording()
+    recording.add_turn(optical(clouds), ('camera_0_optical', 'camera_1_optical'))
+    recording.add('/chatter', 'std_msgs/msg/String', 1000 * S, serialize_message(String(data='x')))
+    found = stage.play(recording.write(tmp_path, form))
+    expected = np.concatenate(clouds)
+    assert off(found, expected) < 1e-3 and off(expected, found) < 2e-3
+    # The stamps are the recorded ones, and the command answers them.
+    assert stamp_to_ns(stage.last(topics.CAMERA_COMMANDS).header.stamp) == 1000 * S
+    assert stage.replay.counts == {'/cam0/points': 1, '/cam1/points': 1, '/rig/poses': 1}
+    assert stage.replay.left_out == 0
+
+
+@pytest.mark.parametrize('form', FORMATS)
+def test_recorded_transforms_say_where_the_cameras_are(stage, clouds, tmp_path, form):
+    """The frames are a driver's, as nobody with tf2 is there to place them."""
+    recording, optical_axes = Recording(), np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+    mount = rotation_matrix(1.0, 0.2, 0.0)
+    for k, (place, heading) in enumerate(zip(PLACES, HEADINGS)):
+        recording.add_transform('map', f'mount_{k}', place - [0.0, 0.0, 0.5], mount,
+                                topic='/tf')
+        recording.add_transform(f'mount_{k}', f'lens_{k}_optical_frame',
+                                mount.T @ [0.0, 0.0, 0.5],
+                                mount.T @ rotation_matrix(*heading) @ optical_axes)
+    recording.add_turn(optical(clouds), ('lens_0_optical_frame', 'lens_1_optical_frame'),
+                       poses=False)
+    found = stage.play(recording.write(tmp_path, form))
+    expected = np.concatenate(clouds)
+    assert off(found, expected) < 1e-3 and off(expected, found) < 2e-3
+    poses = stage.last(topics.CAMERA_POSES)
+    assert poses.header.frame_id == 'map'
+    for pose, place, heading in zip(msg_to_poses(poses), PLACES, HEADINGS, strict=True):
+        np.testing.assert_allclose(pose.position, place, atol=1e-6)
+        np.testing.assert_allclose(pose.rotation, rotation_matrix(*heading), atol=1e-6)
+
+
+def test_a_pose_of_the_command_line_places_a_cloud_of_any_frame(stage, clouds, tmp_path):
+    recording = Recording()
+    # The recorded poses are of other cameras.
+    recording.add_turn(optical(clouds)[:1], ('kinect_depth_optical',), poses=True)
+    x, y, z, yaw, pitch, roll = *PLACES[0], *np.rad2deg(HEADINGS[0])
+    found = stage.play(recording.write(tmp_path, 'mcap'), clouds='cam0/points',
+                       poses=(pose_of(f'{x},{y},{z},{yaw},{pitch},{roll}'),))
+    assert off(found, clouds[0]) < 1e-3 and off(clouds[0], found) < 2e-3
+
+
+def test_a_frame_of_the_command_line_takes_the_place_of_the_recorded_one(stage, clouds, tmp_path):
+    recording = Recording()
+    recording.add_turn([clouds[0], optical(clouds)[1]], ('world', 'nonsense'))
+    found = stage.play(recording.write(tmp_path, 'sqlite3'),
+                       frames=(('/cam1/points', 'camera_1_optical'), ('', 'map')))
+    expected = np.concatenate(clouds)
+    assert off(found, expected) < 1e-3 and off(expected, found) < 2e-3
+
+
+def test_a_loop_goes_on_with_stamps_that_rise(stage, clouds, tmp_path):
+    recording = Recording()
+    for turn in range(3):
+        recording.add_turn(clouds, ('map', 'map'), time=(1000 + turn) * S)
+    stage.listen(PointCloud2, '/cam0/points', qos.LOOP)
+    stage.play(recording.write(tmp_path, 'mcap'), wait=False, loop=True)
+    stage.graph.until(lambda: len(stage.received['/cam0/points']) >= 8)
+    stamps = [stamp_to_ns(message.header.stamp) for message in stage.received['/cam0/points']]
+    assert (np.diff(stamps) > 0).all() and stamps[:3] == [1000 * S, 1001 * S, 1002 * S]
+    assert not stage.replay.done.done()
+    assert stage.policy._status()[2]['clock_jumps'] == 0
+
+
+@pytest.mark.parametrize(('options', 'expected'), [
+    ({'start': 1.5}, [2, 3]), ({'duration': 1.5}, [0, 1]), ({'start': 0.5, 'duration': 1.0}, [1]),
+    ({'topics': ('/cam0/points:=/cam1/points',)}, [0, 1, 2, 3])])
+def test_a_part_is_replayed(stage, clouds, tmp_path, options, expected):
+    recording = Recording()
+    for turn in range(4):
+        recording.add_turn(clouds[:1], ('map',), time=(1000 + turn) * S)
+    topic = '/cam1/points' if 'topics' in options else '/cam0/points'
+    stage.listen(PointCloud2, topic, qos.LOOP)
+    stage.play(recording.write(tmp_path, 'sqlite3'), wait=False, clouds=topic, **options)
+    stage.graph.until(stage.replay.done.done)
+    stage.graph.until(lambda: len(stage.received[topic]) == len(expected))
+    assert [stamp_to_ns(message.header.stamp) // S - 1000
+            for message in stage.received[topic]] == expected
+
+
+def test_messages_that_are_none_are_left_out(stage, clouds, tmp_path, capfd):
+    recording = Recording()
+    recording.add_turn(clouds, ('map', 'map'))
+    broken = serialize_message(cloud_to_msg(clouds[0], Header(frame_id='map')))
+    for k, cut in enumerate((3, 10, 40, 200, len(broken) // 2)):
+        recording.add('/cam0/points', CLOUD, 1001 * S + k, broken[:cut])
+    for form in FORMATS[1:]:
+        found = stage.play(recording.write(tmp_path / form, form), poses=())
+        assert len(found) and stage.replay.left_out == 5
+        assert '/cam0/points: found a message that is no' in capfd.readouterr().err
+        stage.graph.remove(stage.replay)
+        stage.graph.remove(stage.policy)
+
+
+@pytest.fixture(params=FORMATS)
+def good_bag(request, clouds, tmp_path):
+    """Return a bag of two turns, its format and its largest file."""
+    recording = Recording()
+    for turn in range(2):
+        recording.add_turn([cloud[:50] for cloud in clouds], ('map', 'map'),
+                           time=(1000 + turn) * S)
+    path = recording.write(tmp_path, request.param)
+    files = [path] if path.is_file() else list(path.iterdir())
+    return path, max(files, key=lambda file: file.stat().st_size)
+
+
+def read_all(path):
+    """Return the messages of a bag that can be read."""
+    with Bag(path) as bag:
+        for topic in bag.topics:
+            bag.frames(topic)
+        return [item for item in bag.messages([topic.name for topic in bag.topics])
+                if isinstance(item, Recorded)]
+
+
+def test_a_bag_that_was_cut_or_overwritten_is_an_error_of_one_sentence(good_bag):
+    path, file = good_bag
+    whole, good = file.read_bytes(), read_all(path)
+    assert len(good) == 6
+    rng, refused = np.random.default_rng(0), 0
+    for cut in rng.integers(0, len(whole), 25):
+        spoilt = bytearray(whole)
+        spoilt[cut:cut + 20] = rng.bytes(20)
+        for content in (whole[:cut], bytes(spoilt)):
+            file.write_bytes(content)
+            try:
+                read_all(path)
+            except ConfigurationError as error:
+                refused += 1
+                assert '\n' not in str(error) and 'found' in str(error)
+    assert refused > 20
+    file.write_bytes(whole[:len(whole) // 2])
+    assert main(['replay', str(path), '--list']) == 2
+
+
+def test_the_list_shows_what_is_there(good_bag, capsys, monkeypatch):
+    monkeypatch.setenv('COLUMNS', '150')
+    assert main(['replay', str(good_bag[0]), '--list']) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert ': 1.000 s' in lines[0]
+    rows = [[cell.strip() for cell in line.split('│')[1:-1]] for line in lines if '│' in line]
+    assert rows == [
+        ['/cam0/points', 'sensor_msgs/PointCloud2', '2', 'map', '/cam0/points'],
+        ['/cam1/points', 'sensor_msgs/PointCloud2', '2', 'map', '/cam1/points'],
+        ['/rig/poses', 'geometry_msgs/PoseArray', '2', 'map', 'camera_poses']]
+
+
+def test_what_is_no_bag_is_refused(tmp_path, capsys):
+    (tmp_path / 'folder').mkdir()
+    (tmp_path / 'empty.bag').write_bytes(b'')
+    (tmp_path / 'lone').mkdir()
+    (tmp_path / 'lone' / 'a.mcap').write_bytes(b'x')
+    for name, words in (('folder', 'found a folder that is no bag'),
+                        ('empty.bag', 'found a file that is no bag'),
+                        ('nothing', 'found nothing there'),
+                        ('lone', 'found recorded files without metadata.yaml'),
+                        ('lone/a.mcap', 'found recorded files without metadata.yaml')):
+        assert main(['replay', str(tmp_path / name)]) == 2
+        message = capsys.readouterr().err
+        assert words in message and message.count('\n') == 1 and 'expected' in message
+
+
+@pytest.mark.parametrize('form', FORMATS)
+def test_a_bag_without_clouds_is_refused(tmp_path, form, capsys):
+    recording = Recording()
+    recording.add('/chatter', 'std_msgs/msg/String', S, serialize_message(String(data='hello')))
+    assert main(['replay', str(recording.write(tmp_path, form))]) == 2
+    assert 'found no clouds among /chatter (std_msgs/msg/String)' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(('options', 'place', 'remedy'), [
+    ({'topics': ('/cam0/pints',)}, '', "did you mean '/cam0/points'"),
+    ({'topics': ('/chatter',)}, '', 'leave it out'),
+    ({'frames': (('/cam7/points', 'map'),)}, '--frame', 'did you mean'),
+    ({'topics': ('/cam0/points', '/rig/poses'), 'poses': (np.zeros(6),)}, '--pose', 'the two'),
+    ({'poses': (np.zeros(6),)}, '--pose', 'add')])
+def test_options_that_cannot_be_are_refused(graph, clouds, tmp_path, options, place, remedy):
+    recording = Recording()
+    recording.add_turn(clouds, ('map', 'map'))
+    recording.add('/chatter', 'std_msgs/msg/String', S, serialize_message(String(data='x')))
+    with Bag(recording.write(tmp_path, 'mcap')) as bag, \
+            pytest.raises(ConfigurationError) as caught:
+        graph.add(lambda **kwargs: Replay(bag, ReplayOptions(**options), **kwargs))
+    assert place in str(caught.value) and remedy in str(caught.value)
+
+
+@pytest.mark.parametrize('pose', ['', '1,2', '1,2,3,4,5,6,7', '1,nan,2', 'a,b,c'])
+def test_a_pose_that_is_none_is_refused(pose):
+    with refused_in_one_sentence('--pose: found', 'write, for example'):
+        pose_of(pose)
+
+
+def test_clouds_that_nobody_can_place_are_an_error(stage, clouds, tmp_path, capfd):
+    recording = Recording()
+    recording.add_transform('odom', 'base', np.zeros(3), np.eye(3))
+    recording.add_turn(clouds, ('lens', 'lens'), poses=False)
+    stage.play(recording.write(tmp_path, 'mcap'), wait=False)
+    stage.graph.until(stage.replay.done.done)
+    assert 'found no cloud that could be published' in str(stage.replay.done.exception())
+    assert "found no transform from 'lens' to 'map'" in capfd.readouterr().err
+
+
+def test_a_part_without_clouds_is_an_error(stage, clouds, tmp_path):
+    recording = Recording()
+    recording.add_turn(clouds, ('map', 'map'))
+    stage.play(recording.write(tmp_path, 'mcap'), wait=False, start=5.0)
+    stage.graph.until(stage.replay.done.done)
+    assert 'found no cloud from 5 s on' in str(stage.replay.done.exception())
+
+
+def test_options_of_the_command_line():
+    from ocp_ros.cli import parser
+    options = options_of(parser().parse_args([
+        'replay', 'a.bag', '--pose=-1,2,1.5,90', '--frame', '/a=b', '--frame', 'c', '--rate', '2',
+        '--topics', '/a:=/b']))
+    np.testing.assert_allclose(options.poses[0], [-1, 2, 1.5, np.pi / 2, 0, 0])
+    assert options.frames == (('/a', 'b'), ('', 'c'))
+    assert (options.rate, options.topics, options.loop) == (2.0, ('/a:=/b',), False)
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_loop(domain, clouds, tmp_path, number):
+    recording = Recording()
+    recording.add_turn(clouds, ('map', 'map'))
+    path = recording.write(tmp_path, 'mcap')
+    command = [sys.executable, '-m', 'ocp_ros.cli', 'replay', str(path), '--loop', '--wait', '0.1']
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True,
+                          env={**os.environ, 'ROS_DOMAIN_ID': str(domain)}) as process:
+        # It begins when it has waited in vain.
+        assert 'found nobody listening to' in process.stderr.readline()
+        process.send_signal(number)
+        assert process.wait(timeout=60) == 130
+        assert 'Traceback' not in process.stderr.read()
+
+
+@pytest.mark.skipif(not REAL.is_file(), reason='OCP_BAGS names no folder with real bags')
+def test_a_real_bag_of_a_depth_camera(stage):
+    """An organised cloud of 640 x 480 with NaN, in the optical frame of its camera."""
+    found = stage.play(REAL, clouds='/camera/depth_registered/points',
+                       poses=(pose_of('1,1,1.2,30,10,0'),))
+    with Bag(REAL) as bag:
+        item, = bag.messages(['/camera/depth_registered/points'])
+    from rclpy.serialization import deserialize_message
+    recorded = msg_to_cloud(deserialize_message(item.cdr, PointCloud2))
+    body = np.stack([recorded[:, 2], -recorded[:, 0], -recorded[:, 1]], axis=1)
+    body = body[np.linalg.norm(body, axis=1) <= 5.0]
+    expected = body @ rotation_matrix(*np.deg2rad([30, 10, 0])).T + [1.0, 1.0, 1.2]
+    assert len(found) > 20000
+    assert off(found, expected) < 1e-4

@@ -1,0 +1,264 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of nodes that run, changed by a client over real DDS."""
+
+from conftest import box_room, ROOT
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
+
+from geometry_msgs.msg import PoseArray
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Float64MultiArray, Header, String
+
+from ocp_ros.configuration import ConfigurationError, leaves
+from ocp_ros.nodes import qos, topics
+from ocp_ros.nodes.conversions import (
+    cloud_to_msg,
+    fields_to_msg,
+    msg_to_positions,
+    ns_to_stamp,
+    positions_to_msg,
+    stamp_to_ns,
+)
+from ocp_ros.nodes.policy_config import PolicyNodeConfig
+from ocp_ros.nodes.policy_node import PolicyNode
+from ocp_ros.nodes.sim_node import SimNode, SimNodeConfig
+
+SMALL = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
+         'engine__coverage_cell': 0.5}
+POSITIONS = np.array([[2.0, 2.0, 1.9], [3.0, 2.0, 1.9], [2.0, 3.0, 1.9]])
+
+
+@pytest.fixture
+def change(graph, probe):
+    """Return what sets parameters of a node over a service and returns why not, if not."""
+    def ask(node, kind, name, values):
+        client = probe.node.create_client(kind, f'/{node.get_name()}/{name}')
+        graph.until(client.service_is_ready)
+        request = kind.Request(parameters=[
+            Parameter(key, value=value).to_parameter_msg() for key, value in values.items()])
+        future = client.call_async(request)
+        graph.until(future.done)
+        return future.result()
+
+    def set_all(node, together=False, **values):
+        values = {name.replace('__', '.'): value for name, value in values.items()}
+        if together:
+            result = ask(node, SetParametersAtomically, 'set_parameters_atomically', values).result
+            return result.reason if not result.successful else ''
+        results = ask(node, SetParameters, 'set_parameters', values).results
+        return '; '.join(result.reason for result in results if not result.successful)
+
+    return set_all
+
+
+@pytest.fixture
+def robot(graph, probe):
+    """Return the probe as a rig that sends turns and hears commands."""
+    probe.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
+    probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
+    probe.listen(String, topics.PLACEMENT_STATUS, qos.LATCHED)
+
+    def start(**parameters):
+        probe.policy = graph.add(PolicyNode, **parameters)
+        probe.clouds = probe.publisher(PointCloud2, topics.OBSERVATION, qos.LOOP)
+        probe.poses = probe.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
+        return probe.policy
+
+    def turn(stamp, positions=POSITIONS, cloud=None):
+        header = Header(stamp=ns_to_stamp(stamp), frame_id='map')
+        probe.poses.publish(positions_to_msg(positions, header))
+        probe.clouds.publish(cloud_to_msg(box_room().points if cloud is None else cloud, header))
+
+        def found():
+            return [message for message in probe.received[topics.CAMERA_COMMANDS]
+                    if stamp_to_ns(message.header.stamp) == stamp]
+        graph.until(found)
+        return msg_to_positions(found()[-1])
+
+    probe.start, probe.turn = start, turn
+    return probe
+
+
+def test_a_longest_step_that_is_changed_holds_for_the_next_command(robot, change, monkeypatch):
+    policy = robot.start(max_step=0.5)
+    far = np.full((3, 2), 0.3)
+    monkeypatch.setattr(type(policy.planner), 'move', lambda *turn: far)
+    moved = np.linalg.norm(robot.turn(1) - POSITIONS, axis=1)
+    assert moved.max() == pytest.approx(np.hypot(0.3, 0.3))
+    assert change(policy, max_step=0.1) == ''
+    assert policy.planner.max_step == policy.config.max_step == 0.1
+    moved = np.linalg.norm(robot.turn(2) - POSITIONS, axis=1)
+    assert moved.max() == pytest.approx(0.1)
+
+
+def test_fewer_turns_make_a_placement_final_and_it_is_said_why(robot, change):
+    policy = robot.start(turns=30)
+    robot.turn(1)
+    assert change(policy, turns=2) == ''
+    for stamp in (2, 3):
+        robot.turn(stamp)
+    assert stamp_to_ns(robot.last(topics.PLACEMENT).header.stamp) == 3
+    robot.graph.until(lambda: robot.last(topics.PLACEMENT_STATUS).data.startswith('final'))
+    assert robot.last(topics.PLACEMENT_STATUS).data == (
+        'final after 2 turns: all 2 turns are used up')
+    assert policy._status()[2]['final'] == 'all 2 turns are used up'
+
+
+def test_the_status_tells_why_cameras_that_stand_still_are_final(robot, capfd, monkeypatch):
+    policy = robot.start(planner='learned', convergence_turns=2)
+    monkeypatch.setattr(type(policy.planner), 'move', lambda *turn: np.zeros((3, 2)))
+    robot.turn(1)
+    robot.graph.until(lambda: 'turn 1 of 30, longest move 0.000 m, standing still for 1' in
+                      robot.last(topics.PLACEMENT_STATUS).data)
+    for stamp in (2, 3):
+        robot.turn(stamp)
+    why = 'final after 2 turns: no camera has moved 0.02 m or more for 2 turns'
+    robot.graph.until(lambda: robot.last(topics.PLACEMENT_STATUS).data == why)
+    assert f'placement is {why}' in capfd.readouterr().err
+    # Who comes late is told too, and a new episode takes it back.
+    late = []
+    robot.node.create_subscription(String, topics.PLACEMENT_STATUS, late.append, qos.LATCHED)
+    robot.graph.until(lambda: late)
+    assert late[0].data == why
+    rewards = robot.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
+    rewards.publish(fields_to_msg({'stamp_sec': 0, 'stamp_nanosec': 4, 'episode': 5, 'step': 0,
+                                   'truncated': False}))
+    robot.graph.until(lambda: late[-1].data.startswith('not final: turn 0 of 30'))
+
+
+def test_the_end_of_a_simulation_is_a_reason(robot):
+    robot.start()
+    rewards = robot.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
+    rewards.publish(fields_to_msg({'stamp_sec': 0, 'stamp_nanosec': 1, 'episode': 1, 'step': 5,
+                                   'truncated': True}))
+    robot.graph.until(lambda: robot.policy._over)
+    robot.turn(1)
+    robot.graph.until(lambda: robot.last(topics.PLACEMENT_STATUS).data ==
+                      'final after 5 turns: the simulation has played its last turn')
+
+
+@pytest.mark.parametrize(('values', 'words'), [
+    ({'planner': 'learned'}, ["planner: found 'learned', but it is read once", "'lookahead'",
+                              'start the node again']),
+    ({'rig_file': 'rig.yaml'}, ["rig_file: found 'rig.yaml', but it is read once"]),
+    ({'turns': 0}, ['turns out of range', 'Min: 1', 'value: 0']),
+    ({'max_step': 99.0}, ['max_step out of range', 'Max: 10.0', 'value: 99.0']),
+    ({'max_step': 1}, ['Wrong parameter type', 'DOUBLE', 'INTEGER']),
+    ({'min_range': 5.0}, ['min_range: found 5.0 m with max_range 4.0 m; expected less'])])
+def test_what_cannot_be_is_refused_with_a_reason(graph, change, values, words):
+    policy = graph.add(PolicyNode)
+    before = policy.config
+    reason = change(policy, **values)
+    assert all(word in reason for word in words), reason
+    assert policy.config is before
+    assert all(policy.get_parameter(name).value == getattr(before, name) for name in values)
+
+
+def test_parameters_that_go_together_are_changed_together(graph, change):
+    policy = graph.add(PolicyNode)
+    assert change(policy, together=True, min_range=5.0, max_range=8.0) == ''
+    assert (policy.config.min_range, policy.config.max_range) == (5.0, 8.0)
+    # All or none.
+    assert 'read once' in change(policy, together=True, turns=7, seed=5)
+    assert policy.config.turns == policy.get_parameter('turns').value == 30
+
+
+def test_live_turns_follow(graph, change):
+    policy = graph.add(PolicyNode, cloud_topics='points')
+    assert change(policy, arrival_distance=0.2, arrival_timeout=3.0, cloud_timeout=1.0,
+                  turn_seconds=4.0, min_range=0.4) == ''
+    turns, live = policy._live._turns, policy._live
+    assert (turns._arrival_distance, turns._arrival_timeout, turns._cloud_timeout,
+            turns._shortest) == (0.2, 3.0, 1.0, 4.0)
+    assert live._config.min_range == 0.4
+
+
+def test_a_simulation_follows(graph, probe, change):
+    sim = graph.add(SimNode, resend_period=60.0, **SMALL)
+    assert change(sim, resend_period=0.05) == ''
+    resent = sim._counts['resent_turns']
+    graph.until(lambda: sim._counts['resent_turns'] > resent + 2)
+    assert change(sim, episode__turns=1, episode__max_step=0.2, auto_reset=True) == ''
+    commands = probe.publisher(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
+    first, episodes = sim.episode.turn.positions, sim._episodes
+    played = []
+    move = sim.episode.move
+    sim.episode.move = lambda moves: played.append(move(moves)) or played[-1]
+    commands.publish(positions_to_msg(first + [1.0, 0.0, 0.0], sim._header()))
+    graph.until(lambda: sim._episodes > episodes)
+    assert np.abs(played[0].positions - first).max() <= 0.2 + 1e-9
+    assert 'rig.cameras: found 2, but it is read once' in change(sim, rig__cameras=2)
+
+
+def test_each_parameter_says_whether_it_can_be_changed(graph):
+    for kind, cls in ((SimNode, SimNodeConfig), (PolicyNode, PolicyNodeConfig)):
+        node = graph.add(kind, **(SMALL if kind is SimNode else {}))
+        for name, item in leaves(cls).items():
+            constraints = node.describe_parameter(name).additional_constraints
+            assert ('read once' in constraints) != item.metadata['running'], name
+
+
+def rig_file(tmp_path, text):
+    """Write a rig file and return its path."""
+    (tmp_path / 'rig.yaml').write_text(text)
+    return str(tmp_path / 'rig.yaml')
+
+
+def test_commands_are_held_to_a_rig_file(robot, tmp_path, monkeypatch):
+    """Cameras that are sent to and fro by no planner at all keep out of where they must not be."""
+    policy = robot.start(turns=1000, rig_file=rig_file(tmp_path, """
+        cameras: [{sensor: omnidirectional, count: 2}]
+        fixed: [{sensor: omnidirectional, position: [3.0, 2.0, 1.9]}]
+        mount: {on: plane, height: 1.9}
+        keep_clear: 0.4
+        spacing: 0.7
+        no_go: [{box: [[3.5, 0.0, 0.0], [4.5, 4.0, 3.0]]}]"""))
+    rng = np.random.default_rng(0)
+    monkeypatch.setattr(policy.planner, 'move', lambda *turn: rng.normal(0.0, 0.5, (2, 2)))
+    positions = np.array([[1.5, 1.0, 1.9], [1.5, 3.0, 1.9], [3.0, 2.0, 1.9]])
+    for stamp in range(1, 13):
+        found = robot.turn(stamp, positions)
+        assert np.linalg.norm(found - positions, axis=1).max() <= 0.5 + 1e-6
+        np.testing.assert_array_equal(found[2], positions[2])
+        apart = np.linalg.norm(found[:, None] - found, axis=2)[np.triu_indices(3, 1)]
+        assert apart.min() >= 0.7 - 1e-6
+        assert not ((found[:2, 0] >= 3.5) & (found[:2, 0] <= 4.5)).any()
+        assert cKDTree(box_room().points).query(found[:2])[0].min() >= 0.399
+        positions = found
+    assert not policy._guard.held
+
+
+def test_poses_of_another_rig_are_refused(robot, tmp_path, capfd):
+    policy = robot.start(rig_file=rig_file(
+        tmp_path, 'cameras: [{sensor: omnidirectional, count: 4}]'))
+    header = Header(stamp=ns_to_stamp(1), frame_id='map')
+    robot.poses.publish(positions_to_msg(POSITIONS, header))
+    robot.clouds.publish(cloud_to_msg(box_room().points, header))
+    robot.graph.until(lambda: policy._counts['refused_messages'] >= 1)
+    assert 'poses: found 3 cameras; expected 4, as rig.yaml has it' in capfd.readouterr().err
+
+
+def test_a_camera_that_may_go_nowhere_is_a_warning(robot, tmp_path):
+    policy = robot.start(rig_file=rig_file(tmp_path, """
+        cameras: [{sensor: omnidirectional, count: 3}]
+        no_go: [{box: [[0, 0, 0], [6, 4, 3]]}]"""))
+    np.testing.assert_array_equal(robot.turn(1), POSITIONS)
+    level, message, _ = policy._status()
+    assert level != b'\0' and 'omnidirectional_1 stays at' in message
+
+
+def test_a_rig_file_that_cannot_be_read_is_refused(graph, tmp_path):
+    with pytest.raises(ConfigurationError, match='nowhere.yaml'):
+        graph.add(PolicyNode, rig_file=str(tmp_path / 'nowhere.yaml'))
+    with pytest.raises(ConfigurationError, match=r"found the unknown key 'camera'"):
+        graph.add(PolicyNode, rig_file=rig_file(tmp_path, 'camera: []'))
+
+
+def test_the_rig_files_of_the_package_can_be_used(graph):
+    for path in sorted((ROOT / 'config' / 'rig').glob('*.yaml')):
+        graph.remove(graph.add(PolicyNode, rig_file=str(path)))

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one-page report: everything on the page, nothing on top of each other, nothing made up."""
+
+from itertools import combinations
+
+from hypothesis import given
+from hypothesis import settings as budget
+from hypothesis import strategies as st
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from matplotlib.image import imread
+from matplotlib.text import Text
+import numpy as np
+import pytest
+
+from ocp_ros.documents import Document
+from ocp_ros.report import maps, sheet
+from ocp_ros.report.figures import metres
+from ocp_ros.report.score import judge, room_named
+from ocp_ros.report.table import shortened, width_of
+from ocp_ros.simulation.config import EngineConfig
+from ocp_ros.simulation.placement_file import placement_of
+from ocp_ros.simulation.rig_file import rig_from, rig_of
+
+LONG = 'the camera over the door to the storage room, left of the $ sign of the bank'
+ENGINE = EngineConfig('fast', 32, 0.5)
+
+
+@pytest.fixture(scope='module')
+def rooms():
+    """Return an L-shaped room, a long one and one that stands askew, and what each is."""
+    return [room_named(seed, 1500) for seed in ('16', '7', '8')]
+
+
+def judged_in(room, rig, poses):
+    """Judge a placement in a room at little cost."""
+    return judge(room[0], placement_of(rig, poses, engine=ENGINE), room[1], 'ocp score 1 p.yaml')
+
+
+def texts_of(figure):
+    """Draw a figure and return what is written in it, and where: pixels."""
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    figure.draw(renderer)
+    written = [text for text in figure.findobj(Text) if text.get_visible()
+               and text.get_text().strip() and (text.axes is None or text.axes.axison)]
+    return [(text.get_text(), text.get_window_extent(renderer)) for text in written]
+
+
+@pytest.mark.parametrize('count, number, named, together', [
+    (1, 0, False, False), (4, 1, True, False), (6, 2, False, True), (9, 0, True, True),
+    (14, 1, False, True), (24, 2, True, False)])
+def test_all_labels_are_on_the_page_and_none_is_on_another(rooms, count, number, named, together):
+    rng, room = np.random.default_rng(count), rooms[number]
+    low, high = room[0].bounds
+    poses = rng.uniform([*low, -3.0, 0.0, -1.0], [*high, 3.0, 1.2, 1.0], (count, 6))
+    if together:
+        poses[:, :3] = poses[0, :3]
+    cameras = [{'sensor': 'realsense_d455', 'count': count, **({'name': LONG} if named else {})}]
+    judged = judged_in(room, rig_from(Document('rig', {'cameras': cameras})), poses)
+    figure = sheet.figure_of(judged)
+    texts = texts_of(figure)
+    width, height = figure.get_size_inches() * figure.dpi
+    for text, box in texts:
+        assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height, text
+    # A pixel more or less is what letters are rounded to.
+    for (one, a), (other, b) in combinations(texts, 2):
+        assert (min(a.x1, b.x1) - max(a.x0, b.x0) <= 1.5
+                or min(a.y1, b.y1) - max(a.y0, b.y0) <= 1.5), (one, other)
+
+
+def test_the_page_is_a4_on_its_side_and_says_what_was_found(rooms, tmp_path):
+    poses = np.array([[*rooms[2][0].bounds.mean(axis=0)[:2], 1.9, 0.0, 0.3, 0.0]])
+    judged = judged_in(rooms[2], rig_of(1, 'd455', pitch=[30, 60]), poses)
+    sheet.draw(tmp_path / 'new' / 'report.png', judged)
+    image = imread(tmp_path / 'new' / 'report.png')
+    assert image.shape[1] / image.shape[0] == pytest.approx(297 / 210, rel=0.01)
+    assert image.shape[1] >= 1700
+    texts = ' '.join(text for text, _ in texts_of(sheet.figure_of(judged)))
+    scores = judged.found['scores']
+    for words in ('room-8: 1 camera', metres(scores['depth_error']),
+                  f'{100 * scores["seen"]:.1f} %', 'seen by no camera', 'mm per m²',
+                  '1 constraint broken', 'degrees down', 'ocp score 1 p.yaml',
+                  judged.words[0].place):
+        assert words in texts, words
+    # Most of this room is seen by nobody, and shown so.
+    none = np.abs(image[..., :3] - to_rgb(maps.COUNT_COLOURS[0])).max(axis=2) < 0.1
+    assert none.mean() > 0.02
+
+
+def test_what_is_shown_of_a_placement_is_what_the_engine_says(rooms):
+    scene, _ = rooms[0]
+    rig = rig_of(2, fixed=[{'position': [1, 1, 1.9],
+                            'sensor': 'realsense_d455'}])
+    poses = np.zeros((2, 6))
+    poses[:, :3] = scene.bounds.mean(axis=0) + [[0.5, 0, 0], [-0.5, 0, 0]]
+    judged = judged_in(rooms[0], rig, poses)
+    overlap = judged.found['scores']['overlap']
+    counts = np.bincount(np.minimum(judged.counts, 3), minlength=4)
+    assert counts.tolist() == list(overlap.values())
+    assert judged.lost.sum() == pytest.approx(judged.found['scores']['depth_error'], rel=1e-4)
+    assert not judged.lost[~judged.missed].any()
+
+
+@given(places=st.integers(1, 30), seed=st.integers(0, 99))
+@budget(max_examples=20, deadline=None)
+def test_numbers_of_cameras_in_one_place_are_pushed_apart(places, seed):
+    at = np.random.default_rng(seed).uniform(0.0, 1.0, (places, 2))
+    moved = maps.apart(at, 0.3, np.array([[0.5, 0.5]]), 2000)
+    both = np.concatenate([moved, [[0.5, 0.5]]])
+    distance = np.linalg.norm(both[:, None] - both[None], axis=2)
+    assert distance[np.triu_indices(len(both), 1)].min() > 0.27
+
+
+@given(text=st.text(st.characters(min_codepoint=32, max_codepoint=0x17f), max_size=60),
+       width=st.floats(0.3, 3.0), bold=st.booleans())
+@budget(max_examples=40, deadline=None)
+def test_a_shortened_text_is_no_wider_than_allowed(text, width, bold):
+    short = shortened(text, width, 8.0, bold)
+    assert width_of(short, 8.0, bold) <= width + 1e-6
+    assert short.endswith('...') or short.split() == ''.join(
+        letter if letter.isprintable() else ' ' for letter in text).replace('$', r'\$').split()

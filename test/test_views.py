@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What RViz and Foxglove are shown, on real DDS, and that nothing is made that nobody sees."""
+
+import json
+
+from conftest import ROOT
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
+
+from geometry_msgs.msg import PoseArray
+from sensor_msgs.msg import CameraInfo, PointCloud2, PointField
+from std_msgs.msg import Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from ocp_ros.geometry.cameras import CameraModel, in_view, Pose, rotation_matrix
+from ocp_ros.geometry.sensors import SENSORS
+from ocp_ros.nodes import qos, topics
+from ocp_ros.nodes.camera_info import camera_info
+from ocp_ros.nodes.conversions import cloud_to_msg, msg_to_cloud, ns_to_stamp, positions_to_msg
+from ocp_ros.nodes.markers import frustum_edges, rig_markers
+from ocp_ros.nodes.policy_node import PolicyNode
+from ocp_ros.nodes.policy_views import observed_maps
+from ocp_ros.nodes.sim_node import SimNode
+from ocp_ros.nodes.trainer_node import TrainerNode
+from ocp_ros.simulation.maps import maps_of
+
+SMALL = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
+         'engine__coverage_cell': 0.5}
+POSITIONS = np.array([[4.0, 4.0, 1.9], [5.0, 4.0, 1.9], [4.0, 5.0, 1.9]])
+CLOUDS = (topics.COVERAGE_CLOUD, topics.ERROR_CLOUD)
+TRUE_CLOUDS = (topics.TRUE_COVERAGE_CLOUD, topics.TRUE_ERROR_CLOUD)
+
+
+def values_of(cloud):
+    """Return the fourth field of a cloud."""
+    field = cloud.fields[3]
+    kind = {PointField.UINT32: '<u4', PointField.FLOAT32: '<f4'}[field.datatype]
+    rows = np.frombuffer(bytes(cloud.data), np.uint8).reshape(-1, cloud.point_step)
+    return field.name, rows[:, field.offset:field.offset + 4].copy().view(kind)[:, 0]
+
+
+@pytest.mark.parametrize('sensors', ['omnidirectional', 'azure_kinect_wfov'])
+def test_the_simulation_shows_what_the_cameras_truly_see_and_miss(graph, probe, sensors):
+    sim = graph.add(SimNode, rig__sensors=sensors, rig__tilt=0.3, **SMALL)
+    for topic in TRUE_CLOUDS:
+        probe.listen(PointCloud2, topic, qos.LATCHED)
+    coverage, error = (probe.last(topic) for topic in TRUE_CLOUDS)
+    turn, scene = sim.episode.turn, sim.simulator.scene
+    name, counts = values_of(coverage)
+    assert name == 'count' and len(counts) == len(scene)
+    np.testing.assert_array_equal(msg_to_cloud(coverage), scene.points)
+    expected = sum(
+        sim.simulator.judge([sim.simulator.look(row, k)]).visible.astype(int)
+        for k, row in enumerate(np.hstack([turn.positions, sim.config.rig.headings])))
+    np.testing.assert_array_equal(counts, expected)
+    assert counts.max() > 1
+    name, lost = values_of(error)
+    assert name == 'error' and (lost > 0.0).all()
+    assert lost.sum() == pytest.approx(turn.depth_error, rel=1e-4)
+    assert coverage.header == error.header and coverage.header.frame_id == 'map'
+
+
+def test_nothing_is_made_that_nobody_sees(graph, probe):
+    sim = graph.add(SimNode, resend_period=0.05, **SMALL)
+    policy = graph.add(PolicyNode)
+    views = [*sim._cloud_view._views, *sim._rig_view._views, *policy._views._clouds._views]
+    graph.until(lambda: sim.episode.turn.step >= 2)
+    assert [view.made for view in views] == [0] * len(views)
+    for topic in (*CLOUDS, *TRUE_CLOUDS):
+        probe.listen(PointCloud2, topic, qos.LATCHED)
+    probe.listen(MarkerArray, topics.MARKERS, qos.LATCHED)
+    for topic in probe.received:
+        probe.last(topic)
+    # And again when there is something new.
+    step = sim.episode.turn.step
+    graph.until(lambda: sim.episode.turn.step > step + 1 or sim.episode.turn.truncated)
+    graph.until(lambda: all(len(heard) >= 2 for heard in probe.received.values()))
+
+
+def test_the_policy_shows_what_it_knows(graph, probe, room):
+    graph.add(PolicyNode, max_range=3.0)
+    for topic in CLOUDS:
+        probe.listen(PointCloud2, topic, qos.LATCHED)
+    clouds = probe.publisher(PointCloud2, topics.OBSERVATION, qos.LOOP)
+    poses = probe.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
+    header = Header(stamp=ns_to_stamp(7), frame_id='map')
+    poses.publish(positions_to_msg(POSITIONS, header))
+    clouds.publish(cloud_to_msg(room.points, header))
+    coverage, error = (probe.last(topic) for topic in CLOUDS)
+    expected = observed_maps(room.points, [Pose.of(p) for p in POSITIONS],
+                             (CameraModel(max_range=3.0),))
+    assert coverage.header == error.header == header
+    np.testing.assert_array_equal(values_of(coverage)[1], expected.count)
+    assert values_of(error)[1].sum() == pytest.approx(expected.error.sum(), rel=1e-4)
+    # No camera sees farther than its range.
+    away = np.linalg.norm(msg_to_cloud(coverage)[:, None] - POSITIONS, axis=2)
+    assert (away[values_of(coverage)[1] > 0].min(axis=1) <= 3.0 + 1e-4).all()
+
+
+@pytest.mark.parametrize('sensor', ['realsense_d455', 'azure_kinect_wfov'])
+def test_a_camera_info_projects_as_the_camera_sees(sensor):
+    model, rng = SENSORS[sensor].model, np.random.default_rng(0)
+    info = camera_info(model, Header(frame_id='camera_0_optical'))
+    assert (info.width, info.height) == model.resolution
+    matrix = np.array(info.k).reshape(3, 3)
+    assert np.array_equal(np.array(info.p).reshape(3, 4)[:, :3], matrix)
+    inside = 0
+    for x, y, z in rng.normal(size=(500, 3)):
+        pixel = matrix @ [-y, -z, x]
+        u, v = pixel[:2] / pixel[2] + 0.5
+        shown = x > 0 and 0 <= u <= info.width and 0 <= v <= info.height
+        assert shown == in_view(x, y, z, model.lens)
+        inside += shown
+    assert inside > 10
+
+
+def test_cameras_without_an_image_have_no_camera_info():
+    for model in (CameraModel(), SENSORS['velodyne_vlp16'].model,
+                  CameraModel(horizontal_fov=1.0, vertical_fov=1.0)):
+        assert camera_info(model, Header()) is None
+
+
+def test_the_simulation_describes_its_cameras(graph, probe):
+    sim = graph.add(SimNode, rig__sensors='realsense_d455', rig__cameras=2, **SMALL)
+    for camera in range(2):
+        probe.listen(CameraInfo, topics.camera_info(camera), qos.LATCHED)
+    for camera in range(2):
+        info = probe.last(topics.camera_info(camera))
+        assert info.header.frame_id == f'camera_{camera}_optical'
+        assert info.header.stamp == ns_to_stamp(sim._stamp)
+        assert (info.width, info.height) == (1280, 720)
+
+
+def test_a_frustum_is_as_far_and_as_wide_as_the_camera_sees():
+    model = SENSORS['realsense_d435'].model
+    pose = Pose(np.array([1.0, 2.0, 1.9]), rotation_matrix(0.7, 0.4, 0.2))
+    edges = frustum_edges(pose, model)
+    away = edges - pose.position
+    far = away[np.linalg.norm(away, axis=1) > 1e-9]
+    np.testing.assert_allclose(np.linalg.norm(far, axis=1), model.max_range)
+    body = far @ pose.rotation
+    assert all(in_view(*(corner * [1, 0.999, 0.999]), model.lens) for corner in body)
+    assert not any(in_view(*(corner * [1, 1.001, 1]), model.lens) for corner in body)
+    assert not any(in_view(*(corner * [1, 1, 1.001]), model.lens) for corner in body)
+
+
+def test_markers_show_frusta_or_ranges_and_ways():
+    models = (SENSORS['realsense_d455'].model, CameraModel(), SENSORS['velodyne_vlp16'].model)
+    poses = [Pose.of(position) for position in POSITIONS]
+    drawn = rig_markers(np.array([POSITIONS - 0.3, POSITIONS]), poses, models, Header()).markers
+    kinds = {(marker.ns, marker.id): marker for marker in drawn}
+    assert set(kinds) == {(ns, k) for ns in ('cameras', 'trajectories') for k in range(3)} | {
+        ('frusta', 0), ('ranges', 1), ('ranges', 2)}
+    assert kinds['frusta', 0].type == Marker.LINE_LIST and len(kinds['frusta', 0].points) == 16
+    assert kinds['ranges', 2].scale.x == 200.0
+    assert [len(kinds['trajectories', k].points) for k in range(3)] == [2, 2, 2]
+
+
+def test_the_parts_of_the_error_are_where_nobody_looks(room):
+    from ocp_ros.simulation.config import EngineConfig, RigConfig, SimulationConfig
+    from ocp_ros.simulation.simulator import Simulator
+    simulator = Simulator(room, SimulationConfig(RigConfig(cameras=2), EngineConfig(
+        preset='fast', error_rows=32, coverage_cell=0.5)))
+    maps = maps_of(simulator, [Pose.of(p) for p in POSITIONS[:2]])
+    result = simulator.evaluate(POSITIONS[:2])
+    assert maps.error.sum() == pytest.approx(result.depth_error)
+    np.testing.assert_array_equal(maps.count > 0, result.visible)
+    assert (maps.error[maps.count > 0] == 0.0).all()
+
+
+#: What RViz calls its displays of a type.
+RVIZ = {'rviz_default_plugins/PointCloud2': 'sensor_msgs/msg/PointCloud2',
+        'rviz_default_plugins/MarkerArray': 'visualization_msgs/msg/MarkerArray',
+        'rviz_default_plugins/PoseArray': 'geometry_msgs/msg/PoseArray'}
+
+
+def test_rviz_shows_every_topic_that_can_be_shown():
+    config = yaml.safe_load((ROOT / 'config' / 'ocp.rviz').read_text())
+    manager = config['Visualization Manager']
+    assert manager['Global Options']['Fixed Frame'] == 'map'
+    shown = {display['Topic']['Value'].lstrip('/'): RVIZ[display['Class']]
+             for display in manager['Displays'] if 'Topic' in display}
+    assert shown == {topic: kind for topic, kind in topics.TYPES.items()
+                     if kind in RVIZ.values()}
+    latched = {topics.SCENE, topics.MARKERS, topics.RIG_MARKERS, topics.PLACEMENT, *CLOUDS,
+               *TRUE_CLOUDS}
+    for display in manager['Displays']:
+        if 'Topic' in display:
+            topic = display['Topic']['Value'].lstrip('/')
+            assert display['Topic']['Durability Policy'] == (
+                'Transient Local' if topic in latched else 'Volatile'), topic
+            assert display['Topic']['Reliability Policy'] == 'Reliable'
+
+
+def test_foxglove_shows_every_topic_that_can_be_shown():
+    layout = json.loads((ROOT / 'config' / 'ocp_foxglove.json').read_text())
+    panels = layout['configById']
+
+    def names(tree):
+        return [tree] if isinstance(tree, str) else names(tree['first']) + names(tree['second'])
+
+    assert sorted(names(layout['layout'])) == sorted(panels)
+    seen = set()
+    for name, panel in panels.items():
+        kind = name.split('!')[0]
+        if kind == '3D':
+            found = {topic.lstrip('/') for topic in panel['topics']}
+            assert {topics.TYPES[topic] for topic in found} <= set(RVIZ.values())
+            assert panel['followTf'] == 'map'
+        elif kind == 'Plot':
+            found = {path['value'].removesuffix('.data').lstrip('/') for path in panel['paths']}
+            assert {topics.TYPES[topic] for topic in found} == {'std_msgs/msg/Float64'}
+        else:
+            found = {panel['topicPath'].removesuffix('.data').lstrip('/')}
+            assert {topics.TYPES[topic] for topic in found} == {'std_msgs/msg/String'}
+        seen |= found
+    # What policies tell each other is for nobody to read.
+    assert seen == {topic for topic, kind in topics.TYPES.items() if topic != topics.COMMANDERS
+                    and kind in {*RVIZ.values(), 'std_msgs/msg/Float64', 'std_msgs/msg/String'}}
+
+
+def test_the_types_of_topics_are_those_that_nodes_publish(graph, tmp_path):
+    graph.add(SimNode, **SMALL)
+    graph.add(PolicyNode, cloud_topics='points', manual=True)
+    policy = graph.add(PolicyNode, planner='learned', explore=True)
+    graph.add(TrainerNode, folder=str(tmp_path))
+
+    def found():
+        kinds = {name.lstrip('/'): kinds for name, kinds in policy.get_topic_names_and_types()}
+        return {topic: kinds.get(topic) for topic in topics.TYPES}
+
+    expected = {topic: [kind] for topic, kind in topics.TYPES.items()}
+    graph.until(lambda: found() == expected)
