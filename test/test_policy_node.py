@@ -32,7 +32,8 @@ from ocp_ros.nodes.conversions import (
     stamp_to_ns,
 )
 from ocp_ros.nodes.policy_config import PLANNERS, PolicyNodeConfig
-from ocp_ros.nodes.policy_node import make_planner, PolicyNode
+from ocp_ros.nodes.policy_node import PolicyNode
+from ocp_ros.nodes.policy_planners import make_planner
 from ocp_ros.nodes.sim_node import SimNode
 from ocp_ros.planners.online import play, REFINING
 from ocp_ros.simulation.episode import Episode
@@ -112,10 +113,10 @@ def test_the_parts_of_different_turns_are_not_mixed(robot, room):
     policy = robot.start()
     header = Header(stamp=ns_to_stamp(1), frame_id='map')
     robot.poses.publish(positions_to_msg(POSITIONS, header))
-    robot.graph.until(lambda: policy._poses is not None)
+    robot.graph.until(lambda: policy._turns.poses is not None)
     header.stamp = ns_to_stamp(2)
     robot.clouds.publish(cloud_to_msg(room.points, header))
-    robot.graph.until(lambda: policy._cloud is not None)
+    robot.graph.until(lambda: policy._turns.cloud is not None)
     assert policy._counts['turns_answered'] == 0
     robot.send(3)
     robot.command(3)
@@ -306,7 +307,7 @@ def test_an_episode_goes_on_when_its_first_turn_is_sent_again(robot, monkeypatch
     rewards = robot.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
     for stamp, step in ((1, 0), (1, 0), (2, 1), (2, 1)):
         rewards.publish(reward(stamp, step=step))
-        robot.graph.until(lambda: policy._told == stamp)
+        robot.graph.until(lambda: policy._turns.told == stamp)
         robot.send(stamp)
         robot.command(stamp)
     rewards.publish(reward(3, episode=2, step=0))
@@ -323,12 +324,12 @@ def test_the_planner_is_told_which_turn_it_is(robot, monkeypatch, late):
     for stamp, step in ((1, 7), (2, 8), (3, 9)):
         if not late:
             rewards.publish(reward(stamp, step=step))
-            robot.graph.until(lambda: policy._told == stamp)
+            robot.graph.until(lambda: policy._turns.told == stamp)
         robot.send(stamp)
         robot.command(stamp)
         if late:
             rewards.publish(reward(stamp, step=step))
-            robot.graph.until(lambda: policy._told == stamp)
+            robot.graph.until(lambda: policy._turns.told == stamp)
     # Who hears of the first turn too late counts from 0.
     assert told == [(0 if late else 7, 30), (8, 30), (9, 30)]
 

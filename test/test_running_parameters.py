@@ -230,7 +230,7 @@ def test_commands_are_held_to_a_rig_file(robot, tmp_path, monkeypatch):
         assert not ((found[:2, 0] >= 3.5) & (found[:2, 0] <= 4.5)).any()
         assert cKDTree(box_room().points).query(found[:2])[0].min() >= 0.399
         positions = found
-    assert not policy._guard.held
+    assert not policy._decider.guard.held
 
 
 def test_poses_of_another_rig_are_refused(robot, tmp_path, capfd):

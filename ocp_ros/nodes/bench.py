@@ -87,18 +87,18 @@ class Answers:
         while not episode.turn.truncated:
             number += 1
             header = Header(stamp=ns_to_stamp(number), frame_id='map')
-            self.node._on_reward(_reward(number, room, episode.turn.step))
-            self.node._on_poses(positions_to_msg(episode.turn.positions, header))
+            self.node._turns.on_reward(_reward(number, room, episode.turn.step))
+            self.node._turns.on_poses(positions_to_msg(episode.turn.positions, header))
             cloud = cloud_to_msg(episode.observed_cloud, header)
             wall, cpu = time.perf_counter(), time.process_time()
             if self.profile:
-                self.profile.runcall(self.node._on_cloud, cloud)
+                self.profile.runcall(self.node._turns.on_cloud, cloud)
             else:
-                self.node._on_cloud(cloud)
+                self.node._turns.on_cloud(cloud)
             self.cpu.append(time.process_time() - cpu)
             self.wall.append(time.perf_counter() - wall)
             self.points.append(cloud.width)
-            target = msg_to_positions(self.node._answer)
+            target = msg_to_positions(self.node._turns.answer)
             episode.move((target - episode.turn.positions)[:, :2])
 
 
@@ -138,10 +138,10 @@ def _hottest(profile: cProfile.Profile) -> list[str]:
     """Return the functions in which most time was spent, as shares of that of all turns."""
     stats = pstats.Stats(profile, stream=io.StringIO()).stats
     whole = max((total for (_, _, name), (_, _, _, total, _) in stats.items()
-                 if name == '_on_cloud'), default=1.0)
+                 if name == 'on_cloud'), default=1.0)
     rows = sorted(((total, own, calls, f'{Path(path).stem}.{name}')
                    for (path, _, name), (_, calls, own, total, _) in stats.items()
-                   if 'ocp_ros' in path and name != '_on_cloud'), reverse=True)
+                   if 'ocp_ros' in path and name != 'on_cloud'), reverse=True)
     return [f'{100 * total / whole:.0f} % {name} ({calls} calls, itself {100 * own / whole:.0f} %)'
             for total, own, calls, name in rows[:14]]
 

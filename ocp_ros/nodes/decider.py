@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ``policy_node`` decides in a turn: what a planner asks for, as far as it is allowed."""
+
+from geometry_msgs.msg import PoseArray
+import numpy as np
+from rclpy.impl.rcutils_logger import RcutilsLogger
+
+from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.geometry.clouds import corners_of
+from ocp_ros.nodes.conversions import MessageError, moved_to
+from ocp_ros.nodes.policy_config import PolicyNodeConfig
+from ocp_ros.nodes.policy_planners import make_planner, planned_alike
+from ocp_ros.nodes.rig_guard import RigGuard
+from ocp_ros.scenes.scene import LARGEST
+from ocp_ros.simulation.moves import kept_inside
+from ocp_ros.simulation.space import Space
+
+
+class Decider:
+    """
+    Ask a planner where cameras go, and hold its answer to the floor and to a rig file.
+
+    :param config: of the node.
+    :param checkpoint: weights of the policy; None where none is asked.
+    :param log: of the node.
+    :ivar planner: chooses the moves.
+    :ivar learned: its part that runs the policy; None where there is none.
+    :ivar guard: the rig file; None where there is none.
+    :raises ConfigurationError: if the rig file cannot be used.
+    """
+
+    def __init__(self, config: PolicyNodeConfig, checkpoint: Checkpoint | None,
+                 log: RcutilsLogger) -> None:
+        self._config, self._log = config, log
+        self.planner, self.learned = make_planner(config, checkpoint)
+        self.guard = RigGuard(config.rig_file, config.wall_margin) if config.rig_file else None
+
+    def change(self, config: PolicyNodeConfig) -> None:
+        """Go on with other parameters; a planner that begins anew knows what it needs."""
+        before, self._config = self._config, config
+        if not planned_alike(before, config):
+            self.planner, self.learned = make_planner(
+                config, None if self.learned is None else self.learned.policy.checkpoint)
+        if self.guard is not None:
+            self.guard.change_margin(config.wall_margin)
+
+    @property
+    def models(self) -> tuple[CameraModel, ...]:
+        """Return what each camera sees, or one model for all."""
+        if self.guard is not None:
+            return self.guard.models
+        return (CameraModel(self._config.min_range, self._config.max_range),)
+
+    @property
+    def alone(self) -> bool:
+        """Return whether a policy plays without lookahead, which refines to the end."""
+        return self.planner is self.learned
+
+    def check(self, cloud: np.ndarray, positions: np.ndarray) -> None:
+        """
+        Refuse what is no turn.
+
+        :param cloud: (N, 3) float32, metres: the points seen so far.
+        :param positions: (K, 3) metres: where the cameras are.
+        :raises MessageError: if nothing was seen, or not a room, or the cameras are of another
+            rig.
+        """
+        if len(cloud) == 0:
+            raise MessageError('cloud: found no finite point; expected what the cameras see')
+        around = np.concatenate([corners_of(cloud).astype(np.float64), positions])
+        if (size := np.ptp(around, axis=0).max()) > LARGEST:
+            raise MessageError(f'cloud: found points and cameras {size:.0f} m apart; expected '
+                               f'those of a room, within {LARGEST:.0f} m')
+        self._movable(positions)
+
+    def _movable(self, positions: np.ndarray) -> np.ndarray:
+        """Return where the cameras are that may be moved: (M, 3) metres, M <= K."""
+        return positions if self.guard is None else self.guard.movable(positions)
+
+    def decide(self, cloud: np.ndarray, positions: np.ndarray, poses: PoseArray, step: int,
+               settled: bool) -> PoseArray:
+        """
+        Choose where the cameras go.
+
+        :param cloud: (N, 3) float32, metres: the points seen so far.
+        :param positions: (K, 3) metres: where the cameras are.
+        :param poses: the same as they came.
+        :param step: turns played so far.
+        :param settled: whether the cameras shall stay where they are.
+        """
+        target, movable = positions.copy(), self._movable(positions)
+        if not settled:
+            # Nobody leaves the floor that was seen: beyond a wall one looks through its back.
+            space = Space.of(cloud, float(np.median(movable[:, 2])), len(movable),
+                             self._config.wall_margin)
+            target[:len(movable), :2] = space.moved(
+                movable[:, :2], self.moves(cloud, movable, step), self._config.max_step)
+        return moved_to(poses, self._held(cloud, positions, target, settled))
+
+    def _held(self, cloud: np.ndarray, positions: np.ndarray, target: np.ndarray,
+              settled: bool) -> np.ndarray:
+        """Bring targets (K, 3) to where cameras may be."""
+        bounds = corners_of(cloud).astype(np.float64)
+        if self.guard is None:
+            return kept_inside(target, bounds, self._config.wall_margin)[0]
+        if settled:
+            return positions.copy()
+        target, _ = kept_inside(target, bounds, self._config.wall_margin)
+        target = self.guard.hold(cloud, positions, target, self._config.max_step)
+        if self.guard.held:
+            self._log.warning('; '.join(self.guard.held), throttle_duration_sec=5.0)
+        return target
+
+    def moves(self, cloud: np.ndarray, positions: np.ndarray, step: int) -> np.ndarray:
+        """Ask the planner for the next moves, (K, 2) metres; where it fails, cameras stay."""
+        turns = self._config.turns
+        try:
+            moves = self.planner.move(cloud, positions, min(step, turns), turns)
+        except Exception as error:
+            # Planners know what to do without a room. What else may happen, this node goes on.
+            failure = f'{type(error).__name__}: {error}'
+        else:
+            if np.isfinite(moves).all():
+                return moves
+            failure = 'moves of NaN or inf'
+        self._log.error(
+            f'{self._config.planner}: found {failure}; cameras stay where they are')
+        return np.zeros((len(positions), 2))

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Turns of a simulation: an observation and poses of one stamp make a turn, whichever is first."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from geometry_msgs.msg import PoseArray
+import numpy as np
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Float64MultiArray
+
+from ocp_ros.nodes import topics
+from ocp_ros.nodes.conversions import (
+    MessageError,
+    msg_to_cloud,
+    msg_to_fields,
+    ns_of,
+    stamp_to_ns,
+)
+from ocp_ros.nodes.qos import LOOP
+
+
+class Told(NamedTuple):
+    """
+    What a simulation says of a turn.
+
+    :ivar episode: its number.
+    :ivar step: turns of the episode before it.
+    :ivar over: whether it is the last one.
+    :ivar answered: the poses of the turn, if it has been answered already; else None.
+    """
+
+    episode: int
+    step: int
+    over: bool
+    answered: PoseArray | None
+
+
+class SimulatedTurns:
+    """
+    Put the messages of a turn together, and answer it.
+
+    :param node: gets the subscriptions.
+    :param commands: where answers go.
+    :param answer: is asked once per turn: the points (N, 3) float32, metres, seen so far, and
+        where the cameras are give the command.
+    :param told: is told once per turn which one it is.
+    :param refuse: takes note of a message that cannot be used.
+    :param waits: tells whether nothing may be commanded now.
+    """
+
+    def __init__(self, node: Node, commands: Publisher,
+                 answer: Callable[[np.ndarray, PoseArray], PoseArray],
+                 told: Callable[[Told], None], refuse: Callable[[ValueError], None],
+                 waits: Callable[[], bool]) -> None:
+        self._commands, self._answer_turn, self._tell = commands, answer, told
+        self._refuse, self._waits = refuse, waits
+        self.cloud: PointCloud2 | None = None
+        self.poses: PoseArray | None = None
+        self.answer: PoseArray | None = None
+        #: Stamp of the latest reward, nanoseconds.
+        self.told: int | None = None
+        # First, so that a new episode is known before its first turn is answered.
+        node.create_subscription(Float64MultiArray, topics.REWARD, self.on_reward, LOOP)
+        node.create_subscription(PoseArray, topics.CAMERA_POSES, self.on_poses, LOOP)
+        node.create_subscription(PointCloud2, topics.OBSERVATION, self.on_cloud, LOOP)
+
+    def on_reward(self, message: Float64MultiArray) -> None:
+        """Learn which turn it is; real cameras have no such topic."""
+        try:
+            fields = msg_to_fields(
+                message, ('stamp_sec', 'stamp_nanosec', 'episode', 'step', 'truncated'))
+        except MessageError as error:
+            self._refuse(error)
+            return
+        stamp = ns_of(fields, 'stamp')
+        if stamp == self.told:
+            # The turn was sent again: an episode that began with it goes on.
+            return
+        self.told = stamp
+        answered = self.answer is not None and stamp_to_ns(self.answer.header.stamp) == stamp
+        self._tell(Told(int(fields['episode']), int(fields['step']), bool(fields['truncated']),
+                        self.poses if answered else None))
+
+    def on_cloud(self, message: PointCloud2) -> None:
+        """Keep the observation; act when its poses are here."""
+        self.cloud = message
+        self.act()
+
+    def on_poses(self, message: PoseArray) -> None:
+        """Keep the poses; act when their observation is here."""
+        self.poses = message
+        self.act()
+
+    def act(self) -> None:
+        """Answer a turn once both its messages are here; the same turn gets the same answer."""
+        cloud, poses = self.cloud, self.poses
+        if cloud is None or poses is None or cloud.header.stamp != poses.header.stamp:
+            return
+        if self._waits():
+            return
+        if self.answer is None or self.answer.header.stamp != poses.header.stamp:
+            try:
+                if cloud.header.frame_id != poses.header.frame_id:
+                    raise MessageError(f'cloud: found the frame {cloud.header.frame_id!r}; '
+                                       f'expected that of the poses, {poses.header.frame_id!r}')
+                self.answer = self._answer_turn(msg_to_cloud(cloud), poses)
+            except MessageError as error:
+                self._refuse(error)
+                return
+        self._commands.publish(self.answer)
