@@ -214,6 +214,23 @@ def test_leaving_the_bounding_box_is_penalised_and_prevented(simulator):
     assert episode.turn.positions[:, 0].max() <= simulator.scene.bounds[1, 0] - 0.1 + 1e-9
 
 
+def test_cameras_are_turned_with_a_move_and_stay_so(room):
+    rig = RigConfig(cameras=2, sensors='realsense_d455', tilt=0.2)
+    simulator = Simulator(room, SimulationConfig(engine=SMALL.engine, rig=rig))
+    episode = Episode(simulator, np.random.default_rng(0))
+    moves, headings = np.array([[0.1, 0.0], [0.0, 0.2]]), np.array([[1, 0.3, 0], [2, 0.1, 0.2]])
+    np.testing.assert_array_equal(episode.move(moves).headings, rig.headings)
+    turn = episode.move(moves, headings)
+    np.testing.assert_array_equal(turn.headings, headings)
+    # They are judged as they are turned, and the moves after it leave them so.
+    for now in (turn, episode.move(moves)):
+        found = simulator.evaluate(np.hstack([now.positions, headings]))
+        assert (found.depth_error, found.space_coverage) == (now.depth_error, now.space_coverage)
+        np.testing.assert_array_equal(now.headings, headings)
+    assert found.depth_error != simulator.evaluate(
+        np.hstack([turn.positions, rig.headings])).depth_error
+
+
 @given(seed=seeds)
 @budget(max_examples=15, deadline=None)
 def test_one_camera_more_never_sees_less(simulator, seed):

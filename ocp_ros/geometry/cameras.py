@@ -9,6 +9,8 @@ from numba import njit
 import numpy as np
 
 OMNIDIRECTIONAL, PINHOLE, SPHERICAL = 0, 1, 2
+#: Of a camera that looks straight up or down, so much of its direction is level at most.
+UPRIGHT = 1e-7
 
 
 class Lens(NamedTuple):
@@ -140,6 +142,29 @@ def rotation_matrix(yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> 
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
         [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
         [-sp, cp * sr, cp * cr]])
+
+
+def heading_of(rotation: np.ndarray) -> np.ndarray:
+    """
+    Return how a camera is turned: what :func:`rotation_matrix` makes the rotation of.
+
+    :param rotation: (3, 3), body frame to map frame.
+    :returns: (3,) yaw, pitch and roll in radians, the pitch from -pi / 2 to pi / 2; where a camera
+        looks straight up or down, yaw and roll are one, and the roll is 0.
+    """
+    forward, left, up = rotation.T
+    level = np.hypot(forward[0], forward[1])
+    pitch = np.arctan2(-forward[2], level)
+    if level < UPRIGHT:
+        return np.array([np.arctan2(-left[0], left[1]), pitch, 0.0])
+    return np.array([np.arctan2(forward[1], forward[0]), pitch, np.arctan2(left[2], up[2])])
+
+
+def angle_between(one: np.ndarray, other: np.ndarray) -> float:
+    """Return the angle, radians, of the rotation from one rotation (3, 3) to another."""
+    # Of small angles the cosine says little.
+    skew = np.linalg.norm(one - other) / np.sqrt(8.0)
+    return float(2.0 * np.arcsin(min(skew, 1.0)))
 
 
 #: A camera that looks along x, level.

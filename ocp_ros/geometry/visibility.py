@@ -20,6 +20,7 @@ import numpy as np
 
 from ocp_ros.geometry.blocks import block_bounds, no_bits, pack, spatial_order
 from ocp_ros.geometry.cameras import Lens, Pose
+from ocp_ros.geometry.cones import keep_in_cone
 from ocp_ros.geometry.shadow_maps import CubeSettings, project, Projection, splat, visible
 from ocp_ros.geometry.surfels import (
     distances,
@@ -108,6 +109,22 @@ class SurfelVisibility:
             look_at_surfels(self._surfels, self._bounds, self._places, self._place_bounds, pose,
                             lens, self.settings, work, seen,
                             NO_BITS if covered is None else covered)
+
+    def narrowed(self, pose: Pose, lens: Lens, seen: np.ndarray, covered: np.ndarray
+                 ) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Keep what lies in the viewing cone: many directions from one place, looked at once.
+
+        :param pose: the camera's pose.
+        :param lens: its model.
+        :param seen: packed bits of the points that a camera sees there that sees all around.
+        :param covered: packed bits of the places that it covers.
+        :returns: the bits of both that are in the cone.
+        """
+        kept = np.empty_like(seen), np.empty_like(covered)
+        for points, bits, found in zip((self._surfels, self._places), (seen, covered), kept):
+            keep_in_cone(points, pose, lens, bits, found)
+        return kept
 
     def shadow_map(self, pose: Pose, lens: Lens) -> np.ndarray:
         """Return a camera's map: (H, W) float32 distances, metres; filled where it looks."""

@@ -137,23 +137,32 @@ def positions_to_msg(positions: np.ndarray, header: Header,
     message = PoseArray(header=header, poses=[
         Pose(position=Point(x=float(x), y=float(y), z=float(z))) for x, y, z in positions])
     if headings is not None:
-        for pose, (x, y, z, w) in zip(
-                message.poses, Rotation.from_euler('ZYX', headings).as_quat(), strict=True):
-            pose.orientation = Quaternion(x=float(x), y=float(y), z=float(z), w=float(w))
+        for pose, heading in zip(message.poses, headings, strict=True):
+            pose.orientation = quaternion_of(heading)
     return message
 
 
-def moved_to(poses: PoseArray, positions: np.ndarray) -> PoseArray:
+def moved_to(poses: PoseArray, positions: np.ndarray,
+             turned: Mapping[int, np.ndarray] | None = None) -> PoseArray:
     """
-    Pack cameras at other positions, turned as they are.
+    Pack cameras at other positions, turned as they are but for some.
 
     :param poses: where they are now.
     :param positions: (K, 3), metres, in the same frame.
+    :param turned: yaw, pitch and roll in radians, (3,), of the cameras that are turned.
     """
     message = positions_to_msg(positions, poses.header)
     for pose, now in zip(message.poses, poses.poses, strict=True):
         pose.orientation = now.orientation
+    for camera, heading in (turned or {}).items():
+        message.poses[camera].orientation = quaternion_of(heading)
     return message
+
+
+def quaternion_of(heading: np.ndarray) -> Quaternion:
+    """Pack yaw, pitch and roll in radians, (3,), as a quaternion of length 1."""
+    x, y, z, w = Rotation.from_euler('ZYX', heading).as_quat()
+    return Quaternion(x=float(x), y=float(y), z=float(z), w=float(w))
 
 
 def msg_to_positions(message: PoseArray, cameras: int | None = None) -> np.ndarray:

@@ -21,7 +21,7 @@ from std_srvs.srv import Trigger
 
 from ocp_ros.agent.encoder import order_of
 from ocp_ros.configuration import group, setting
-from ocp_ros.geometry.cameras import Pose
+from ocp_ros.geometry.cameras import heading_of, Pose
 from ocp_ros.nodes import health, topics
 from ocp_ros.nodes.conversions import (
     cloud_to_msg,
@@ -30,6 +30,7 @@ from ocp_ros.nodes.conversions import (
     msg_to_positions,
     ns_to_stamp,
     positions_to_msg,
+    rotation_of,
     stamp_to_ns,
 )
 from ocp_ros.nodes.parameters import declare, follow
@@ -98,6 +99,8 @@ class SimNode(Node):
         self._error = loop(Float64, topics.DEPTH_ERROR)
         self._scene = self.create_publisher(PointCloud2, topics.SCENE, LATCHED)
         models = self.simulator.models
+        self._sees_all_around = np.broadcast_to(
+            [model.omnidirectional for model in models], self.config.rig.cameras)
         self._rig_view = RigView(self, topics.MARKERS, models, self.config.rig.cameras)
         self._cloud_view = CloudView(
             self, topics.TRUE_COVERAGE_CLOUD, topics.TRUE_ERROR_CLOUD,
@@ -123,7 +126,7 @@ class SimNode(Node):
         header, turn = self._header(), self.episode.turn
         self._turn_messages = (
             (self._reward, fields_to_msg(self._reward_fields())),
-            (self._poses, positions_to_msg(turn.positions, header, self.config.rig.headings)),
+            (self._poses, positions_to_msg(turn.positions, header, turn.headings)),
             (self._observation, cloud_to_msg(self.episode.observed_cloud, header)))
         self._send_turn()
         self._coverage.publish(Float64(data=turn.space_coverage))
@@ -133,7 +136,7 @@ class SimNode(Node):
 
     def _camera_poses(self) -> list[Pose]:
         """Return where the cameras are and how they are turned."""
-        rows = np.hstack([self.episode.turn.positions, self.episode.rig.headings])
+        rows = np.hstack([self.episode.turn.positions, self.episode.turn.headings])
         return [Pose.of(row) for row in rows]
 
     def _reward_fields(self) -> dict[str, float]:
@@ -174,6 +177,7 @@ class SimNode(Node):
             return
         try:
             target = msg_to_positions(message, self.config.rig.cameras)
+            headings = self._commanded(message)
             if message.header.frame_id != self.config.frame_id:
                 raise MessageError(f'command: found the frame {message.header.frame_id!r}; '
                                    f'expected {self.config.frame_id!r}')
@@ -184,10 +188,24 @@ class SimNode(Node):
         self._answered = True
         if self.episode.turn.truncated:
             return
-        self.episode.move((target - self.episode.turn.positions)[:, :2])
+        self.episode.move((target - self.episode.turn.positions)[:, :2], headings)
         self._publish_turn()
         if self.episode.turn.truncated and self.config.auto_reset:
             self._begin()
+
+    def _commanded(self, message: PoseArray) -> np.ndarray:
+        """
+        Return how a command turns the cameras: (K, 3) yaw, pitch, roll in radians.
+
+        How a camera that sees all around is turned makes no difference, and one whose quaternion
+        is that of the turn stays as it is, to the last bit.
+        """
+        headings, (_, (_, sent), _) = self.episode.turn.headings.copy(), self._turn_messages
+        for camera, (pose, now) in enumerate(zip(message.poses, sent.poses, strict=True)):
+            if not self._sees_all_around[camera] and pose.orientation != now.orientation:
+                headings[camera] = heading_of(
+                    rotation_of(pose.orientation, f'command: camera {camera}'))
+        return headings
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Begin a new episode."""

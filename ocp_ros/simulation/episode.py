@@ -18,6 +18,7 @@ class Turn:
 
     :ivar step: turns since the episode began.
     :ivar positions: (K, 3) float64, metres, map frame.
+    :ivar headings: (K, 3) float64, yaw, pitch and roll in radians.
     :ivar space_coverage: cubic metres, of the current placement.
     :ivar depth_error: metres, of the current placement.
     :ivar terms: the turn's reward and what it is made of.
@@ -26,6 +27,7 @@ class Turn:
 
     step: int
     positions: np.ndarray
+    headings: np.ndarray
     space_coverage: float
     depth_error: float
     terms: RewardTerms
@@ -49,7 +51,7 @@ class Episode:
         self.config = simulator.config.episode
         self.observed = simulator.nothing()
         self._views: list[View] = []
-        self.turn = self._look(0, self._start(rng), NO_REWARD)
+        self.turn = self._look(0, self._start(rng), self.rig.headings)
         #: The turn before, and what each camera saw then.
         self._before = self.turn, self._views
 
@@ -64,11 +66,13 @@ class Episode:
         positions[:, 2] = self.simulator.height
         return kept_inside(positions, self.scene.bounds, self.config.wall_margin)[0]
 
-    def move(self, moves: np.ndarray) -> Turn:
+    def move(self, moves: np.ndarray, headings: np.ndarray | None = None) -> Turn:
         """
         Play one turn.
 
         :param moves: (K, 2) metres on the plane; a longer one than ``max_step`` is shortened.
+        :param headings: (K, 3) yaw, pitch and roll in radians; None for cameras that stay turned
+            as they are.
         :returns: the new state, also kept as ``turn``.
         """
         moves = np.asarray(moves, dtype=np.float64)
@@ -78,7 +82,8 @@ class Episode:
             self.config.max_step / np.maximum(length, 1e-12), 1.0)
         target, outside = kept_inside(target, self.scene.bounds, self.config.wall_margin)
         before, self._before = self.turn, (self.turn, self._views)
-        self.turn = self._look(before.step + 1, target, NO_REWARD)
+        self.turn = self._look(before.step + 1, target,
+                               before.headings if headings is None else headings)
         simulator = self.simulator
         terms = reward((before.space_coverage, before.depth_error),
                        (self.turn.space_coverage, self.turn.depth_error), outside,
@@ -107,14 +112,14 @@ class Episode:
             before = after
         return found
 
-    def _look(self, step: int, positions: np.ndarray, terms: RewardTerms) -> Turn:
+    def _look(self, step: int, positions: np.ndarray, headings: np.ndarray) -> Turn:
         """Judge the placement and remember what it sees."""
         self._views = [self.simulator.look(pose, camera) for camera, pose in enumerate(
-            np.hstack([positions, self.rig.headings]))]
+            np.hstack([positions, headings]))]
         result = self.simulator.judge(self._views)
         self.observed |= result.seen
-        return Turn(step, positions, result.space_coverage, result.depth_error, terms,
-                    truncated=step >= self.config.turns)
+        return Turn(step, positions, headings, result.space_coverage, result.depth_error,
+                    NO_REWARD, truncated=step >= self.config.turns)
 
     @property
     def observed_cloud(self) -> np.ndarray:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Moves of cameras on their plane: bounded in length, kept inside the room."""
+"""Moves and turns of cameras: bounded in length, kept inside the room."""
 
 import numpy as np
 
@@ -26,6 +26,45 @@ def towards(positions: np.ndarray, targets: np.ndarray, reach: float) -> np.ndar
     way = targets - positions
     length = np.linalg.norm(way, axis=1, keepdims=True)
     return positions + way * np.minimum(reach / np.maximum(length, 1e-12), 1.0)
+
+
+def turned_towards(headings: np.ndarray, goals: np.ndarray, reach: float) -> np.ndarray:
+    """
+    Turn cameras towards goals, but no farther than some angle.
+
+    A yaw and a pitch are legs of a right-angled triangle on the sphere of rotations, so the
+    rotation is at most the square root of the sum of their squares.
+
+    :param headings: (K, 3) yaw, pitch, roll in radians.
+    :param goals: (K, 3) the same; the roll is not looked at.
+    :param reach: radians.
+    :returns: (K, 3) radians: the yaw changes the shorter way, the roll stays.
+    """
+    way = way_between(headings, goals)
+    length = np.linalg.norm(way, axis=1, keepdims=True)
+    turned = headings.copy()
+    turned[:, :2] += way * np.minimum(reach / np.maximum(length, 1e-12), 1.0)
+    turned[:, 0] = wrapped(turned[:, 0])
+    return turned
+
+
+def wrapped(angles: np.ndarray) -> np.ndarray:
+    """Return angles in radians as -pi up to pi; those that are stay as they are."""
+    return np.where(np.abs(angles) <= np.pi, angles,
+                    np.mod(angles + np.pi, 2.0 * np.pi) - np.pi)
+
+
+def way_between(headings: np.ndarray, goals: np.ndarray) -> np.ndarray:
+    """
+    Tell by how much cameras have to be turned.
+
+    :param headings: (..., 3) yaw, pitch, roll in radians.
+    :param goals: (..., 3) the same.
+    :returns: (..., 2) yaw, the shorter way, and pitch, radians.
+    """
+    way = goals[..., :2] - headings[..., :2]
+    way[..., 0] = wrapped(way[..., 0])
+    return way
 
 
 def kept_inside(positions: np.ndarray, bounds: np.ndarray, margin: float
