@@ -7,6 +7,7 @@ import numpy as np
 
 from ocp_ros.agent.config import AgentConfig
 from ocp_ros.agent.observation import encode
+from ocp_ros.agent.sight import Sight
 from ocp_ros.agent.world import nothing_known, WorldInputs, WorldTurn
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.scenes.scene import SceneError
@@ -93,6 +94,11 @@ class Encoder:
                  wall_margin: float = 0.1) -> None:
         self.config, self.max_step = config, max_step
         self._world = WorldInputs(max_range, max_step, wall_margin) if config.world else None
+
+    def know(self, sight: Sight | None) -> None:
+        """Learn before a turn how the cameras stand and what each sees; None for all around."""
+        if self._world is not None:
+            self._world.sight = sight
 
     def reset(self) -> None:
         """Forget the last episode."""

@@ -5,11 +5,13 @@ The engine on what has been seen, and which parts of the air nobody has looked i
 Whoever decides online, a planner or a policy, knows the room through this alone.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from ocp_ros.geometry.blocks import no_bits, pack, unpack
-from ocp_ros.geometry.cameras import CameraModel, Pose
+from ocp_ros.geometry.cameras import CameraModel, Lens, OMNIDIRECTIONAL, Pose
 from ocp_ros.geometry.clouds import cell_numbers, fixed_size
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.surfels import SurfelSettings
@@ -53,15 +55,21 @@ class Observed:
     :param most: a cloud of more points is thinned to at most as many.
     :param rows: rows of the depth maps of the error.
     :param settings: rules of visibility.
+    :param around: cells that are no farther from a camera count as well, seen from above, metres:
+        cameras that look one way know of no air behind them.
     :ivar cells: (C,) int64, the number of each cell, in the order of the bits of a view.
     :raises SceneError: if the points are too few or too flat to be a room.
     """
 
     def __init__(self, cloud: np.ndarray, positions: np.ndarray, max_range: float, most: int,
-                 rows: int, settings: SurfelSettings = FAST) -> None:
+                 rows: int, settings: SurfelSettings = FAST, around: float = 0.0) -> None:
         scene = Scene(thinned(cloud, most), 'observed cloud')
         corners = smallest_rectangle(scene.points[:, :2])
-        centres, numbers = cells_of_the_air(_with_corners(scene.bounds, corners))
+        box = _with_corners(scene.bounds, corners)
+        if around:
+            box = _with_corners(box, positions[:, :2] - around)
+            box = _with_corners(box, positions[:, :2] + around)
+        centres, numbers = cells_of_the_air(box)
         self._lens = CameraModel(max_range=max_range).lens
         tests = np.column_stack([_inset(corners), np.full(4, np.median(positions[:, 2]))])
         self.visibility = SurfelVisibility(
@@ -70,6 +78,9 @@ class Observed:
         bounds = _with_corners(scene.bounds, corners[self._open(tests, positions)])
         self.bounds = bounds
         inside = ((centres >= bounds[0]) & (centres <= bounds[1])).all(axis=1)
+        if around:
+            away = np.linalg.norm(centres[:, None, :2] - positions[None, :, :2], axis=2)
+            inside |= away.min(axis=1) <= around
         order, places = self.visibility.order, self.visibility.place_order
         self.cells = np.append(np.where(inside, numbers, NO_CELL), [NO_CELL] * 4)[places]
         self.depth_error = DepthError(scene.points[order], scene.spacing[order], bounds,
@@ -89,11 +100,30 @@ class Observed:
             found |= seen[-4:] & (near == camera).any(axis=1)
         return found
 
-    def look(self, position: np.ndarray) -> View:
-        """Compute what a camera at a position (3,) would see of what is known."""
+    def look(self, camera: np.ndarray, lens: Lens | None = None) -> View:
+        """
+        Compute what a camera would see of what is known.
+
+        :param camera: (3,) x, y, z in metres, or (6,) with yaw, pitch and roll in radians.
+        :param lens: of the camera; None for one that sees all around.
+        """
         view = View(no_bits(len(self.visibility.order)), no_bits(len(self.cells)))
-        self.visibility.look(Pose.of(position), self._lens, *view)
+        self.visibility.look(Pose.of(camera), self._lens if lens is None else lens, *view)
         return view
+
+    def look_many(self, position: np.ndarray, headings: np.ndarray, lens: Lens) -> list[View]:
+        """
+        Compute what a camera would see in many directions from one place.
+
+        :param position: (3,) metres.
+        :param headings: (H, 3) yaw, pitch and roll in radians.
+        :param lens: of the camera.
+        """
+        around = self.look(position, lens._replace(kind=OMNIDIRECTIONAL))
+        if lens.kind == OMNIDIRECTIONAL:
+            return [around] * len(headings)
+        poses = (Pose.of(np.concatenate([position, heading])) for heading in headings)
+        return [View(*self.visibility.narrowed(pose, lens, *around)) for pose in poses]
 
     def follow(self, settings: SurfelSettings) -> None:
         """Look by these rules from now on; what was seen by others has to be looked at again."""
@@ -104,9 +134,17 @@ class Observed:
         """Return the depth error of some views together, metres."""
         return self.depth_error(np.bitwise_or.reduce([view.seen for view in views]))
 
-    def covered(self, positions: np.ndarray) -> np.ndarray:
-        """Return the numbers of the cells that cameras at positions (K, 3) cover together."""
-        bits = np.bitwise_or.reduce([self.look(position).covered for position in positions])
+    def covered(self, cameras: np.ndarray, lenses: Sequence[Lens | None] | None = None
+                ) -> np.ndarray:
+        """
+        Return the numbers of the cells that cameras cover together; see :meth:`look`.
+
+        :param cameras: (K, 3) or (K, 6).
+        :param lenses: one for each; None for cameras that see all around.
+        """
+        lenses = [None] * len(cameras) if lenses is None else lenses
+        bits = np.bitwise_or.reduce([
+            self.look(camera, lens).covered for camera, lens in zip(cameras, lenses, strict=True)])
         return self.cells[unpack(bits, len(self.cells))]
 
 
@@ -121,11 +159,13 @@ class KeptModel:
     :param wall_margin: cameras stay this far inside the observed bounding box, metres.
     :param most: of :class:`Observed`, like those that follow.
     :param rows: of the depth maps.
+    :param around: metres.
     """
 
-    def __init__(self, max_range: float, wall_margin: float, most: int, rows: int) -> None:
+    def __init__(self, max_range: float, wall_margin: float, most: int, rows: int,
+                 around: float = 0.0) -> None:
         self._max_range, self._wall_margin = max_range, wall_margin
-        self._sizes = most, rows
+        self._sizes, self._around = (most, rows), around
         #: What was made last, if anything, and of how many points and cameras, at which height.
         self.made: tuple[Observed, Space] | None = None
         self._of = 0, 0, 0.0
@@ -148,7 +188,8 @@ class KeptModel:
         :raises SceneError: if the points are too few or too flat to be a room.
         """
         height = float(np.median(positions[:, 2]))
-        self.made = (Observed(cloud, positions, self._max_range, *self._sizes, settings),
+        self.made = (Observed(cloud, positions, self._max_range, *self._sizes, settings,
+                              self._around),
                      Space.of(cloud, height, len(positions), self._wall_margin))
         self._of = len(cloud), len(positions), height
 
@@ -164,15 +205,15 @@ class Memory:
 
     def __init__(self) -> None:
         self._seen = np.empty(0, dtype=np.int64)
-        self._visited: list[np.ndarray] = []
+        self._visited: list[tuple[np.ndarray, Sequence[Lens | None] | None]] = []
 
-    def visit(self, positions: np.ndarray) -> None:
-        """Remember where the cameras were at a turn: (K, 3) metres."""
-        self._visited.append(positions.copy())
+    def visit(self, cameras: np.ndarray, lenses: Sequence[Lens | None] | None = None) -> None:
+        """Remember where the cameras were at a turn; see :meth:`Observed.covered`."""
+        self._visited.append((cameras.copy(), lenses))
 
     def unseen(self, model: Observed) -> np.ndarray:
         """Return packed bits of a model's cells: those that no camera covered, as far as known."""
-        covered = [model.covered(positions) for positions in self._visited]
+        covered = [model.covered(*visited) for visited in self._visited]
         self._seen = np.unique(np.concatenate([self._seen, *covered]))
         self._visited.clear()
         return pack(~np.isin(model.cells, self._seen) & (model.cells != NO_CELL))

@@ -12,8 +12,10 @@ room reverses that axis.
 import numpy as np
 
 from ocp_ros.agent.observed import KeptModel, Memory, Observed
+from ocp_ros.agent.sight import fixed_views, remember, Sight, view_from
 from ocp_ros.geometry.blocks import count_bits
 from ocp_ros.geometry.visibility import FAST, FINE
+from ocp_ros.simulation.simulator import View
 from ocp_ros.simulation.space import Space
 
 #: Directions, and the distances, metres, at which a camera is tried in each of them. The first
@@ -58,19 +60,25 @@ class WorldTurn:
     :param positions: (K, 3) metres: where they are, or will be after the turn.
     :param moved: (K, 2) the last moves, in units of the longest step.
     :param time: turns played so far / turns of the whole episode.
+    :param sight: what cameras see and how they are turned; None if all see all around.
     """
 
     def __init__(self, model: Observed, unseen: np.ndarray, space: Space, positions: np.ndarray,
-                 moved: np.ndarray, time: float) -> None:
+                 moved: np.ndarray, time: float, sight: Sight | None = None) -> None:
         self.model, self.unseen, self.space, self.moved, self.time = (
             model, unseen, space, moved, time)
-        self.positions = positions.copy()
-        self._views = [model.look(position) for position in positions]
+        self.positions, self._sight = positions.copy(), sight
+        self._views = [self._look(camera, position) for camera, position in enumerate(positions)]
+        self._fixed = fixed_views(model, sight)
         self._count = max(int(count_bits(unseen)), 1)
+
+    def _look(self, camera: int, position: np.ndarray) -> View:
+        """Compute what a camera would see at a position (3,)."""
+        return view_from(self.model, self._sight, camera, position)
 
     def place(self, camera: int, position: np.ndarray) -> None:
         """Let a camera be at a position (3,), for those that are asked after it."""
-        self.positions[camera], self._views[camera] = position, self.model.look(position)
+        self.positions[camera], self._views[camera] = position, self._look(camera, position)
 
     def inputs(self, camera: int) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -80,9 +88,9 @@ class WorldTurn:
         """
         views, position = self._views, self.positions[camera]
         model, space, unseen = self.model, self.space, self.unseen
-        error, seen, covered = model.error(views), np.zeros_like(views[0].seen), (
+        error, seen, covered = model.error(views + self._fixed), np.zeros_like(views[0].seen), (
             np.zeros_like(views[0].covered))
-        for view in views[:camera] + views[camera + 1:]:
+        for view in views[:camera] + views[camera + 1:] + self._fixed:
             seen |= view.seen
             covered |= view.covered
         fresh, alone = unseen & ~covered, views[camera].covered & ~covered
@@ -92,7 +100,7 @@ class WorldTurn:
         tried = np.empty((DIRECTIONS, len(TRIED), OF_PLACES), dtype=np.float32)
         for place, told in zip(space.placement(inside.reshape(-1, 2)),
                                tried.reshape(-1, OF_PLACES)):
-            look = model.look(place)
+            look = self._look(camera, place)
             told[0] = self._ratio(model.depth_error(seen | look.seen), error)
             told[1] = int(count_bits(look.covered & fresh)) / self._count
         tried[..., 2], tried[..., 3] = off < BEYOND, np.minimum(off, 4.0) / 4.0
@@ -122,6 +130,8 @@ class WorldInputs:
 
     def __init__(self, max_range: float, max_step: float, wall_margin: float) -> None:
         self.max_range, self.max_step, self.wall_margin = max_range, max_step, wall_margin
+        #: What cameras see and how they are turned; None if all see all around.
+        self.sight: Sight | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -144,9 +154,10 @@ class WorldInputs:
         if self._last is not None and len(self._last) == len(positions):
             moved = (positions - self._last)[:, :2] / self.max_step
         self._last = positions.copy()
-        self._memory.visit(positions)
+        remember(self._memory, positions, self.sight)
         model, space = self._kept(cloud, positions, FINE if turn >= LATE * turns else FAST)
-        return WorldTurn(model, self._memory.unseen(model), space, positions, moved, turn / turns)
+        return WorldTurn(model, self._memory.unseen(model), space, positions, moved, turn / turns,
+                         self.sight)
 
     def __call__(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int
                  ) -> dict[str, np.ndarray]:
@@ -177,6 +188,11 @@ def greedy(inputs: dict[str, np.ndarray]) -> np.ndarray:
 def curiosity(time: float) -> float:
     """Return what covering all unseen cells is worth, in errors of seeing nothing."""
     return CURIOSITY * max(1.0 - time / EXPLORING, 0.0)
+
+
+def cell_weight(model: Observed, unseen: np.ndarray, turn: int, turns: int) -> float:
+    """Return what covering one of a model's unseen cells is worth, metres of depth error."""
+    return curiosity(turn / turns) * model.depth_error.worst / max(int(count_bits(unseen)), 1)
 
 
 def nothing_known(cameras: int) -> dict[str, np.ndarray]:

@@ -17,9 +17,8 @@ from scipy.optimize import linear_sum_assignment
 
 from ocp_ros.agent.config import AgentConfig
 from ocp_ros.agent.encoder import Encoder, order_of
-from ocp_ros.agent.observed import Observed
-from ocp_ros.agent.world import CHOICES, curiosity, greedy
-from ocp_ros.geometry.blocks import count_bits
+from ocp_ros.agent.sight import Sight
+from ocp_ros.agent.world import CHOICES, greedy
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.moves import bounded_moves, towards
 from ocp_ros.simulation.space import Space
@@ -27,14 +26,32 @@ from ocp_ros.simulation.space import Space
 if TYPE_CHECKING:
     from ocp_ros.agent.policy import Policy
 
+#: Metres: no way is worth that a camera takes the place of one of another kind.
+UNLIKE = 1e6
 #: Share of the turns after which plans are refined: before that too little has been seen.
 REFINING = 0.6
 
 
+def matched(positions: np.ndarray, targets: np.ndarray, kinds: np.ndarray | None = None
+            ) -> np.ndarray:
+    """
+    Match targets with cameras, so that they walk least.
+
+    :param positions: (K, 3) metres, where the cameras are.
+    :param targets: (K, 2) metres, where they shall go.
+    :param kinds: (K,) of cameras and of targets: a camera takes one of its kind; None for one
+        kind.
+    :returns: (K,) the target of each camera.
+    """
+    way = np.linalg.norm(positions[:, None, :2] - targets[None], axis=2)
+    if kinds is not None:
+        way = way + np.where(kinds[:, None] == kinds[None], 0.0, UNLIKE)
+    return linear_sum_assignment(way)[1]
+
+
 def shared_out(positions: np.ndarray, targets: np.ndarray) -> np.ndarray:
     """Return targets (K, 2) in the order of the cameras at (K, 3), so that they walk least."""
-    way = np.linalg.norm(positions[:, None, :2] - targets[None], axis=2)
-    return targets[linear_sum_assignment(way)[1]]
+    return targets[matched(positions, targets)]
 
 
 class Online(ABC):
@@ -51,6 +68,21 @@ class Online(ABC):
                  wall_margin: float) -> None:
         self.rng, self.max_step = rng, max_step
         self.max_range, self.wall_margin = max_range, wall_margin
+        self.sight: Sight | None = None
+
+    def know(self, sight: Sight | None) -> None:
+        """Learn before a turn how the cameras stand and what each sees; None for all around."""
+        self.sight = sight
+
+    @property
+    def headings(self) -> np.ndarray | None:
+        """Return how the cameras would best be turned, (K, 3) radians, where a plan says so."""
+        return None
+
+    @property
+    def directional(self) -> bool:
+        """Return whether a camera is known not to see all around."""
+        return self.sight is not None and bool(self.sight.aimed)
 
     def reset(self) -> None:  # noqa: B027
         """Forget the last episode; most planners remember nothing."""
@@ -128,11 +160,6 @@ def play(online: Online, episode: Episode,
                    np.array([state.depth_error for state in states]), np.array(seconds))
 
 
-def cell_weight(model: Observed, unseen: np.ndarray, turn: int, turns: int) -> float:
-    """Return what covering one of a model's unseen cells is worth, metres of depth error."""
-    return curiosity(turn / turns) * model.depth_error.worst / max(int(count_bits(unseen)), 1)
-
-
 class Learned(Online):
     """
     The moves that a trained policy finds best.
@@ -144,6 +171,11 @@ class Learned(Online):
     def __init__(self, policy: 'Policy', *settings) -> None:
         super().__init__(*settings)
         self.policy = policy
+
+    def know(self, sight: Sight | None) -> None:
+        """Tell what the policy reads; see :meth:`Online.know`."""
+        super().know(sight)
+        self.policy.encoder.know(sight)
 
     def reset(self) -> None:
         """Forget the last episode."""
@@ -169,6 +201,11 @@ class HandRule(Online):
         super().__init__(*settings)
         self._encoder = Encoder(AgentConfig(inputs='world'), self.max_range, self.max_step,
                                 self.wall_margin)
+
+    def know(self, sight: Sight | None) -> None:
+        """Tell what is read; see :meth:`Online.know`."""
+        super().know(sight)
+        self._encoder.know(sight)
 
     def reset(self) -> None:
         """Forget what has been seen."""
@@ -196,6 +233,18 @@ class ThenLookahead(Online):
     def __init__(self, first: Online, lookahead: Online) -> None:
         super().__init__(first.rng, first.max_step, first.max_range, first.wall_margin)
         self.first, self.lookahead = first, lookahead
+        self._playing = first
+
+    @property
+    def headings(self) -> np.ndarray | None:
+        """Return those of the planner that has played last; see :attr:`Online.headings`."""
+        return self._playing.headings
+
+    def know(self, sight: Sight | None) -> None:
+        """Tell both."""
+        super().know(sight)
+        self.first.know(sight)
+        self.lookahead.know(sight)
 
     def reset(self) -> None:
         """Reset both."""
@@ -204,5 +253,5 @@ class ThenLookahead(Online):
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`Online.move`."""
-        planner = self.lookahead if turn >= REFINING * turns else self.first
+        planner = self._playing = self.lookahead if turn >= REFINING * turns else self.first
         return planner.move(cloud, positions, turn, turns)

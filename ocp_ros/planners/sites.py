@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Places and directions among which :mod:`ocp_ros.planners.lookahead` chooses a placement."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ocp_ros.agent.observed import Observed
+from ocp_ros.agent.sight import fixed_views, Sight
+from ocp_ros.geometry.blocks import count_bits
+from ocp_ros.geometry.cameras import rotation_matrix
+from ocp_ros.planners.annealing import annealed, between
+from ocp_ros.simulation.simulator import View
+from ocp_ros.simulation.space import Space
+
+#: Proposals of a turn of annealing among candidates.
+EXCHANGES = 3000
+#: Its first and last temperature, in multiples of the error of seeing nothing.
+HOT, COLD = 0.04, 2e-4
+#: Share of its proposals that go anywhere; the others go to one of so many nearest candidates.
+ANYWHERE, NEIGHBOURS = 0.3, 12
+#: Yaws, and at most how many pitches, of cameras that do not see all around.
+YAWS, PITCHES = 8, 2
+#: The most candidates that are a place and a direction.
+SITES = 2000
+#: Metres that a turn by one radian counts as, where neighbours are sought.
+PER_RADIAN = 0.5
+
+
+class Candidates:
+    """
+    Places where cameras might be, with what each would see.
+
+    A choice of them is a list of indices, one per camera.
+
+    :param model: the engine on what has been seen.
+    :param places: (M, 2) metres, M >= 1.
+    :param space: where cameras may be.
+    :param unseen: packed bits of the model's cells that count as unseen.
+    :param weight: what covering one of them is worth, metres of depth error.
+    :param fixed: what cameras in place see, whatever is chosen.
+    """
+
+    def __init__(self, model: Observed, places: np.ndarray, space: Space, unseen: np.ndarray,
+                 weight: float, fixed: Sequence[View] = ()) -> None:
+        self.model, self.places, self.weight = model, places, weight
+        self._see([model.look(position) for position in space.placement(places)], fixed, unseen)
+        apart = ((places[:, None] - places[None]) ** 2).sum(axis=-1)
+        self._near = np.argsort(apart, axis=1, kind='stable')[:, 1:NEIGHBOURS + 1]
+
+    def _see(self, views: list[View], fixed: Sequence[View], unseen: np.ndarray) -> None:
+        """Keep what each would see, what cameras in place see included."""
+        self._seen = np.array([view.seen for view in views])
+        self._covered = np.array([view.covered for view in views]) & unseen
+        for view in fixed:
+            self._seen |= view.seen
+            self._covered |= view.covered & unseen
+
+    def value(self, chosen: list[int]) -> float:
+        """Return what a choice is worth, metres; less is better."""
+        return self._value(np.bitwise_or.reduce(self._seen[chosen], axis=0),
+                           np.bitwise_or.reduce(self._covered[chosen], axis=0))
+
+    def _value(self, seen: np.ndarray, covered: np.ndarray) -> float:
+        """Return what seeing points and covering cells, packed bits each, is worth, metres."""
+        error = self.model.depth_error(seen)
+        return error - self.weight * int(count_bits(covered)) if self.weight else error
+
+    def fill(self, cameras: int) -> list[int]:
+        """Choose so many, one after the other, each the best that is left."""
+        chosen: list[int] = []
+        seen, covered = np.zeros_like(self._seen[0]), np.zeros_like(self._covered[0])
+        for _ in range(cameras):
+            values = [self._value(seen | one, covered | other)
+                      for one, other in zip(self._seen, self._covered)]
+            chosen.append(int(np.argmin(values)))
+            seen, covered = seen | self._seen[chosen[-1]], covered | self._covered[chosen[-1]]
+        return chosen
+
+    def anneal(self, chosen: list[int], rng: np.random.Generator) -> list[int]:
+        """Return the best choice that annealing from another one finds, which may be that one."""
+        worst = self.model.depth_error.worst
+        temperatures = (worst * between(HOT, COLD, step / EXCHANGES) for step in range(EXCHANGES))
+        return annealed(chosen, self.value, lambda trial: self._exchanged(trial, rng),
+                        temperatures, rng)
+
+    def _exchanged(self, chosen: list[int], rng: np.random.Generator) -> list[int]:
+        """Exchange one of a choice for a neighbour or for any other place."""
+        trial, camera = list(chosen), int(rng.integers(len(chosen)))
+        if rng.random() < ANYWHERE:
+            trial[camera] = int(rng.integers(len(self.places)))
+        else:
+            near = self._near[trial[camera]]
+            trial[camera] = int(near[rng.integers(len(near))])
+        return trial
+
+
+class Sites(Candidates):
+    """
+    Places where cameras might be, each with directions: for rigs some of which look one way.
+
+    A choice of them is a list of indices, one per camera in the order of the rig; each stands for
+    a site of the camera's kind.
+
+    :param model: the engine on what has been seen.
+    :param places: (M, 3) metres, M >= 1.
+    :param plan: (K, 6) the placement so far, whose sites are the first; None where there is none.
+    :param sight: the rig.
+    :param unseen: packed bits of the model's cells that count as unseen.
+    :param weight: what covering one of them is worth, metres of depth error.
+    :ivar sites: (S, 6) x, y, z in metres, yaw, pitch, roll in radians.
+    """
+
+    def __init__(self, model: Observed, places: np.ndarray, plan: np.ndarray | None,
+                 sight: Sight, unseen: np.ndarray, weight: float) -> None:
+        self.model, self.weight = model, weight
+        self.kind_of, firsts = kinds_of(sight)
+        sites, of_kind, views = [], [], []
+        if plan is not None:
+            for camera, row in enumerate(plan):
+                views.append(model.look(row, sight.models[camera].lens))
+            sites, of_kind = list(plan), list(self.kind_of)
+        for kind, camera in enumerate(firsts):
+            headings = sight.headings(camera, YAWS, PITCHES)
+            for place in places:
+                views += model.look_many(place, headings, sight.models[camera].lens)
+                sites += [np.concatenate([place, heading]) for heading in headings]
+                of_kind += [kind] * len(headings)
+        self.sites, self.places = np.array(sites), np.array(sites)[:, :2]
+        self._of_kind = [np.flatnonzero(np.array(of_kind) == kind) for kind in range(len(firsts))]
+        self._see(views, fixed_views(model, sight), unseen)
+        self._near = [self._neighbours(own) for own in self._of_kind]
+
+    def _neighbours(self, own: np.ndarray) -> np.ndarray:
+        """List for each site of a kind those of the kind that differ least from it."""
+        forward = np.array([rotation_matrix(*row[3:])[:, 0] for row in self.sites[own]])
+        tree = cKDTree(np.hstack([self.sites[own, :3], PER_RADIAN * forward]))
+        _, near = tree.query(tree.data, min(NEIGHBOURS + 1, len(own)))
+        return own[near.reshape(len(own), -1)]
+
+    def fill(self, cameras: int) -> list[int]:
+        """Choose for one camera after the other, each the best that is left."""
+        chosen: list[int] = []
+        seen, covered = np.zeros_like(self._seen[0]), np.zeros_like(self._covered[0])
+        for kind in self.kind_of[:cameras]:
+            own = self._of_kind[kind]
+            values = [self._value(seen | self._seen[site], covered | self._covered[site])
+                      for site in own]
+            chosen.append(int(own[np.argmin(values)]))
+            seen, covered = seen | self._seen[chosen[-1]], covered | self._covered[chosen[-1]]
+        return chosen
+
+    def _exchanged(self, chosen: list[int], rng: np.random.Generator) -> list[int]:
+        """Exchange one of a choice for a neighbour or for any other site of its kind."""
+        trial, camera = list(chosen), int(rng.integers(len(chosen)))
+        kind = self.kind_of[camera]
+        own = self._of_kind[kind]
+        if rng.random() < ANYWHERE:
+            trial[camera] = int(own[rng.integers(len(own))])
+        else:
+            near = self._near[kind][np.searchsorted(own, trial[camera])]
+            trial[camera] = int(near[rng.integers(len(near))])
+        return trial
+
+
+def kinds_of(sight: Sight) -> tuple[np.ndarray, list[int]]:
+    """
+    Tell which cameras of a rig may take each other's place.
+
+    :returns: (K,) the kind of each camera, and the first camera of each kind.
+    """
+    keys = [(model, () if sight.turns or model.omnidirectional else tuple(row[3:]))
+            for model, row in zip(sight.models[:sight.movable], sight.placement)]
+    kinds = list(dict.fromkeys(keys))
+    return np.array([kinds.index(key) for key in keys]), [keys.index(kind) for kind in kinds]
+
+
+def most_places(sight: Sight) -> int:
+    """Return how many places a rig may be tried in at most: each has some directions."""
+    _, firsts = kinds_of(sight)
+    return max(SITES // sum(len(sight.headings(camera, YAWS, PITCHES)) for camera in firsts), 1)

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where cameras look: within limits, for what all of them see together, and at what is unseen."""
+
+from conftest import box_room, flat_clouds
+from hypothesis import given
+from hypothesis import settings as budget
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ocp_ros.agent.aim import Aim
+from ocp_ros.agent.observed import Observed
+from ocp_ros.agent.sight import directions, Sight
+from ocp_ros.geometry.blocks import count_bits
+from ocp_ros.geometry.cameras import angle_between, CameraModel, heading_of, rotation_matrix
+from ocp_ros.geometry.sensors import SENSORS
+from ocp_ros.simulation.config import EngineConfig, EpisodeConfig, RigConfig, SimulationConfig
+from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.moves import turned_towards, way_between
+from ocp_ros.simulation.simulator import Simulator
+
+MODEL = SENSORS['realsense_d455'].model
+ALL_AROUND = CameraModel(max_range=6.0)
+PITCH, MAX_TURN, MARGIN = (0.0, 1.0), 0.4, 0.1
+angles = st.floats(-10.0, 10.0)
+headings = st.tuples(angles, st.floats(-1.57, 1.57), st.floats(-3.0, 3.0)).map(np.array)
+
+
+@given(headings)
+def test_a_heading_is_what_its_rotation_was_made_of(heading):
+    rotation = rotation_matrix(*heading)
+    found = heading_of(rotation)
+    np.testing.assert_allclose(rotation_matrix(*found), rotation, atol=1e-6)
+    np.testing.assert_allclose(found[1:], heading[1:], atol=1e-5)
+
+
+@pytest.mark.parametrize('pitch', [-np.pi / 2, np.pi / 2])
+def test_a_camera_that_looks_straight_down_has_a_heading(pitch):
+    rotation = rotation_matrix(0.7, pitch, 0.0)
+    np.testing.assert_allclose(heading_of(rotation), [0.7, pitch, 0.0], atol=1e-9)
+
+
+@given(headings, headings)
+def test_an_angle_between_rotations_is_that_of_the_rotation_between_them(one, other):
+    first, second = rotation_matrix(*one), rotation_matrix(*other)
+    expected = Rotation.from_matrix(first.T @ second).magnitude()
+    assert angle_between(first, second) == pytest.approx(expected, abs=1e-6)
+
+
+@given(headings, headings, st.floats(0.0, 4.0))
+def test_no_camera_is_turned_farther_than_it_may_be(now, goal, reach):
+    now, goal = now * [1.0, 1.0, 1.0], goal * [1.0, 1.0, 0.0] + [0.0, 0.0, now[2]]
+    found = turned_towards(now[None], goal[None], reach)[0]
+    assert angle_between(rotation_matrix(*now), rotation_matrix(*found)) <= reach + 1e-6
+    assert found[2] == now[2] and min(now[1], goal[1]) - 1e-9 <= found[1] <= (
+        max(now[1], goal[1]) + 1e-9)
+    before, after = way_between(now, goal), way_between(found, goal)
+    assert np.linalg.norm(after) == pytest.approx(
+        max(np.linalg.norm(before) - reach, 0.0), abs=1e-6)
+
+
+@pytest.mark.parametrize('model', [
+    MODEL, ALL_AROUND, CameraModel(0.5, 5.0, np.deg2rad(200.0), np.deg2rad(60.0)),
+    CameraModel(0.0, 9.0, 2.0 * np.pi, 0.5)])
+def test_many_directions_at_once_see_what_each_would_see(room, model):
+    position = np.append(room.bounds.mean(axis=0)[:2], 1.9)
+    known = Observed(room.points, position[None], 4.0, 6000, 32, around=2.0)
+    ways = np.concatenate([directions((-0.3, 1.2), 7, 2), [[0.3, 0.2, 0.5]]])
+    counts = []
+    for heading, view in zip(ways, known.look_many(position, ways, model.lens), strict=True):
+        alone = known.look(np.concatenate([position, heading]), model.lens)
+        np.testing.assert_array_equal(view.seen, alone.seen)
+        np.testing.assert_array_equal(view.covered, alone.covered)
+        counts.append(int(count_bits(view.seen)))
+    assert min(counts) > 0
+    assert model.omnidirectional == (len(set(counts)) == 1)
+
+
+def test_air_around_a_camera_counts_though_nothing_is_known_of_it():
+    room = box_room()
+    half = room.points[room.points[:, 0] > 3.0]
+    position = np.array([[2.5, 2.0, 1.9]])
+    without, around = (Observed(half, position, 4.0, 6000, 32, around=far) for far in (0.0, 2.0))
+    assert set(without.cells) < set(around.cells)
+    behind = CameraModel(0.0, 4.0, 1.5, 1.0).lens
+    back = np.append(position[0], [np.pi, 0.0, 0.0])
+    assert len(around.covered(back[None], [behind])) > 4 + len(
+        without.covered(back[None], [behind]))
+
+
+class Played:
+    """Cameras that stay where they are and are turned, in a simulated room."""
+
+    def __init__(self, room, models, headings, positions, turns=12, fixed=()):
+        config = SimulationConfig(
+            RigConfig(cameras=len(models)), EngineConfig('fast', 32, 0.5),
+            EpisodeConfig(turns=turns, start_radius=0.0))
+        self.episode = Episode(Simulator(room, config, models), np.random.default_rng(0))
+        self.models, self.movable = models, len(models) - len(fixed)
+        self.positions, self.headings = np.array(positions, dtype=float), np.array(headings)
+        self.turns, self.trail = turns, [self.headings.copy()]
+
+    def play(self, aim, max_turn=MAX_TURN):
+        """Play an episode; return the depth errors."""
+        errors, seen = [], self.episode.simulator.nothing()
+        for turn in range(self.turns + 1):
+            placement = np.hstack([self.positions, self.headings])
+            found = self.episode.simulator.evaluate(placement)
+            seen |= found.seen
+            errors.append(found.depth_error)
+            if turn < self.turns and aim is not None:
+                cloud = self.episode.scene.points[seen.mask]
+                sight = Sight(placement, self.models, self.movable, PITCH)
+                self.headings = aim(cloud, sight, self.positions, max_turn, turn, self.turns)
+                self.trail.append(self.headings.copy())
+        return errors
+
+
+@pytest.mark.parametrize('number', [0, 1])
+def test_a_rig_that_faces_a_wall_looks_around_first(room, number):
+    """Two cameras look at the same wall, and there is more to be seen behind them."""
+    room = (room, box_room())[number]
+    low, high = room.bounds[:, :2]
+    middle = 0.5 * (low + high)
+    positions = [[*middle, 1.9], [*(middle + [0.2, 0.2]), 1.9]]
+    still = Played(room, (MODEL, MODEL), np.zeros((2, 3)), positions)
+    turned = Played(room, (MODEL, MODEL), np.zeros((2, 3)), positions)
+    before = still.play(None)[-1]
+    after = turned.play(Aim((MODEL, MODEL), 2, PITCH, MARGIN))
+    # Nearly as good as the best of all pairs of directions, with the whole room known.
+    simulator, grid = turned.episode.simulator, directions(PITCH, 16, 3)
+    one, other = ([simulator.look(np.append(at, way), camera).seen for way in grid]
+                  for camera, at in enumerate(positions))
+    best = min(simulator.depth_error(first | second) for first in one for second in other)
+    assert after[-1] < min(1.1 * best, 0.9 * before)
+    trail = np.array(turned.trail)
+    assert np.abs(way_between(trail[:-1], trail[1:])).max() <= MAX_TURN + 1e-9
+    assert (trail[..., 1] >= PITCH[0] - 1e-9).all() and (trail[..., 1] <= PITCH[1] + 1e-9).all()
+    # Some camera has looked away from the wall.
+    assert np.abs(trail[..., 0]).max() > 1.0
+
+
+def test_who_sees_all_around_stays_as_it_is_and_the_roll_of_all_stays(room):
+    middle = np.append(room.bounds.mean(axis=0)[:2], 1.9)
+    begun = np.array([[0.3, 0.2, 0.1], [0.5, 0.1, -0.4]])
+    played = Played(room, (ALL_AROUND, MODEL), begun, [middle, middle + [0.3, 0.0, 0.0]], 4)
+    aim = Aim(played.models, 2, PITCH, MARGIN)
+    played.play(aim)
+    assert aim.aimed == [1]
+    trail = np.array(played.trail)
+    np.testing.assert_array_equal(trail[:, 0], np.tile(begun[0], (5, 1)))
+    np.testing.assert_array_equal(trail[:, 1, 2], np.full(5, -0.4))
+    assert np.abs(np.diff(trail[:, 1, :2], axis=0)).max() > 0.0
+
+
+def test_a_goal_is_nearly_the_best_beside_what_a_camera_in_place_sees():
+    """With no turns left to look around, against all directions of a grid."""
+    room = box_room()
+    at = np.array([[3.0, 2.0, 1.9], [1.0, 1.0, 1.9]])
+    fixed = np.array([0.0, 0.3, 0.0])
+    models = MODEL, MODEL
+    model = Observed(room.points, at, 6.0, 12000, 64)
+    known = model.look(np.append(at[1], fixed), MODEL.lens)
+    grid = np.array([(yaw, pitch, 0.0) for yaw in np.arange(0.0, 2.0 * np.pi, np.pi / 12)
+                     for pitch in np.linspace(*PITCH, 6)])
+    errors = [model.error([known, view]) for view in model.look_many(at[0], grid, MODEL.lens)]
+    found = {}
+    for movable in (1, 2):
+        aim = Aim(models[:movable], 1, PITCH, MARGIN)
+        placement = np.hstack([at, [np.zeros(3), fixed]])[:movable]
+        sight = Sight(placement, models[:movable], 1, PITCH)
+        (yaw, *rest), *_ = aim(room.points, sight, at[:movable], 3.2, 11, 12)
+        found[movable] = model.error([
+            known, model.look(np.array([*at[0], yaw, *rest]), MODEL.lens)])
+    assert found[2] <= min(errors) + 0.1 * np.ptp(errors)
+    assert found[2] < np.median(errors)
+    # Who does not know of the camera in place looks elsewhere.
+    assert found[2] <= found[1]
+
+
+@given(st.integers(0, 10), st.floats(0.0, 1.0), headings)
+@budget(max_examples=10, deadline=None)
+def test_goals_are_within_reach_before_the_turns_are_used_up(turn, max_turn, heading):
+    room, now = box_room(), heading * [1.0, 1.0, 1.0]
+    now[1] = np.clip(now[1], *PITCH)
+    aim, at = Aim((MODEL,), 1, PITCH, MARGIN), np.array([[3.0, 2.0, 1.9]])
+    sight = Sight(np.hstack([at, now[None]]), (MODEL,), 1, PITCH)
+    found = aim(room.points, sight, at, max_turn, turn, 11)
+    assert np.linalg.norm(way_between(now, found[0])) <= max_turn + 1e-9
+    assert PITCH[0] - 1e-9 <= found[0, 1] <= PITCH[1] + 1e-9
+    assert np.linalg.norm(way_between(now, aim._headings[0])) <= (11 - turn) * max_turn + 1e-9
+
+
+@pytest.mark.parametrize('cloud', ['one wall', 'one wall askew', 'one point'])
+def test_where_there_is_no_room_to_judge_cameras_sweep_to_the_left(cloud):
+    points = flat_clouds()[cloud].astype(np.float32)
+    aim, at = Aim((MODEL, ALL_AROUND), 2, PITCH, MARGIN), np.array([[1.0, 1.0, 1.9]] * 2)
+    now = np.array([[3.0, -0.1, 0.0], [1.0, 0.0, 0.0]])
+    found = aim(points, Sight(np.hstack([at, now]), (MODEL, ALL_AROUND), 2, PITCH), at, 0.4, 0, 9)
+    assert 0.3 < way_between(now[0], found[0])[0] <= 0.4 and found[0, 1] > -0.1
+    np.testing.assert_array_equal(found[1], now[1])

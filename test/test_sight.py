@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Planners that are told how a rig stands: cameras in place, and cameras that look one way."""
+
+from conftest import box_room
+import numpy as np
+import pytest
+
+from ocp_ros.agent.observed import Observed, thinned
+from ocp_ros.agent.sight import directions, Sight
+from ocp_ros.agent.world import ERROR, FLOOR, POINTS, ROWS, WorldInputs
+from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.geometry.sensors import SENSORS
+from ocp_ros.planners.lookahead import Lookahead
+from ocp_ros.planners.online import HandRule, matched, ThenLookahead
+from ocp_ros.planners.sites import kinds_of, most_places, Sites
+from ocp_ros.simulation.space import Space
+
+MAX_STEP, MAX_RANGE, MARGIN, TURNS = 0.5, 3.0, 0.1, 12
+NEAR = CameraModel(max_range=MAX_RANGE)
+D455 = SENSORS['realsense_d455'].model
+CLOUD = thinned(box_room(12.0, 4.0).points, 4000)
+#: A camera starts in the middle of a long room, and one is in place near either end of it.
+START, PLACED = np.array([6.0, 2.0, 1.9]), (2.0, 10.0)
+PLANNERS = {
+    'lookahead': Lookahead, 'hand rule': HandRule,
+    'then lookahead': lambda *settings: ThenLookahead(HandRule(*settings), Lookahead(*settings))}
+
+
+def made(name, seed=0):
+    """Return a planner."""
+    return PLANNERS[name](np.random.default_rng(seed), MAX_STEP, MAX_RANGE, MARGIN)
+
+
+def played(online, sight_at):
+    """Let one camera move through a room that is known; return where it was."""
+    online.reset()
+    trail = [START]
+    for turn in range(TURNS):
+        online.know(sight_at(trail[-1]))
+        move = online.move(CLOUD, trail[-1][None], turn, TURNS)[0]
+        assert np.linalg.norm(move) <= MAX_STEP + 1e-9
+        trail.append(trail[-1] + [*move, 0.0])
+    return np.array(trail)
+
+
+def beside(x):
+    """Return how a rig of two stands that see all around, one of which is in place."""
+    return lambda position: Sight(
+        np.array([[*position, 0, 0, 0], [x, 2.0, 1.9, 0, 0, 0]]), (NEAR, NEAR), 1)
+
+
+@pytest.mark.parametrize('name', PLANNERS)
+def test_cameras_go_where_a_camera_in_place_leaves_most_to_be_seen(name):
+    """To the end of a long room where nobody is; from the middle one sees neither."""
+    ends = [played(made(name), beside(x))[-1, 0] for x in PLACED]
+    assert ends[0] > START[0] + 1.0 and ends[1] < START[0] - 1.0
+
+
+@pytest.mark.parametrize('name', PLANNERS)
+def test_a_rig_that_sees_all_around_is_moved_as_if_nothing_were_known_of_it(name):
+    def alone(position):
+        return Sight(np.array([[*position, 0.3, 0.2, 0.1]]), (NEAR,), 1)
+
+    np.testing.assert_array_equal(played(made(name), alone), played(made(name), lambda at: None))
+
+
+def test_a_camera_that_looks_one_way_and_is_not_turned_stands_where_that_helps():
+    """It looks along the room, so it goes back to where it sees most of it."""
+    def towards(yaw):
+        def sight(position):
+            return Sight(np.array([[*position, yaw, 0.2, 0.0]]), (D455,), 1, turns=False)
+        return sight
+
+    ends = [played(made('lookahead'), towards(yaw))[-1, 0] for yaw in (0.0, np.pi)]
+    assert ends[0] < START[0] - 0.5 and ends[1] > START[0] + 0.5
+
+
+def test_a_plan_says_how_cameras_are_turned_within_the_limits():
+    online, pitch = made('lookahead'), (0.2, 0.7)
+    played(online, lambda at: Sight(np.array([[*at, 0.0, 0.3, 0.0]]), (D455,), 1, pitch))
+    assert online.headings.shape == (1, 3) and pitch[0] <= online.headings[0, 1] <= pitch[1]
+    assert made('lookahead').headings is None
+
+
+def test_moves_are_judged_by_what_a_camera_sees_as_it_is_turned():
+    """The inputs of policy and hand rule: who looks one way misses what is behind it."""
+    turned = Sight(np.array([[*START, 0.0, 0.2, 0.0], [2.0, 2.0, 1.9, 1.0, 0.3, 0.0]]),
+                   (D455, D455), 1)
+    model = Observed(CLOUD, START[None], MAX_RANGE, POINTS, ROWS)
+    views = [model.look(row, D455.lens) for row in turned.placement]
+    worst = model.depth_error.worst
+    for sight, expected in (
+            (turned, model.error(views)), (None, model.error([model.look(START)])),
+            (turned._replace(placement=turned.placement[:1], models=(D455,)),
+             model.error(views[:1]))):
+        inputs = WorldInputs(MAX_RANGE, MAX_STEP, MARGIN)
+        inputs.sight = sight
+        own = inputs(CLOUD, START[None], 0, 30)['own'][0]
+        assert own[ERROR] == pytest.approx(
+            np.log((expected + FLOOR * worst) / (worst + FLOOR * worst)), abs=1e-5)
+
+
+def rig(turns=True):
+    """Return a rig of two kinds: two that look one way, one that sees all around."""
+    placement = np.zeros((3, 6))
+    placement[:, :3] = START + [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]
+    placement[:, 3] = 0.0, 1.0, 2.0
+    return Sight(placement, (D455, NEAR, D455), 3, turns=turns)
+
+
+def test_cameras_take_places_of_their_kind_only():
+    np.testing.assert_array_equal(kinds_of(rig())[0], [0, 1, 0])
+    np.testing.assert_array_equal(kinds_of(rig(turns=False))[0], [0, 1, 2])
+    sight, rng = rig(), np.random.default_rng(0)
+    model = Observed(CLOUD, sight.placement[:, :3], 4.0, 2000, 16)
+    space = Space.of(CLOUD, 1.9, 3, MARGIN)
+    places = space.placement(space.grid(12))
+    sites = Sites(model, places, sight.placement, sight, np.zeros_like(
+        model.look(START).covered), 0.0)
+    assert len(sites.sites) == 3 + len(places) * (len(directions(sight.pitch, 8, 2)) + 1)
+    own = sites.sites[3:]
+    aimed = {tuple(row[3:]) for row in own[:-len(places)]}
+    assert len(aimed) == 16 and not own[-len(places):, 4:].any()
+    chosen = sites.fill(3)
+    values = [sites.value(chosen)]
+    for _ in range(3):
+        chosen = sites.anneal(chosen, rng)
+        values.append(sites.value(chosen))
+        assert all(site in sites._of_kind[kind] for site, kind in zip(chosen, sites.kind_of))
+    assert (np.diff(values) <= 0.0).all()
+
+
+def test_nobody_is_matched_with_a_place_of_another_kind():
+    positions = np.array([[0.0, 0.0, 1.9], [5.0, 0.0, 1.9], [9.0, 0.0, 1.9]])
+    targets = np.array([[9.0, 0.0], [0.0, 0.0], [5.0, 0.0]])
+    np.testing.assert_array_equal(matched(positions, targets), [1, 2, 0])
+    found = matched(positions, targets, np.array([0, 1, 0]))
+    assert found[1] == 1 and sorted(found) == [0, 1, 2]
+
+
+def test_so_many_places_are_tried_that_all_directions_can_be():
+    assert most_places(rig()) * 17 <= 2000 < (most_places(rig()) + 1) * 17
