@@ -188,7 +188,7 @@ def test_a_simulation_follows(graph, probe, change):
     first, episodes = sim.episode.turn.positions, sim._episodes
     played = []
     move = sim.episode.move
-    sim.episode.move = lambda moves: played.append(move(moves)) or played[-1]
+    sim.episode.move = lambda *moves: played.append(move(*moves)) or played[-1]
     commands.publish(positions_to_msg(first + [1.0, 0.0, 0.0], sim._header()))
     graph.until(lambda: sim._episodes > episodes)
     assert np.abs(played[0].positions - first).max() <= 0.2 + 1e-9

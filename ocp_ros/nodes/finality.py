@@ -8,6 +8,9 @@ from ocp_ros.nodes import topics
 from ocp_ros.nodes.policy_config import PolicyNodeConfig
 from ocp_ros.nodes.qos import LATCHED
 
+#: Radians: cameras that are turned by less count as standing still.
+WIDEST = 0.02
+
 
 class Finality:
     """
@@ -30,10 +33,11 @@ class Finality:
         #: Turns played when the placement became final.
         self._after: int | None = None
 
-    def moved(self, longest: float, config: PolicyNodeConfig) -> None:
-        """Take note of the longest move of a turn, metres."""
+    def moved(self, longest: float, widest: float, config: PolicyNodeConfig) -> None:
+        """Take note of the longest move of a turn, metres, and the widest turn, radians."""
         self.longest = longest
-        self.still = self.still + 1 if longest < config.convergence_distance else 0
+        still = longest < config.convergence_distance and widest < WIDEST
+        self.still = self.still + 1 if still else 0
 
     def reason(self, step: int, over: bool, alone: bool, config: PolicyNodeConfig) -> str:
         """

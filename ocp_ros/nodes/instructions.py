@@ -19,21 +19,38 @@ def moving(positions: np.ndarray, targets: np.ndarray, least: float) -> np.ndarr
     return np.linalg.norm((targets - positions)[:, :2], axis=1) > least
 
 
-def instructions(positions: np.ndarray, targets: np.ndarray, least: float) -> str:
+def instructions(positions: np.ndarray, targets: np.ndarray, least: float,
+                 turns: np.ndarray | None = None, least_turn: float = np.inf) -> str:
     """
-    Write one line per camera that has to be moved; see :func:`moving` for the parameters.
+    Write one line per camera that has to be moved or turned; see :func:`moving`.
 
     :param least: at least a centimetre, which is what the words tell.
+    :param turns: (K, 2) radians: how far each has to be turned, counter-clockwise seen from above
+        and down; None where none has to be.
+    :param least_turn: smaller turns are not worth it, radians; at least a degree.
     """
-    lines = [_line(camera, positions[camera, :2], targets[camera, :2])
-             for camera in np.flatnonzero(moving(positions, targets, least))]
+    turns = np.zeros((len(targets), 2)) if turns is None else turns
+    moved, turned = moving(positions, targets, least), np.linalg.norm(turns, axis=1) > least_turn
+    lines = []
+    for camera in np.flatnonzero(moved | turned):
+        parts = [_move(positions[camera, :2], targets[camera, :2])] if moved[camera] else []
+        parts += [_turn(*np.rad2deg(turns[camera]))] if turned[camera] else []
+        lines.append(f'camera {camera}: {"; ".join(parts)}')
     return '\n'.join(lines) or STAY
 
 
-def _line(camera: int, position: np.ndarray, target: np.ndarray) -> str:
+def _turn(yaw: float, pitch: float) -> str:
+    """Write how one camera is turned: degrees to the left and down."""
+    ways = [f'{abs(angle):.0f} degrees {words[int(angle < 0.0)]}' for angle, words in
+            ((yaw, ('to the left', 'to the right')), (pitch, ('down', 'up')))
+            if abs(angle) >= 0.5]
+    return f'turn {" and ".join(ways)}'
+
+
+def _move(position: np.ndarray, target: np.ndarray) -> str:
     """Write where one camera goes."""
     ways = [f'{abs(way):.2f} m towards {"-" if way < 0.0 else "+"}{axis}'
             for axis, way in zip('xy', target - position, strict=True) if abs(way) >= 0.005]
     # Adding 0 makes -0 a 0.
     x, y = np.round(target, 2) + 0.0
-    return f'camera {camera}: {" and ".join(ways)}, to ({x:.2f}, {y:.2f})'
+    return f'{" and ".join(ways)}, to ({x:.2f}, {y:.2f})'

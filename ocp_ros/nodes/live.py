@@ -23,6 +23,7 @@ from visualization_msgs.msg import MarkerArray
 
 from ocp_ros.agent.fusion import FusedCloud
 from ocp_ros.configuration import ConfigurationError
+from ocp_ros.geometry.cameras import heading_of
 from ocp_ros.nodes import topics
 from ocp_ros.nodes.conversions import (
     cloud_to_msg,
@@ -31,6 +32,7 @@ from ocp_ros.nodes.conversions import (
     msg_to_poses,
     msg_to_positions,
     ns_to_stamp,
+    rotation_of,
     stamp_to_ns,
 )
 from ocp_ros.nodes.frames import in_range, placed, Rig, Transforms
@@ -39,6 +41,7 @@ from ocp_ros.nodes.markers import move_markers
 from ocp_ros.nodes.policy_config import PolicyNodeConfig
 from ocp_ros.nodes.qos import LATCHED, LOOP, SENSOR
 from ocp_ros.nodes.turns import Turns
+from ocp_ros.simulation.moves import way_between
 
 #: Seconds between two looks at the clock, where no message comes, and between two times that a
 #: command is sent while the cameras have not arrived: it may have been lost.
@@ -88,12 +91,12 @@ class LiveTurns:
         node.create_timer(TICK, self._act, clock=steady)
         self._again = node.create_timer(AGAIN, self._command_again, clock=steady)
 
-    def _patience(self) -> tuple[float, float, float, float]:
-        """Return what turns wait for: distance, and how long for what."""
+    def _patience(self) -> tuple[float, float, float, float, float]:
+        """Return what turns wait for: distance, how long for what, and angle."""
         config = self._config
         return (config.arrival_distance,
                 math.inf if config.manual else config.arrival_timeout, config.cloud_timeout,
-                config.turn_seconds)
+                config.turn_seconds, config.arrival_angle)
 
     def change(self, config: PolicyNodeConfig) -> None:
         """Go on with other parameters."""
@@ -128,7 +131,8 @@ class LiveTurns:
         except MessageError as error:
             self._refuse(error)
             return
-        if self._turns.on_poses(stamp_to_ns(message.header.stamp), rig.positions):
+        if self._turns.on_poses(stamp_to_ns(message.header.stamp), rig.positions,
+                                [pose.rotation for pose in rig.poses]):
             self._poses, self._rig = message, rig
         self._act()
 
@@ -182,9 +186,16 @@ class LiveTurns:
         self._again.reset()
         targets = msg_to_positions(self._command)
         self._known = len(targets), header.frame_id
+        turned = self._turned(poses)
         if self._config.manual:
-            self._instruct(self._turns.positions, targets, header)
-        self._turns.sent(targets)
+            self._instruct(self._turns.positions, targets, turned, header)
+        self._turns.sent(targets, turned)
+
+    def _turned(self, poses: PoseArray) -> dict[int, np.ndarray]:
+        """Return the rotations, (3, 3), of the cameras that the command turns."""
+        return {camera: rotation_of(goal.orientation, f'command: camera {camera}')
+                for camera, (goal, now) in enumerate(zip(self._command.poses, poses.poses))
+                if goal.orientation != now.orientation}
 
     def _command_again(self) -> None:
         """Send the command again to cameras that have not arrived."""
@@ -192,10 +203,16 @@ class LiveTurns:
         if self._command is not None and not standing and not self._waits():
             self._commands.publish(self._command)
 
-    def _instruct(self, positions: np.ndarray, targets: np.ndarray, header: Header) -> None:
-        """Tell a person which cameras to move where: (K, 3) metres each."""
+    def _instruct(self, positions: np.ndarray, targets: np.ndarray,
+                  turned: dict[int, np.ndarray], header: Header) -> None:
+        """Tell a person which cameras to move where, (K, 3) metres each, and to turn how."""
         least = self._config.arrival_distance
-        text = FINAL if self._final() else instructions(positions, targets, least)
+        turns = np.zeros((len(targets), 2))
+        for camera, rotation in turned.items():
+            turns[camera] = way_between(heading_of(self._rig.poses[camera].rotation),
+                                        heading_of(rotation))
+        text = FINAL if self._final() else instructions(
+            positions, targets, least, turns, self._config.arrival_angle)
         if text != self._instruction:
             self._instruction = text
             self._instructions.publish(String(data=text))

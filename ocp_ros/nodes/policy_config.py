@@ -23,6 +23,9 @@ class PolicyNodeConfig:
         30, 'turns until the placement is final', 1, 100000, running=True)
     max_step: float = setting(
         0.5, 'farthest a camera moves in one turn, metres', 0.001, 10.0, running=True)
+    max_turn: float = setting(
+        0.5, 'how far a camera of a rig file that does not see all around is turned in one turn, '
+        'radians; 0 leaves cameras turned as they are', 0.0, 3.1416, running=True)
     max_range: float = setting(
         4.0, 'effective range of the cameras, metres', 0.1, 100.0, running=True)
     wall_margin: float = setting(
@@ -52,6 +55,9 @@ class PolicyNodeConfig:
     arrival_distance: float = setting(
         0.05, 'live: a camera this near to where it was sent is there, metres', 0.01, 1.0,
         running=True)
+    arrival_angle: float = setting(
+        0.1, 'live: a camera turned to within this of how it shall be is there, radians', 0.01,
+        3.1416, running=True)
     arrival_timeout: float = setting(
         20.0, 'live: cameras that have not arrived after so long are where they are, seconds',
         0.1, 3600.0, running=True)

@@ -98,7 +98,7 @@ class PolicyNode(Node):
 
     def _start_episode(self, episode: int) -> None:
         """Forget the turns of the last episode."""
-        self.planner.reset()
+        self._decider.reset()
         self._episode, self._step, self._over = episode, 0, False
         self._finality.begin()
         self._finality.say(self._step, self.config)
@@ -137,15 +137,16 @@ class PolicyNode(Node):
     def _play(self, cloud: np.ndarray, poses: PoseArray) -> PoseArray:
         """Answer a turn: the points (N, 3) seen so far, and where the cameras are."""
         positions = msg_to_positions(poses)
-        self._decider.check(cloud, positions)
+        self._decider.check(cloud, poses)
         if self._why():
             self._settle(poses)
             if self._experiences:
                 # What would be chosen now belongs to the choice before: see what it led to.
                 self._decider.moves(cloud, positions, self._step)
-        answer = self._decider.decide(cloud, positions, poses, self._step, self._settled)
+        answer = self._decider.decide(cloud, poses, self._step, self._settled)
         target = msg_to_positions(answer)
-        self._finality.moved(np.linalg.norm(target - positions, axis=1).max(), self.config)
+        self._finality.moved(np.linalg.norm(target - positions, axis=1).max(),
+                             self._decider.widest, self.config)
         if self._experiences:
             self._experiences.tell(stamp_to_ns(poses.header.stamp), self._step, target)
         self._counts['turns_answered'] += 1

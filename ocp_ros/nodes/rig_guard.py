@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The rig file of ``policy_node``: which cameras may be moved, and where to."""
 
+from geometry_msgs.msg import PoseArray
 import numpy as np
 
 from ocp_ros.agent.guard import Guard
-from ocp_ros.geometry.cameras import CameraModel
-from ocp_ros.nodes.conversions import MessageError
+from ocp_ros.agent.sight import Sight
+from ocp_ros.geometry.cameras import CameraModel, heading_of
+from ocp_ros.nodes.conversions import MessageError, msg_to_positions, rotation_of
 from ocp_ros.simulation.rig_file import load_rig
 
 
@@ -46,6 +48,23 @@ class RigGuard:
             raise MessageError(f'poses: found {len(positions)} cameras; expected {count}{others}, '
                                f'as {self.rig.document.name} has it')
         return positions[:count]
+
+    def sight(self, poses: PoseArray) -> Sight:
+        """
+        Return how all cameras of the rig stand; those in place as told, or as the file has them.
+
+        :param poses: of all cameras of the rig, or of those that are to be placed.
+        :raises MessageError: if it is not said how a camera is turned that looks one way.
+        """
+        rows = np.zeros((len(poses.poses), 6))
+        rows[:, :3] = msg_to_positions(poses)
+        for camera, (pose, model) in enumerate(zip(poses.poses, self.models)):
+            if not model.omnidirectional:
+                rows[camera, 3:] = heading_of(
+                    rotation_of(pose.orientation, f'poses: camera {camera}'))
+        if len(rows) == len(self.rig.cameras):
+            rows = np.concatenate([rows, self.rig.fixed_poses])
+        return Sight(rows, self.models, len(self.rig.cameras), self.rig.pitch)
 
     def hold(self, cloud: np.ndarray, positions: np.ndarray, targets: np.ndarray, max_step: float
              ) -> np.ndarray:

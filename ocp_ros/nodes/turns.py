@@ -8,11 +8,13 @@ do not arrive nor for topics that are silent. Only stamps are compared with stam
 something takes is measured on this machine's own clock, which nobody sets.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 import time
 from typing import Generic, TypeVar
 
 import numpy as np
+
+from ocp_ros.geometry.cameras import angle_between
 
 T = TypeVar('T')
 
@@ -35,6 +37,7 @@ class Turns(Generic[T]):
         one has to be there in any case.
     :param clock: tells the seconds.
     :param shortest: a turn lasts so long at least, seconds.
+    :param arrival_angle: a camera turned to within this of how it shall be is there, radians.
     :ivar positions: (K, 3) metres, where the cameras are; None while nobody has said so since they
         were sent elsewhere.
     :ivar overdue: whether this turn goes on though the cameras have not arrived.
@@ -44,9 +47,9 @@ class Turns(Generic[T]):
 
     def __init__(self, topics: list[str], arrival_distance: float, arrival_timeout: float,
                  cloud_timeout: float, clock: Callable[[], float] = time.monotonic,
-                 shortest: float = 0.0) -> None:
+                 shortest: float = 0.0, arrival_angle: float = np.pi) -> None:
         self._topics, self._clock = topics, clock
-        self.change(arrival_distance, arrival_timeout, cloud_timeout, shortest)
+        self.change(arrival_distance, arrival_timeout, cloud_timeout, shortest, arrival_angle)
         #: Newest stamp of whoever sends anything, nanoseconds.
         self._heard: dict[str, int] = {}
         #: Stamp of the newest poses, or from which on time has begun anew, nanoseconds.
@@ -61,24 +64,32 @@ class Turns(Generic[T]):
         self.positions: np.ndarray | None = None
         #: Where the cameras were sent, if anywhere, and when.
         self._targets: np.ndarray | None = None
+        #: How they are turned, and how those shall be that were to be turned.
+        self._rotations: Sequence[np.ndarray] = ()
+        self._turned: Mapping[int, np.ndarray] = {}
         self._sent_at = clock()
         #: The first poses that show all cameras in place: stamp in nanoseconds, and when that was.
         self._stand: tuple[int, float] | None = None
 
     def change(self, arrival_distance: float, arrival_timeout: float, cloud_timeout: float,
-               shortest: float) -> None:
+               shortest: float, arrival_angle: float = np.pi) -> None:
         """Wait for something else from now on; the parameters are those of the class."""
         self._arrival_distance, self._arrival_timeout, self._cloud_timeout, self._shortest = (
             arrival_distance, arrival_timeout, cloud_timeout, shortest)
+        self._arrival_angle = arrival_angle
 
-    def sent(self, targets: np.ndarray) -> None:
+    def sent(self, targets: np.ndarray, turned: Mapping[int, np.ndarray] | None = None) -> None:
         """
         Begin a turn: the cameras were sent to (K, 3) metres.
 
         Where they have been until now counts if they are there already: some rigs say where they
         are when they move, and not otherwise.
+
+        :param targets: (K, 3) metres.
+        :param turned: the rotations, (3, 3), of the cameras that were to be turned.
         """
         self._targets, self._sent_at, self.overdue = targets, self._clock(), False
+        self._turned = turned or {}
         self._stand = (self._posed, self._sent_at) if self._arrived() else None
         if self._stand is None:
             self.positions = None
@@ -89,17 +100,19 @@ class Turns(Generic[T]):
         self._waiting.clear()
         self._used.clear()
 
-    def on_poses(self, stamp: int, positions: np.ndarray) -> bool:
+    def on_poses(self, stamp: int, positions: np.ndarray,
+                 rotations: Sequence[np.ndarray] = ()) -> bool:
         """
         Take note of where the cameras are.
 
         :param stamp: nanoseconds.
         :param positions: (K, 3) metres.
+        :param rotations: K of (3, 3), needed once cameras were to be turned.
         :returns: whether this is news.
         """
         if not self._is_news(POSES, stamp):
             return False
-        self.positions, self._posed = positions, stamp
+        self.positions, self._rotations, self._posed = positions, rotations, stamp
         if self._arrived():
             self._stand = self._stand or (stamp, self._clock())
         elif not self.overdue:
@@ -108,11 +121,13 @@ class Turns(Generic[T]):
         return True
 
     def _arrived(self) -> bool:
-        """Tell whether every camera is where it was sent."""
+        """Tell whether every camera is where it was sent, and turned so."""
         if self._targets is None:
             return True
         away = np.linalg.norm((self.positions - self._targets)[:, :2], axis=1)
-        return bool((away <= self._arrival_distance).all())
+        return bool((away <= self._arrival_distance).all()) and all(
+            angle_between(self._rotations[camera], rotation) <= self._arrival_angle
+            for camera, rotation in self._turned.items())
 
     def on_cloud(self, topic: str, stamp: int, cloud: T) -> None:
         """Keep a cloud, whatever it is, in place of the one of its topic that waits."""

@@ -1,0 +1,315 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes turn cameras that look one way: commands, the loop with a simulation, live rigs, words."""
+
+from copy import deepcopy
+
+from conftest import box_room
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
+
+from geometry_msgs.msg import PoseArray, Quaternion
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header, String
+
+from ocp_ros.geometry.blocks import Subset
+from ocp_ros.geometry.cameras import angle_between, heading_of, Pose, rotation_matrix
+from ocp_ros.nodes import qos, topics
+from ocp_ros.nodes.conversions import (
+    cloud_to_msg,
+    moved_to,
+    msg_to_poses,
+    msg_to_positions,
+    ns_to_stamp,
+    positions_to_msg,
+    stamp_to_ns,
+)
+from ocp_ros.nodes.finality import Finality
+from ocp_ros.nodes.frames import OPTICAL
+from ocp_ros.nodes.instructions import instructions, STAY
+from ocp_ros.nodes.policy_config import PolicyNodeConfig
+from ocp_ros.nodes.policy_node import PolicyNode
+from ocp_ros.nodes.sim_node import SimNode
+from ocp_ros.nodes.turns import Turns
+
+SMALL = {'scene__points': 3000, 'engine__preset': 'fast', 'engine__error_rows': 32,
+         'engine__coverage_cell': 0.5, 'rig__sensors': 'realsense_d455'}
+RIG = """
+cameras: [{sensor: realsense_d455, count: 4}]
+mount: {on: plane, height: 1.9}
+keep_clear: 0.1
+pitch: [10, 60]
+"""
+LIMITS = np.deg2rad([10.0, 60.0])
+HEADINGS = np.array([[0.4, 0.1, 0.0], [-2.0, 0.2, 0.1], [3.0, 1.2, -0.3]])
+
+
+@pytest.fixture
+def rig_file(tmp_path):
+    """Return what writes a rig file and returns its path."""
+    def write(text=RIG):
+        (tmp_path / 'rig.yaml').write_text(text)
+        return str(tmp_path / 'rig.yaml')
+    return write
+
+
+def test_a_command_turns_the_body_of_a_camera_and_its_optical_frame_with_it():
+    """Forward is x of the body and z of the optical frame, up is z and -y."""
+    poses = positions_to_msg(np.zeros((3, 3)), Header(), HEADINGS)
+    found = moved_to(poses, np.ones((3, 3)), {1: np.array([np.pi / 2, 0.3, 0.0])})
+    for camera in (0, 2):
+        assert found.poses[camera].orientation == poses.poses[camera].orientation
+    rotation = msg_to_poses(found)[1].rotation
+    # To +y and down.
+    np.testing.assert_allclose(rotation[:, 0], [0.0, np.cos(0.3), -np.sin(0.3)], atol=1e-9)
+    np.testing.assert_allclose(rotation[:, 1], [-1.0, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose((rotation @ OPTICAL)[:, 2], rotation[:, 0], atol=1e-9)
+    np.testing.assert_allclose((rotation @ OPTICAL)[:, 1], -rotation[:, 2], atol=1e-9)
+    np.testing.assert_array_equal(msg_to_positions(found), np.ones((3, 3)))
+
+
+class Loop:
+    """A simulation and a policy that play an episode, and what they said."""
+
+    def __init__(self, graph, probe, rig_file, **parameters):
+        for topic in (topics.CAMERA_COMMANDS, topics.CAMERA_POSES):
+            probe.listen(PoseArray, topic, qos.LOOP)
+        probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
+        self.sim = graph.add(SimNode, seed=3, scene__seed=8, rig__tilt=0.3, episode__turns=10,
+                             resend_period=0.2, **SMALL)
+        self.first = self.sim.episode.turn
+        self.policy = graph.add(PolicyNode, turns=10, rig_file=rig_file(), **parameters)
+        self.placement = probe.last(topics.PLACEMENT)
+        self.error = self.sim.episode.turn.depth_error
+        self.steps = []
+        poses = {stamp_to_ns(message.header.stamp): message
+                 for message in probe.received[topics.CAMERA_POSES]}
+        for command in probe.received[topics.CAMERA_COMMANDS]:
+            before = poses.get(stamp_to_ns(command.header.stamp))
+            if before is not None:
+                self.steps.append((msg_to_poses(before), msg_to_poses(command)))
+        graph.remove(self.sim)
+        graph.remove(self.policy)
+
+
+def test_a_simulated_rig_that_is_turned_ends_better_and_within_the_limits(graph, probe, rig_file):
+    still, turned = (Loop(graph, probe, rig_file, max_turn=most) for most in (0.0, 0.4))
+    assert turned.first.depth_error == still.first.depth_error
+    assert turned.error < 0.8 * still.error
+    for loop, most in ((still, 0.0), (turned, 0.4)):
+        assert len(loop.steps) >= 8
+        for before, after in loop.steps:
+            for now, goal in zip(before, after, strict=True):
+                assert np.linalg.norm(goal.position - now.position) <= 0.5 + 1e-6
+                assert angle_between(now.rotation, goal.rotation) <= most + 1e-6
+                pitch = heading_of(goal.rotation)[1]
+                assert LIMITS[0] - 1e-6 <= pitch <= LIMITS[1] + 1e-6
+    # The placement has the directions that the simulation judged.
+    found = np.array([heading_of(pose.rotation) for pose in msg_to_poses(turned.placement)])
+    np.testing.assert_allclose(found, turned.sim.episode.turn.headings, atol=1e-9)
+    assert np.abs(found[:, 0] - turned.first.headings[:, 0]).max() > 0.4
+
+
+@pytest.fixture
+def robot(graph, probe):
+    """Return the probe as a rig that sends turns and hears commands."""
+    probe.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
+
+    def start(**parameters):
+        probe.policy = graph.add(PolicyNode, **parameters)
+        probe.clouds = probe.publisher(PointCloud2, topics.OBSERVATION, qos.LOOP)
+        probe.poses = probe.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
+        return probe.policy
+
+    def send(stamp, poses):
+        poses.header = Header(stamp=ns_to_stamp(stamp), frame_id='map')
+        probe.poses.publish(poses)
+        probe.clouds.publish(cloud_to_msg(box_room().points, poses.header))
+
+    def command(stamp):
+        def found():
+            return [message for message in probe.received[topics.CAMERA_COMMANDS]
+                    if stamp_to_ns(message.header.stamp) == stamp]
+        graph.until(found)
+        return found()[-1]
+
+    probe.start, probe.send, probe.command = start, send, command
+    return probe
+
+
+MIXED = """
+cameras: [{sensor: realsense_d455}, {sensor: omnidirectional}]
+fixed: [{sensor: realsense_d455, position: [1.0, 1.0, 1.9], yaw: 40}]
+"""
+PLACES = np.array([[2.0, 2.0, 1.9], [3.0, 2.0, 1.9], [1.0, 1.0, 1.9]])
+
+
+def test_only_cameras_that_look_one_way_and_may_be_moved_are_turned(robot, rig_file):
+    robot.start(rig_file=rig_file(MIXED), turns=2)
+    poses = positions_to_msg(PLACES, Header(), HEADINGS)
+    for stamp in (1, 2, 3, 4):
+        robot.send(stamp, poses)
+        found = robot.command(stamp)
+        # Once the placement is final, nobody is turned any more.
+        if stamp != 2:
+            assert (found.poses[0].orientation == poses.poses[0].orientation) == (stamp > 2)
+        for camera in (1, 2):
+            assert found.poses[camera].orientation == poses.poses[camera].orientation
+        poses = found
+
+
+def test_cameras_that_nobody_knows_stay_turned_as_they_are(robot):
+    robot.start()
+    poses = positions_to_msg(PLACES, Header(), HEADINGS)
+    robot.send(1, poses)
+    assert [pose.orientation for pose in robot.command(1).poses] == [
+        pose.orientation for pose in poses.poses]
+
+
+def test_poses_that_do_not_say_how_a_camera_is_turned_are_refused(robot, rig_file, capfd):
+    policy = robot.start(rig_file=rig_file(MIXED))
+    poses = positions_to_msg(PLACES, Header(), HEADINGS)
+    # How one is turned that sees all around is nobody's business.
+    poses.poses[1].orientation = Quaternion(x=0.0, y=0.0, z=0.0, w=0.0)
+    robot.send(1, poses)
+    robot.command(1)
+    for stamp, w in ((2, 0.0), (3, float('nan'))):
+        spoilt = deepcopy(poses)
+        spoilt.poses[0].orientation = Quaternion(x=0.0, y=0.0, z=0.0, w=w)
+        robot.send(stamp, spoilt)
+        robot.graph.until(lambda: policy._counts['refused_messages'] == stamp - 1)
+    assert 'poses: camera 0: found the quaternion' in capfd.readouterr().err
+    robot.send(4, poses)
+    robot.command(4)
+
+
+def test_aiming_that_fails_leaves_cameras_turned_as_they_are(robot, rig_file, monkeypatch, capfd):
+    policy = robot.start(rig_file=rig_file(MIXED))
+
+    def fail(*turn):
+        raise ZeroDivisionError('by 0')
+
+    poses = positions_to_msg(PLACES, Header(), HEADINGS)
+    with monkeypatch.context() as patched:
+        patched.setattr(policy._decider, 'aim', fail)
+        robot.send(1, poses)
+        assert robot.command(1).poses[0].orientation == poses.poses[0].orientation
+    assert 'aiming: found ZeroDivisionError: by 0; cameras stay' in capfd.readouterr().err
+    robot.send(2, poses)
+    assert robot.command(2).poses[0].orientation != poses.poses[0].orientation
+
+
+@pytest.fixture
+def sim(graph, probe):
+    """Return what starts a simulation, and the probe that commands it."""
+    probe.listen(PoseArray, topics.CAMERA_POSES, qos.LOOP)
+
+    def start(**parameters):
+        probe.sim = graph.add(SimNode, **{**SMALL, **parameters})
+        probe.commands = probe.publisher(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
+        graph.until(lambda: probe.received[topics.CAMERA_POSES])
+        return probe.sim, deepcopy(probe.last(topics.CAMERA_POSES))
+
+    def play(message):
+        stamp = probe.sim._stamp
+        probe.commands.publish(message)
+        graph.until(lambda: probe.sim._stamp != stamp)
+        return probe.sim.episode.turn
+
+    probe.start, probe.play = start, play
+    return probe
+
+
+def test_a_simulation_turns_cameras_and_shows_what_they_then_see(sim):
+    node, poses = sim.start(rig__sensors='realsense_d455, omnidirectional', rig__cameras=2)
+    before = node.episode.turn
+    headings = np.array([[2.0, 0.4, 0.1], [1.0, 0.0, 0.0]])
+    turn = sim.play(positions_to_msg(before.positions, poses.header, headings))
+    np.testing.assert_allclose(turn.headings[0], headings[0], atol=1e-9)
+    np.testing.assert_array_equal(turn.headings[1], before.headings[1])
+    simulator = node.simulator
+    expected = simulator.evaluate(np.hstack([turn.positions, headings]))
+    assert turn.depth_error == expected.depth_error != before.depth_error
+    view = Subset(simulator.look(np.append(turn.positions[0], headings[0]), 0).seen,
+                  simulator.visibility.order)
+    assert (node.episode.observed.mask | ~view.mask).all()
+    # The next turn's poses tell it.
+    sim.graph.until(lambda: stamp_to_ns(
+        sim.last(topics.CAMERA_POSES).header.stamp) == node._stamp)
+    found = msg_to_poses(sim.last(topics.CAMERA_POSES))
+    np.testing.assert_allclose(found[0].rotation, rotation_matrix(*headings[0]), atol=1e-9)
+
+
+def test_a_command_that_turns_nobody_changes_no_bit(sim):
+    node, poses = sim.start(rig__tilt=0.3)
+    before = node.episode.turn
+    np.testing.assert_array_equal(sim.play(poses).headings, before.headings)
+
+
+@pytest.mark.parametrize('xyzw', [(0.0, 0.0, 0.0, 0.0), (0.0, float('nan'), 0.0, 1.0)])
+def test_a_command_without_a_direction_is_refused(sim, xyzw, capfd):
+    node, poses = sim.start()
+    spoilt = deepcopy(poses)
+    spoilt.poses[2].orientation = Quaternion(**dict(zip('xyzw', xyzw, strict=True)))
+    sim.commands.publish(spoilt)
+    sim.graph.until(lambda: node._counts['refused_commands'] == 1)
+    assert 'command refused: command: camera 2: found the quaternion' in capfd.readouterr().err
+    assert node.episode.turn.step == 0
+    assert sim.play(poses).step == 1
+
+
+def test_a_live_turn_waits_until_cameras_are_turned():
+    turns = Turns(['a'], 0.05, 20.0, 2.0, lambda: 0.0, arrival_angle=0.1)
+    here = np.array([[1.0, 1.0, 1.9], [3.0, 1.0, 1.9]])
+    now = [rotation_matrix(0.0), rotation_matrix(1.0)]
+    turns.on_poses(1, here, now)
+    turns.sent(here, {1: rotation_matrix(1.5)})
+    assert not turns.standing
+    turns.on_poses(2, here, [rotation_matrix(2.0), rotation_matrix(1.3)])
+    assert not turns.standing
+    turns.on_poses(3, here, [rotation_matrix(2.0), rotation_matrix(1.45)])
+    assert turns.standing and turns.since == 3
+
+
+def test_words_say_by_how_much_to_turn_a_camera():
+    here = np.zeros((4, 3))
+    there = here + [[0.5, 0.0, 0.0], [0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [0.0, -0.3, 0.0]]
+    turns = np.deg2rad([[0.0, 0.0], [40.0, 0.0], [-30.0, 20.0], [2.0, -8.0]])
+    assert instructions(here, there, 0.05, turns, 0.1) == (
+        'camera 0: 0.50 m towards +x, to (0.50, 0.00)\n'
+        'camera 1: turn 40 degrees to the left\n'
+        'camera 2: turn 30 degrees to the right and 20 degrees down\n'
+        'camera 3: 0.30 m towards -y, to (0.00, -0.30); turn 2 degrees to the left and '
+        '8 degrees up')
+    assert instructions(here, here, 0.05, turns / 10.0, 0.1) == STAY
+
+
+def test_who_moves_cameras_by_hand_is_told_how_to_turn_them(graph, probe, rig_file):
+    """The first pose of each camera is known, so the turn in the words leads to the command."""
+    probe.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
+    probe.listen(String, topics.INSTRUCTIONS, qos.LATCHED)
+    graph.add(PolicyNode, cloud_topics='points', manual=True, max_turn=0.7, max_range=6.0,
+              rig_file=rig_file('cameras: [{sensor: realsense_d455}]'))
+    poses = probe.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
+    clouds = probe.publisher(PointCloud2, 'points', qos.LOOP)
+    header, now = Header(stamp=ns_to_stamp(5), frame_id='map'), np.array([1.0, 0.5, 0.0])
+    points = box_room().points
+    # All that is known is in front of the camera, so there is much to look around for.
+    body = (points - PLACES[0]) @ Pose.of(np.append(PLACES[0], now)).rotation
+    poses.publish(positions_to_msg(PLACES[:1], header, now[None]))
+    clouds.publish(cloud_to_msg(points[body[:, 0] > 0.3], header))
+    command, text = probe.last(topics.CAMERA_COMMANDS), probe.last(topics.INSTRUCTIONS).data
+    yaw, pitch, _ = np.rad2deg(heading_of(msg_to_poses(command)[0].rotation) - now)
+    assert np.hypot(yaw, pitch) > 10.0
+    way = 'left' if yaw > 0.0 else 'right'
+    assert f'{abs(yaw):.0f} degrees to the {way}' in text or abs(yaw) < 0.5
+    assert f'{abs(pitch):.0f} degrees {"down" if pitch > 0 else "up"}' in text or abs(pitch) < 0.5
+
+
+def test_cameras_that_are_turned_do_not_stand_still(probe):
+    finality, config = Finality(probe.node), PolicyNodeConfig()
+    finality.moved(0.0, 0.1, config)
+    assert finality.still == 0
+    finality.moved(0.0, 0.0, config)
+    assert finality.still == 1
