@@ -8,8 +8,8 @@ Whoever decides online, a planner or a policy, knows the room through this alone
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
+from ocp_ros.agent.rectangle import inset, smallest_rectangle, with_corners
 from ocp_ros.geometry.blocks import no_bits, pack, unpack
 from ocp_ros.geometry.cameras import CameraModel, Lens, OMNIDIRECTIONAL, Pose
 from ocp_ros.geometry.clouds import cell_numbers, fixed_size
@@ -17,7 +17,7 @@ from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.surfels import SurfelSettings
 from ocp_ros.geometry.visibility import FAST, SurfelVisibility
 from ocp_ros.geometry.voxels import voxel_downsample, voxel_size_for
-from ocp_ros.scenes.scene import Scene, SceneError
+from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.simulator import ERROR_CUBE, View
 from ocp_ros.simulation.space import Space
 
@@ -33,11 +33,8 @@ NO_CELL = -1
 DENSE = 4
 #: By what share the cloud grows before a model that is kept is made anew.
 GROWTH = 0.01
-#: Metres: how far inside a corner of the room one looks whether it is there, how far one looks for
-#: it, and how many cameras do.
-INSIDE, FAR, LOOKING = 0.3, 100.0, 2
-#: Metres: a box that the corners enlarge by no more than this is left as it is.
-SAME = 0.05
+#: Metres: how far one looks for a corner of the room, and how many cameras do.
+FAR, LOOKING = 100.0, 2
 
 
 class Observed:
@@ -65,17 +62,17 @@ class Observed:
                  rows: int, settings: SurfelSettings = FAST, around: float = 0.0) -> None:
         scene = Scene(thinned(cloud, most), 'observed cloud')
         corners = smallest_rectangle(scene.points[:, :2])
-        box = _with_corners(scene.bounds, corners)
+        box = with_corners(scene.bounds, corners)
         if around:
-            box = _with_corners(box, positions[:, :2] - around)
-            box = _with_corners(box, positions[:, :2] + around)
+            box = with_corners(box, positions[:, :2] - around)
+            box = with_corners(box, positions[:, :2] + around)
         centres, numbers = cells_of_the_air(box)
         self._lens = CameraModel(max_range=max_range).lens
-        tests = np.column_stack([_inset(corners), np.full(4, np.median(positions[:, 2]))])
+        tests = np.column_stack([inset(corners), np.full(4, np.median(positions[:, 2]))])
         self.visibility = SurfelVisibility(
             scene.points, scene.normals_or_estimate, scene.pitch,
             np.concatenate([centres, tests.astype(np.float32)]), settings)
-        bounds = _with_corners(scene.bounds, corners[self._open(tests, positions)])
+        bounds = with_corners(scene.bounds, corners[self._open(tests, positions)])
         self.bounds = bounds
         inside = ((centres >= bounds[0]) & (centres <= bounds[1])).all(axis=1)
         if around:
@@ -217,47 +214,6 @@ class Memory:
         self._seen = np.unique(np.concatenate([self._seen, *covered]))
         self._visited.clear()
         return pack(~np.isin(model.cells, self._seen) & (model.cells != NO_CELL))
-
-
-def smallest_rectangle(points: np.ndarray) -> np.ndarray:
-    """
-    Find the rectangle of least area around points: rooms have right angles.
-
-    One of its sides lies on a side of the convex hull (Freeman and Shapira, 1975).
-
-    :param points: (N, 2).
-    :returns: (4, 2) its corners.
-    :raises SceneError: if the points are on a line.
-    """
-    try:
-        hull = points[ConvexHull(points).vertices].astype(np.float64)
-    except QhullError as error:
-        raise SceneError('observed cloud: found all points on a line, seen from above; expected '
-                         'a room with volume') from error
-    sides = np.roll(hull, -1, axis=0) - hull
-    along = sides / np.linalg.norm(sides, axis=1, keepdims=True)
-    axes = np.stack([along, np.stack([-along[:, 1], along[:, 0]], axis=1)], axis=1)
-    spans = axes @ hull.T
-    low, high = spans.min(axis=2), spans.max(axis=2)
-    best = int(np.argmin(np.prod(high - low, axis=1)))
-    ends = np.array([[x, y] for x in (low[best, 0], high[best, 0])
-                     for y in (low[best, 1], high[best, 1])])
-    return ends @ axes[best]
-
-
-def _inset(corners: np.ndarray) -> np.ndarray:
-    """Return places a little inside the corners of a rectangle: (4, 2) metres."""
-    way = corners.mean(axis=0) - corners
-    length = np.linalg.norm(way, axis=1, keepdims=True)
-    return corners + way * np.minimum(INSIDE / length, 1.0)
-
-
-def _with_corners(bounds: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Return the box (2, 3) around a box and some corners (C, 2), metres."""
-    larger = bounds.copy()
-    larger[0, :2] = np.minimum(bounds[0, :2], corners.min(axis=0, initial=np.inf))
-    larger[1, :2] = np.maximum(bounds[1, :2], corners.max(axis=0, initial=-np.inf))
-    return np.where(np.abs(larger - bounds) > SAME, larger, bounds)
 
 
 def thinned(cloud: np.ndarray, most: int) -> np.ndarray:
