@@ -15,10 +15,12 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64MultiArray, Header, String
 
 from ocp_ros.configuration import ConfigurationError, leaves
+from ocp_ros.geometry.cameras import angle_between
 from ocp_ros.nodes import qos, topics
 from ocp_ros.nodes.conversions import (
     cloud_to_msg,
     fields_to_msg,
+    msg_to_poses,
     msg_to_positions,
     ns_to_stamp,
     positions_to_msg,
@@ -231,6 +233,20 @@ def test_commands_are_held_to_a_rig_file(robot, tmp_path, monkeypatch):
         assert cKDTree(box_room().points).query(found[:2])[0].min() >= 0.399
         positions = found
     assert not policy._decider.guard.held
+
+
+def test_cameras_are_turned_as_far_as_they_may_be_while_the_node_runs(robot, tmp_path, change):
+    policy = robot.start(turns=1000, rig_file=rig_file(
+        tmp_path, 'cameras: [{sensor: realsense_d455, count: 3}]'))
+    assert 'max_turn' in change(policy, max_turn=4.0) and policy.config.max_turn == 0.5
+    # All three look the same way, so there is much to turn for.
+    for stamp, most in ((1, 0.5), (2, 0.2), (3, 0.0), (4, 3.0)):
+        assert change(policy, max_turn=most) == ''
+        robot.turn(stamp)
+        command = robot.received[topics.CAMERA_COMMANDS][-1]
+        widest = max(angle_between(pose.rotation, np.eye(3)) for pose in msg_to_poses(command))
+        assert widest <= most + 1e-9 and (widest > 0.0) == (most > 0.0)
+    assert widest > 0.5
 
 
 def test_poses_of_another_rig_are_refused(robot, tmp_path, capfd):
