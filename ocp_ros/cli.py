@@ -2,6 +2,7 @@
 """``ocp``: the package's tools for people without a ROS graph."""
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 import sys
 
@@ -25,8 +26,11 @@ from ocp_ros.room_commands import add_rooms
 def _train(arguments: argparse.Namespace) -> Found:
     """Train a policy, and say what it does in rooms it has never seen."""
     from ocp_ros.training.train import read_config, train
-    config = read_config(arguments.config)
-    checkpoint = train(config, arguments.out, f'ocp train --config {arguments.config}')
+    config, command = read_config(arguments.config), f'ocp train --config {arguments.config}'
+    if arguments.seed is not None:
+        config = replace(config, seed=arguments.seed)
+        command += f' --seed {arguments.seed}'
+    checkpoint = train(config, arguments.out, command)
     if arguments.model:
         checkpoint.save(arguments.model)
     return {'test': checkpoint.provenance['test'],
@@ -89,6 +93,7 @@ def _add_train(commands: Commands) -> None:
     train.add_argument('--out', type=Path, required=True,
                        help='folder of the run; an interrupted one goes on')
     train.add_argument('--model', type=Path, help='write the best weights here as well')
+    train.add_argument('--seed', type=at_least(0), help='in place of the one in the settings')
     train.set_defaults(run=_train, show=_show_training)
 
 

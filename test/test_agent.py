@@ -15,7 +15,14 @@ from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError, KEY, write_ato
 from ocp_ros.agent.config import AgentConfig
 from ocp_ros.agent.distributions import Choices, NEAR, SquashedGaussian
 from ocp_ros.agent.encoder import Encoder
-from ocp_ros.agent.networks import Actor, CriticHead, ExtractionUnit, Extractor, WIDTH_FIRST
+from ocp_ros.agent.networks import (
+    Actor,
+    CriticHead,
+    ExtractionUnit,
+    Extractor,
+    GaussianHead,
+    WIDTH_FIRST,
+)
 from ocp_ros.agent.observation import encode
 from ocp_ros.agent.policy import Policy
 from ocp_ros.agent.sampling import ball_query, farthest_points
@@ -422,3 +429,14 @@ def test_the_shipped_model_has_its_card():
     assert test['policy']['depth_error_end'] < test['random_moves']['depth_error_end']
     assert {'seed', 'date', 'interactions', 'training', 'seconds', 'curve'} <= (
         checkpoint.provenance.keys())
+
+
+def test_a_gaussian_head_that_wants_too_much_stays_a_density():
+    head = GaussianHead(3, 8)
+    with torch.no_grad():
+        head.out.weight.mul_(1e6)
+        moves = head(torch.randn(64, 2, 3))
+        drawn = moves.sample()
+    assert (drawn.abs() <= 1.0).all() and (moves.best().abs() < 1.0).all()
+    # Where it is drawn from its density is neither nothing nor endless.
+    assert (moves.log_prob(drawn).abs() < 60.0).all()

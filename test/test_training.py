@@ -43,7 +43,7 @@ from ocp_ros.training.encoded import (
 from ocp_ros.training.evaluation import evaluate, play_trial, Trial
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
 from ocp_ros.training.state import load_state, save_state
-from ocp_ros.training.train import train, trials_of
+from ocp_ros.training.train import read_config, train, trials_of
 
 SIMULATION = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=16, coverage_cell=1.0),
                               episode=EpisodeConfig(turns=6))
@@ -535,8 +535,10 @@ def test_ocp_train_writes_a_model_that_runs(tmp_path, capsys, room):
     (tmp_path / 'c.yaml').write_text(yaml.safe_dump(TINY))
     model = tmp_path / 'm.safetensors'
     assert main(['train', '--config', str(tmp_path / 'c.yaml'), '--out', str(tmp_path / 'run'),
-                 '--model', str(model)]) == 0
+                 '--model', str(model), '--seed', '5']) == 0
     assert 'random_moves' in capsys.readouterr().out
+    assert read_config(tmp_path / 'run' / 'config.yaml').seed == 5
+    assert Checkpoint.load(model).provenance['command'].endswith('c.yaml --seed 5')
     moves = Policy(Checkpoint.load(model)).act(room.points, room.bounds.mean(0)[None])
     assert np.isfinite(moves).all()
 

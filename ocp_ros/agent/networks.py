@@ -14,6 +14,9 @@ from ocp_ros.agent.config import AgentConfig
 from ocp_ros.agent.distributions import Choices, Moves, SquashedGaussian
 
 LOG_STD_MIN, LOG_STD_MAX = -5.0, 2.0
+#: The largest mean: far beyond it the density of a drawn move cannot be told from its tangent, and
+#: soft actor-critic goes astray.
+MEAN_MAX = 4.0
 #: The same for the width of a choice, in units of the longest step.
 WIDTH_MIN, WIDTH_MAX, WIDTH_FIRST = -4.0, -1.0, -2.5
 CAMERA_CHANNELS = 32
@@ -166,6 +169,7 @@ class GaussianHead(nn.Module):
     def forward(self, features: Tensor) -> Moves:
         """Map (B, K, F) to a distribution of moves."""
         mean, log_std = self.out(self.layers(features)).chunk(2, dim=-1)
+        mean = MEAN_MAX * torch.tanh(mean / MEAN_MAX)
         return SquashedGaussian(mean, log_std.clamp(LOG_STD_MIN, LOG_STD_MAX))
 
 

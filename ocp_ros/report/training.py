@@ -28,6 +28,8 @@ def label_of(folder: Path) -> str:
         parts.append(f"{settings['demonstrations']['expert']} imitated")
     if settings['interactions']:
         parts.append('soft actor-critic')
+        if settings['simulation']['reward']['kind'] == 'paper':
+            parts[-1] += ' by the cubic reward'
     return f"{settings['agent']['inputs']} inputs: {', then '.join(parts)}"
 
 
