@@ -208,6 +208,8 @@ def instructions(scene: Scene, placement: Placement, plan: str) -> str:
              'right are those of somebody who stands behind the camera.', '',
              f'| | {" | ".join(COLUMNS)} |', '|---' * (len(COLUMNS) + 1) + '|']
     lines += ['| ' + ' | '.join(row) + ' |' for row in rows_of(placement, walls, floor)]
+    if 'planner' in placement.created:
+        lines += ['', f'The placement was found by the planner {placement.created["planner"]}.']
     return '\n'.join([*lines, ''])
 
 
