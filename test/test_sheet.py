@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 
 from ocp_ros.documents import Document
-from ocp_ros.report import maps, sheet
+from ocp_ros.report import floor_plan, maps, sheet
 from ocp_ros.report.figures import metres
+from ocp_ros.report.numbers import apart
 from ocp_ros.report.score import judge, room_named
 from ocp_ros.report.table import shortened, width_of
 from ocp_ros.simulation.config import EngineConfig
@@ -68,6 +69,22 @@ def test_all_labels_are_on_the_page_and_none_is_on_another(rooms, count, number,
                 or min(a.y1, b.y1) - max(a.y0, b.y0) <= 1.5), (one, other)
 
 
+@pytest.mark.parametrize('number', range(3))
+def test_numbers_in_the_plan_hide_neither_each_other_nor_the_walls(rooms, number):
+    scene = rooms[number][0]
+    poses = np.zeros((7, 6))
+    poses[:, :3] = scene.bounds.mean(axis=0)
+    poses[4:, :2] = scene.bounds[1, :2]
+    figure = floor_plan.figure_of(scene, placement_of(rig_of(7, 'd455'), poses))
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    figure.draw(renderer)
+    texts = [text for text in figure.axes[0].texts if text.get_text()]
+    assert sorted(text.get_text() for text in texts) == [*'1234567ABCD']
+    for one, other in combinations([text.get_window_extent(renderer) for text in texts], 2):
+        assert (min(one.x1, other.x1) - max(one.x0, other.x0) <= 1.5
+                or min(one.y1, other.y1) - max(one.y0, other.y0) <= 1.5)
+
+
 def test_the_page_is_a4_on_its_side_and_says_what_was_found(rooms, tmp_path):
     poses = np.array([[*rooms[2][0].bounds.mean(axis=0)[:2], 1.9, 0.0, 0.3, 0.0]])
     judged = judged_in(rooms[2], rig_of(1, 'd455', pitch=[30, 60]), poses)
@@ -105,7 +122,7 @@ def test_what_is_shown_of_a_placement_is_what_the_engine_says(rooms):
 @budget(max_examples=20, deadline=None)
 def test_numbers_of_cameras_in_one_place_are_pushed_apart(places, seed):
     at = np.random.default_rng(seed).uniform(0.0, 1.0, (places, 2))
-    moved = maps.apart(at, 0.3, np.array([[0.5, 0.5]]), 2000)
+    moved = apart(at, 0.3, np.array([[0.5, 0.5]]), 2000)
     both = np.concatenate([moved, [[0.5, 0.5]]])
     distance = np.linalg.norm(both[:, None] - both[None], axis=2)
     assert distance[np.triu_indices(len(both), 1)].min() > 0.27
