@@ -11,6 +11,7 @@ import numpy as np
 
 from ocp_ros.report import maps
 from ocp_ros.report.figures import Figures, figures_of
+from ocp_ros.report.fonts import all_letters
 from ocp_ros.report.judged import Judged
 from ocp_ros.report.numbers import camera_colour, dark
 from ocp_ros.report.room import INK, PALE_INK
@@ -36,11 +37,18 @@ def draw(path: str | Path, judged: Judged) -> None:
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure_of(judged).savefig(path, format='png', dpi=DOTS)
+    with all_letters():
+        _figure(judged).savefig(path, format='png', dpi=DOTS)
 
 
 def figure_of(judged: Judged) -> Figure:
     """Draw the page."""
+    with all_letters():
+        return _figure(judged)
+
+
+def _figure(judged: Judged) -> Figure:
+    """Draw the page in the fonts that are set."""
     figure = Figure(figsize=(WIDTH, HEIGHT), dpi=DOTS, facecolor='white')
     stage = maps.stage_of(judged)
     _draw_head(figure, judged)
