@@ -50,15 +50,15 @@ def main(argv: Sequence[str] | None = None) -> None:
     scene = make_room(arguments.room, 0.0, arguments.points)
     sensors = arguments.sensors.split(',')
     table = Table('planner', *(f'{sensor}, {title}' for sensor in sensors for title in (
-        'mean loss', 'best', 'worst', 's')))
+        'mean loss (best, worst)', 's')))
     for planner in arguments.planners.split(','):
         row = []
         for sensor in sensors:
             plans, seconds = plans_of(scene, rig_of(arguments.cameras, sensor), planner,
                                       arguments.evaluations, arguments.seeds)
             losses = [plan.worth.loss for plan in plans]
-            row += [f'{loss:.4f}' for loss in (sum(losses) / len(losses), min(losses),
-                                               max(losses))] + [f'{seconds:.1f}']
+            row += [f'{sum(losses) / len(losses):.4f} ({min(losses):.4f}, {max(losses):.4f})',
+                    f'{seconds:.1f}']
         table.add_row(planner, *row)
     Console(width=120).print(table)
 
