@@ -39,6 +39,9 @@ def add_plan(commands: Commands) -> None:
                          'space covered')
     planned.add_argument('--most', type=at_least(1), default=12,
                          help='with auto: the most cameras to try')
+    planned.add_argument('--planner', default='rig_search', metavar='NAME',
+                         help='who searches: rig_search unless named, or one of docs/planners.md '
+                         'such as cma_es or lookahead')
     planned.add_argument('--seconds', type=seconds, help='of search for each number of cameras; '
                          '60, or 15 with auto, unless evaluations are named')
     planned.add_argument('--evaluations', type=at_least(1),

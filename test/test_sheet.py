@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The one-page report: everything on the page, nothing on top of each other, nothing made up."""
 
+from dataclasses import replace
 from itertools import combinations
 
 from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
+from matplotlib import font_manager
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.image import imread
@@ -14,8 +16,9 @@ import numpy as np
 import pytest
 
 from ocp_ros.documents import Document
-from ocp_ros.report import maps, sheet
+from ocp_ros.report import floor_plan, fonts, maps, sheet
 from ocp_ros.report.figures import metres
+from ocp_ros.report.numbers import apart
 from ocp_ros.report.score import judge, room_named
 from ocp_ros.report.table import shortened, width_of
 from ocp_ros.simulation.config import EngineConfig
@@ -68,6 +71,22 @@ def test_all_labels_are_on_the_page_and_none_is_on_another(rooms, count, number,
                 or min(a.y1, b.y1) - max(a.y0, b.y0) <= 1.5), (one, other)
 
 
+@pytest.mark.parametrize('number', range(3))
+def test_numbers_in_the_plan_hide_neither_each_other_nor_the_walls(rooms, number):
+    scene = rooms[number][0]
+    poses = np.zeros((7, 6))
+    poses[:, :3] = scene.bounds.mean(axis=0)
+    poses[4:, :2] = scene.bounds[1, :2]
+    figure = floor_plan.figure_of(scene, placement_of(rig_of(7, 'd455'), poses))
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    figure.draw(renderer)
+    texts = [text for text in figure.axes[0].texts if text.get_text()]
+    assert sorted(text.get_text() for text in texts) == [*'1234567ABCD']
+    for one, other in combinations([text.get_window_extent(renderer) for text in texts], 2):
+        assert (min(one.x1, other.x1) - max(one.x0, other.x0) <= 1.5
+                or min(one.y1, other.y1) - max(one.y0, other.y0) <= 1.5)
+
+
 def test_the_page_is_a4_on_its_side_and_says_what_was_found(rooms, tmp_path):
     poses = np.array([[*rooms[2][0].bounds.mean(axis=0)[:2], 1.9, 0.0, 0.3, 0.0]])
     judged = judged_in(rooms[2], rig_of(1, 'd455', pitch=[30, 60]), poses)
@@ -105,10 +124,57 @@ def test_what_is_shown_of_a_placement_is_what_the_engine_says(rooms):
 @budget(max_examples=20, deadline=None)
 def test_numbers_of_cameras_in_one_place_are_pushed_apart(places, seed):
     at = np.random.default_rng(seed).uniform(0.0, 1.0, (places, 2))
-    moved = maps.apart(at, 0.3, np.array([[0.5, 0.5]]), 2000)
+    moved = apart(at, 0.3, np.array([[0.5, 0.5]]), 2000)
     both = np.concatenate([moved, [[0.5, 0.5]]])
     distance = np.linalg.norm(both[:, None] - both[None], axis=2)
     assert distance[np.triu_indices(len(both), 1)].min() > 0.27
+
+
+def font_of(path, family, letter):
+    """Write a font with one letter, a block that is three times as wide as others."""
+    from fontTools.fontBuilder import FontBuilder
+    from fontTools.pens.ttGlyphPen import TTGlyphPen
+    pen = TTGlyphPen(None)
+    pen.moveTo((0, 0))
+    for corner in ((0, 800), (3000, 800), (3000, 0)):
+        pen.lineTo(corner)
+    pen.closePath()
+    made = FontBuilder(1000, isTTF=True)
+    made.setupGlyphOrder(['.notdef', 'block'])
+    made.setupCharacterMap({ord(letter): 'block'})
+    made.setupGlyf({'.notdef': TTGlyphPen(None).glyph(), 'block': pen.glyph()})
+    made.setupHorizontalMetrics({'.notdef': (500, 0), 'block': (3000, 0)})
+    made.setupHorizontalHeader(ascent=800, descent=-200)
+    made.setupNameTable({'familyName': family, 'styleName': 'Regular'})
+    made.setupOS2()
+    made.setupPost()
+    made.save(path)
+
+
+def test_letters_that_the_usual_font_lacks_are_those_of_an_installed_one(tmp_path, monkeypatch):
+    manager = font_manager.fontManager
+    monkeypatch.setattr(manager, 'ttflist', [
+        one for one in manager.ttflist if one.name not in fonts.FALLBACKS])
+    before = fonts.families()
+    font_of(tmp_path / 'block.ttf', fonts.FALLBACKS[-1], '\u4f1a')
+    manager.addfont(tmp_path / 'block.ttf')
+    assert fonts.families() == [*before, fonts.FALLBACKS[-1]]
+    width_of.cache_clear()
+    with fonts.all_letters():
+        assert width_of('\u4f1a', 72.0) == pytest.approx(3.0, abs=0.05)
+        usual = width_of('room', 72.0)
+    width_of.cache_clear()
+    with pytest.warns(UserWarning, match='missing from font'):
+        assert width_of('\u4f1a', 72.0) < 1.5
+    assert width_of('room', 72.0) == usual
+    width_of.cache_clear()
+
+
+def test_letters_that_no_font_has_are_no_reason_to_complain(rooms, tmp_path, recwarn):
+    scene = replace(rooms[2][0], name='\ue000')
+    poses = np.array([[*scene.bounds.mean(axis=0)[:2], 1.9, 0.0, 0.3, 0.0]])
+    sheet.draw(tmp_path / 'report.png', judged_in((scene, rooms[2][1]), rig_of(1, 'd455'), poses))
+    assert not recwarn.list and (tmp_path / 'report.png').stat().st_size > 10000
 
 
 @given(text=st.text(st.characters(min_codepoint=32, max_codepoint=0x17f), max_size=60),

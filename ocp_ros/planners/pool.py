@@ -4,6 +4,7 @@
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.simulation.constraints import Allowed
-from ocp_ros.simulation.objective import Objective
+from ocp_ros.simulation.objective import Objective, simulator_of
 from ocp_ros.simulation.placement_file import as_written
 from ocp_ros.simulation.rig_file import Rig
 from ocp_ros.simulation.simulator import View
@@ -22,6 +23,8 @@ CHUNK, LEAST = 64, 256
 TURN = 1.0
 #: Places that a close packing of cameras is begun at.
 STARTS = 48
+#: Rows of depth maps that put placements in nearly the same order in a quarter of the time.
+QUICK_ROWS = 32
 
 
 class Site(NamedTuple):
@@ -138,6 +141,13 @@ class Pool:
         return Site(kind.poses[number], kind.views[number])
 
 
+def quick_of(objective: Objective) -> Objective:
+    """Return the same objective with smaller depth maps; it judges the same views."""
+    simulator = objective.simulator
+    engine = replace(simulator.config.engine, error_rows=QUICK_ROWS)
+    return Objective(simulator_of(simulator.scene, objective.rig, engine), objective.rig)
+
+
 def apart(poses: np.ndarray, sites: Sequence[Site], spacing: float) -> np.ndarray:
     """
     Tell which poses are far enough from all cameras.
@@ -194,6 +204,20 @@ def packed(rig: Rig, pool: Pool) -> list[Site]:
         if len(best) == len(rig.cameras):
             break
     return best
+
+
+def check_room(objective: Objective, pool: Pool) -> None:
+    """
+    Refuse a rig whose cameras do not all find room.
+
+    :raises ConfigurationError: if the spacing leaves too few places.
+    """
+    rig = objective.rig
+    if len(sites := packed(rig, pool)) < len(rig.cameras):
+        raise rig.document.error(
+            ('spacing',), f'{rig.spacing:g} m, at which only {len(sites)} of the '
+            f'{len(rig.cameras)} cameras find room in {objective.simulator.scene.name}',
+            'a distance at which all do', 'lower it or hang up fewer')
 
 
 def random_sites(rig: Rig, pool: Pool, rng: np.random.Generator) -> tuple[Site, ...]:

@@ -9,8 +9,9 @@ import numpy as np
 
 from ocp_ros.configuration import ConfigurationError
 from ocp_ros.planners.budget import Budget
+from ocp_ros.planners.methods import check_planner, find, RIG_SEARCH
 from ocp_ros.planners.pool import best_addition, Pool, random_sites
-from ocp_ros.planners.rig_search import Answer, Progress, search
+from ocp_ros.planners.rig_search import Answer, Progress
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.config import EngineConfig
 from ocp_ros.simulation.constraints import Allowed
@@ -39,6 +40,7 @@ class Plan:
     :ivar random: (R,) losses of random allowed placements; empty where hardly any is.
     :ivar candidates: how many there were.
     :ivar seconds: how long it took.
+    :ivar planner: who found it.
     """
 
     rig: Rig
@@ -49,6 +51,7 @@ class Plan:
     random: np.ndarray
     candidates: int
     seconds: float
+    planner: str
 
     @property
     def shares(self) -> dict[str, float]:
@@ -82,12 +85,15 @@ class RigPlanner:
     :param budget: how long a search may take; that of the first plan pays for the candidates.
     :param seed: of all chance.
     :param progress: called several times a second.
+    :param planner: one of :data:`~ocp_ros.planners.methods.PLANNERS`.
     :raises ConfigurationError: if there is no place for a camera, or too little of a region can
-        be seen.
+        be seen, or there is no such planner.
     """
 
     def __init__(self, scene: Scene, rig: Rig, engine: EngineConfig, budget: Budget, seed: int = 0,
-                 progress: Progress | None = None) -> None:
+                 progress: Progress | None = None, planner: str = RIG_SEARCH) -> None:
+        check_planner(planner)
+        self.planner = planner
         self.scene, self.engine, self.budget, self.seed = scene, engine, budget, seed
         self._progress, self._judges = progress, {}
         objective, allowed = self.judges_of(rig)
@@ -130,8 +136,8 @@ class RigPlanner:
         """
         objective, allowed = self.judges_of(rig)
         start = () if before is None else self._and_one_more(objective, before)
-        answer = search(objective, allowed, self.pool, self.budget, self.seed, start,
-                        self._progress)
+        answer = find(self.planner, objective, allowed, self.pool, self.budget, self.seed, start,
+                      self._progress)
         self.pool.add(rig, answer.sites)
         rng = np.random.default_rng([self.seed, RANDOM])
         drawn = [random_sites(rig, self.pool, rng) for _ in range(RANDOM)]
@@ -139,7 +145,7 @@ class RigPlanner:
             rig, answer, objective.evaluate(answer.poses),
             objective.judge(self.pool.everywhere(rig)), objective.simulator.depth_error.worst,
             np.array([objective.loss([site.view for site in sites]) for sites in drawn if sites]),
-            len(self.pool), self.budget.elapsed)
+            len(self.pool), self.budget.elapsed, self.planner)
 
     def _and_one_more(self, objective: Objective, before: Answer) -> tuple:
         """Return a placement with one more camera, the best addition; () where it has no room."""

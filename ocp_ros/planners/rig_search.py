@@ -9,24 +9,31 @@ the rig's constraints before it is judged, so the answer is judged as it will be
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.planners.annealing import annealed, between
 from ocp_ros.planners.budget import Budget
-from ocp_ros.planners.pool import apart, best_addition, packed, Pool, Site
+from ocp_ros.planners.pool import (
+    apart,
+    best_addition,
+    check_room,
+    packed,
+    Pool,
+    quick_of,
+    Site,
+)
 from ocp_ros.simulation.constraints import Allowed
-from ocp_ros.simulation.objective import Objective, simulator_of
+from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.placement_file import as_written
 from ocp_ros.simulation.simulator import View
 
 #: Searches that begin anew, and candidates that each begins from.
 SEARCHES, BEGINNINGS = 4, 300
-#: Share of the budget for exchanges among candidates, and rows of the depth maps meanwhile, which
-#: put placements in nearly the same order in a quarter of the time.
-EXCHANGING, QUICK_ROWS = 0.35, 32
+#: Share of the budget for exchanges among candidates, judged by smaller depth maps.
+EXCHANGING = 0.35
 #: First and last temperature of the exchanges and of the moves, in multiples of the loss that a
 #: search begins with.
 HOT, COLD = 0.06, 5e-4
@@ -207,14 +214,8 @@ def search(objective: Objective, allowed: Allowed, pool: Pool, budget: Budget, s
     :param progress: called several times a second.
     :raises ConfigurationError: if there is no placement.
     """
-    rig, simulator = objective.rig, objective.simulator
-    if len(sites := packed(rig, pool)) < len(rig.cameras):
-        raise rig.document.error(
-            ('spacing',), f'{rig.spacing:g} m, at which only {len(sites)} of the '
-            f'{len(rig.cameras)} cameras find room in {simulator.scene.name}',
-            'a distance at which all do', 'lower it or hang up fewer')
-    engine = replace(simulator.config.engine, error_rows=QUICK_ROWS)
-    quick = Objective(simulator_of(simulator.scene, rig, engine), rig)
+    check_room(objective, pool)
+    quick = quick_of(objective)
     searches = [Search(objective, quick, allowed, pool, budget, np.random.default_rng([seed, k]),
                        start if k == 0 else ()) for k in range(SEARCHES)]
     with ThreadPoolExecutor(SEARCHES) as workers:

@@ -39,7 +39,8 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
     Run a planner until its budget is used up or it has nothing more to ask.
 
     :param planner: the method.
-    :param score: judges placements (n, 3).
+    :param score: judges placements (n, 3); where it returns fewer scores than it got placements,
+        the search ends with these.
     :param evaluations: the most placements to judge.
     :param seconds: the most time to take; the batch that is being judged is finished.
     :param progress: called after each batch with the evaluations so far and the best error.
@@ -64,7 +65,7 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
                 best, found = rank, (batch[k].copy(), float(scores.depth_error[k]),
                                      float(scores.space_coverage[k]))
                 trace.append((count + k + 1, now, found[1]))
-        count += len(batch)
+        count += len(scores.depth_error)
         if progress is not None:
             progress(count, found[1])
         if len(scores.depth_error) < len(planner.ask()):

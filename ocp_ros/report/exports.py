@@ -9,7 +9,8 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import yaml
 
-from ocp_ros.report.installer import draw_plan, instructions
+from ocp_ros.report.floor_plan import draw_plan
+from ocp_ros.report.installer import instructions
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.placement_file import numbers_of, Placed, Placement, save_placement
 

@@ -16,7 +16,7 @@ class Figures(NamedTuple):
     :ivar verdict: whether every constraint is kept.
     :ivar kept: the same.
     :ivar cards: label, value and a remark of each key figure.
-    :ivar foot: by what command and when.
+    :ivar foot: by which planner, by what command and when.
     """
 
     title: str
@@ -40,6 +40,7 @@ def figures_of(judged: Judged) -> Figures:
         f'{len(broken)} constraint{"s" * (len(broken) != 1)} broken')
     made = judged.placement.created
     foot = '; '.join(filter(None, [
+        f'found by the planner {made["planner"]}' if 'planner' in made else '',
         f'made by {made["command"]}' if 'command' in made else '', made.get('date', ''),
         f'ocp_ros {made["version"]}' if 'version' in made else '',
         'distances are at right angles to the walls, to the middle of the front of a camera']))

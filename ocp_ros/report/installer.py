@@ -7,14 +7,10 @@ table; cameras hang so far from two of them and so high, and are turned from fac
 """
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
-from matplotlib.figure import Figure
 import numpy as np
 
-from ocp_ros.report.picture import CAMERA_COLOURS
-from ocp_ros.report.room import INK, PALE_INK
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.placement_file import Placed, Placement
 from ocp_ros.simulation.surfaces import floor_height, STEEP
@@ -29,8 +25,6 @@ BINS, TURNED = 90, 5.0
 PART, STANDS = 0.25, 0.3
 #: Degrees: what is less is straight, level or upright; from where on a camera looks straight down.
 STRAIGHT, DOWN = 0.5, 85.0
-#: Metres above the floor and below the ceiling that a plan leaves out, and points that it shows.
-LOW, HIGH, SHOWN = 0.15, 0.4, 12000
 #: What stands above the rows of an installer's table, but for the camera's number.
 COLUMNS = ('camera', 'sensor', 'place', 'height', 'pan', 'tilt')
 
@@ -208,40 +202,6 @@ def instructions(scene: Scene, placement: Placement, plan: str) -> str:
              'right are those of somebody who stands behind the camera.', '',
              f'| | {" | ".join(COLUMNS)} |', '|---' * (len(COLUMNS) + 1) + '|']
     lines += ['| ' + ' | '.join(row) + ' |' for row in rows_of(placement, walls, floor)]
+    if 'planner' in placement.created:
+        lines += ['', f'The placement was found by the planner {placement.created["planner"]}.']
     return '\n'.join([*lines, ''])
-
-
-def draw_plan(path: Path, scene: Scene, placement: Placement) -> None:
-    """Draw the room from above, wall A at the top, with its cameras and where they look."""
-    walls = walls_around(scene)
-    frame = np.stack([walls[1].outward, walls[0].outward])
-    low, high = scene.bounds[:, 2]
-    points = scene.points[(scene.points[:, 2] > low + LOW) & (scene.points[:, 2] < high - HIGH)]
-    flat = points[::max(len(points) // SHOWN, 1), :2] @ frame.T
-    figure = Figure(figsize=(10.0, 8.0), dpi=100, facecolor='white')
-    axes = figure.add_axes((0.05, 0.05, 0.9, 0.9), aspect='equal')
-    axes.set_axis_off()
-    axes.scatter(*flat.T, s=2.0, color=PALE_INK, alpha=0.4, linewidths=0.0)
-    sides = [wall.offset for wall in walls]
-    x, y = (sides[1], -sides[3]), (sides[0], -sides[2])
-    axes.plot([x[0], x[0], x[1], x[1], x[0]], [y[0], y[1], y[1], y[0], y[0]], color=INK, lw=1.0)
-    margin = 0.05 * max(wall.length for wall in walls)
-    for wall, at in zip(walls, [(np.mean(x), y[0] + margin), (x[0] + margin, np.mean(y)),
-                                (np.mean(x), y[1] - margin), (x[1] - margin, np.mean(y))]):
-        axes.text(*at, wall.letter, fontsize=20, fontweight='bold', color=INK, ha='center',
-                  va='center')
-    for number, placed in enumerate(placement.cameras):
-        colour = CAMERA_COLOURS[number % len(CAMERA_COLOURS)]
-        place = frame @ placed.position[:2]
-        yaw = np.deg2rad(placed.angles[0])
-        if placed.camera.model.horizontal_fov < 2.0 * np.pi - 1e-9:
-            tip = place + 2.0 * margin * frame @ [np.cos(yaw), np.sin(yaw)]
-            axes.annotate('', tip, place, arrowprops={'arrowstyle': '-|>', 'color': colour,
-                                                      'lw': 2.5})
-        axes.text(*place, str(number + 1), fontsize=12, color='white', ha='center', va='center',
-                  bbox={'boxstyle': 'circle', 'facecolor': colour, 'edgecolor': 'white'})
-    places = np.array([frame @ placed.position[:2] for placed in placement.cameras])
-    corners = np.concatenate([places, np.column_stack([x, y])])
-    low, high = corners.min(axis=0) - 2.0 * margin, corners.max(axis=0) + 2.0 * margin
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    figure.savefig(path, format='png', dpi=100)

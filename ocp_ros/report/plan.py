@@ -2,7 +2,7 @@
 """``ocp plan``: where to hang the cameras of a rig, how good that is, and how many are needed."""
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 import signal
@@ -15,6 +15,8 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
 from ocp_ros.planners.budget import Budget
+from ocp_ros.planners.methods import check_planner
+from ocp_ros.planners.registry import ONLINE
 from ocp_ros.planners.rig_plan import Plan, RigPlanner
 from ocp_ros.report.counting import draw_curve, rows_of_curve, show_curve
 from ocp_ros.report.exports import export
@@ -43,17 +45,19 @@ def plan(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     :returns: what ``--json`` prints.
     """
     counting = arguments.count == 0
+    check_planner(arguments.planner, counting)
     folder = folder_named('--out', arguments.out)
     rig = rig_asked(arguments)
     scene, room = room_asked(arguments, {})
     folder.mkdir(parents=True, exist_ok=True)
     engine, budget = EngineConfig(), budget_of(arguments)
     with _stopped_by_hand(budget), _progress() as progress:
-        planner = RigPlanner(scene, rig, engine, budget, arguments.seed, progress)
+        planner = RigPlanner(scene, rig, engine, budget, arguments.seed, progress,
+                             arguments.planner)
         plans = list(_counted(planner, rig, arguments) if counting else [planner.plan(rig)])
     best = plans[-1]
     placement = placement_of(best.rig, best.answer.poses, room=room, engine=engine,
-                             created=created_by(command))
+                             created=created_by(command, best.planner))
     objective, allowed = planner.judges_of(best.rig)
     found = {'room': room, 'cameras': data_of(placement)['cameras'],
              **verdict(objective, allowed, placement.poses), 'notes': [],
@@ -133,7 +137,8 @@ def _progress() -> Iterator[Callable[[float, float], None]]:
 def _search_of(plan: Plan, budget: Budget, seed: int) -> dict[str, Any]:
     """Return how a placement was found and what it compares with, as plain data."""
     answer, random = plan.answer, plan.random
-    return {'loss': plan.worth.loss, 'searches': sorted(answer.losses), 'seed': seed,
+    return {'planner': plan.planner, 'seed': seed,
+            'loss': plan.worth.loss, 'searches': sorted(answer.losses),
             'evaluations': answer.evaluations, 'seconds': round(plan.seconds, 2),
             'stopped': budget.stopped, 'candidates': plan.candidates,
             'random': {'placements': len(random),
@@ -163,13 +168,11 @@ def show_plan(found: dict[str, Any]) -> None:
 
 def quality(search: dict[str, Any]) -> Iterator[str]:
     """Say how good an answer is, by what it was compared with, and what limits it."""
-    loss, (best, second, *_) = search['loss'], search['searches']
-    random, everywhere = search['random'], search['everywhere']['loss']
-    yield (f'search: {search["evaluations"]:,} placements in {search["seconds"]:.1f} s'
+    loss, random, everywhere = search['loss'], search['random'], search['everywhere']['loss']
+    what = 'turns' if search['planner'] in ONLINE else 'placements'
+    yield (f'{search["planner"]}: {search["evaluations"]:,} {what} in {search["seconds"]:.1f} s'
            + (', stopped by hand' if search['stopped'] else ''))
-    apart = f'{percent((second - best) / best)} more' if best > 0.0 else f'{second:.4f}'
-    yield (f'loss {loss:.4f}; the next best of {len(search["searches"])} searches ended at '
-           f'{apart}, the worst at {search["searches"][-1]:.4f}')
+    yield f'loss {loss:.4f}' + _others(search['searches'])
     if random['placements']:
         yield (f'{random["placements"]} random allowed placements: {random["median"]:.4f} in the '
                f'middle, {random["best"]:.4f} at best')
@@ -178,3 +181,13 @@ def quality(search: dict[str, Any]) -> Iterator[str]:
     share = everywhere / loss if loss > 0.0 else 1.0
     yield (f'what limits it: {percent(min(share, 1.0))} of the loss is out of sight wherever '
            'cameras may hang, the rest is for want of cameras')
+
+
+def _others(losses: Sequence[float]) -> str:
+    """Say what the other searches ended with, where there were several."""
+    if len(losses) == 1:
+        return ', of one search'
+    best, second, *_ = losses
+    apart = f'{percent((second - best) / best)} more' if best > 0.0 else f'{second:.4f}'
+    return (f'; the next best of {len(losses)} searches ended at {apart}, the worst at '
+            f'{losses[-1]:.4f}')

@@ -29,10 +29,11 @@ POINTS = 25000
 SAME = 1e-6
 
 
-def created_by(command: str) -> dict[str, str]:
-    """Return who made a placement, for its file."""
+def created_by(command: str, planner: str = '') -> dict[str, str]:
+    """Return who made a placement, and which planner found it if any did, for its file."""
     return {'date': datetime.now(timezone.utc).isoformat(timespec='seconds'),
-            'command': command, 'version': __version__}
+            'command': command, 'version': __version__,
+            **({'planner': planner} if planner else {})}
 
 
 def room_named(name: str, points: int = POINTS, scale: float = 1.0, up: str = 'z'
@@ -67,8 +68,9 @@ def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str
              **verdict(objective, allowed, placement.poses)}
     scores = found['scores']
     found['notes'] = _notes(placement, room, scores)
+    created = created_by(command, placement.created.get('planner', ''))
     return Judged(objective, replace(placement, rig=rig, room=room, scores=scores,
-                                     created=created_by(command)), found)
+                                     created=created), found)
 
 
 def score(arguments: argparse.Namespace, command: str) -> dict[str, Any]:

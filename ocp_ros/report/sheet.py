@@ -11,7 +11,9 @@ import numpy as np
 
 from ocp_ros.report import maps
 from ocp_ros.report.figures import Figures, figures_of
+from ocp_ros.report.fonts import all_letters
 from ocp_ros.report.judged import Judged
+from ocp_ros.report.numbers import camera_colour, dark
 from ocp_ros.report.room import INK, PALE_INK
 from ocp_ros.report.table import draw_table, shortened
 
@@ -35,11 +37,18 @@ def draw(path: str | Path, judged: Judged) -> None:
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure_of(judged).savefig(path, format='png', dpi=DOTS)
+    with all_letters():
+        _figure(judged).savefig(path, format='png', dpi=DOTS)
 
 
 def figure_of(judged: Judged) -> Figure:
     """Draw the page."""
+    with all_letters():
+        return _figure(judged)
+
+
+def _figure(judged: Judged) -> Figure:
+    """Draw the page in the fonts that are set."""
     figure = Figure(figsize=(WIDTH, HEIGHT), dpi=DOTS, facecolor='white')
     stage = maps.stage_of(judged)
     _draw_head(figure, judged)
@@ -124,7 +133,7 @@ def _draw_looks(figure: Figure, stage: maps.Stage, judged: Judged, bottom: float
 
 def _draw_legend(figure: Figure, y: float, judged: Judged) -> None:
     """Explain the marks of all pictures in one line, inches from the bottom."""
-    entries = {'camera': Line2D([], [], color=maps.camera_colour(0), marker='o', markersize=6,
+    entries = {'camera': Line2D([], [], color=camera_colour(0), marker='o', markersize=6,
                                 linestyle='none'),
                'field of view and range': Patch(facecolor='#cfe3f0', edgecolor='#0072b2'),
                'no wall stands': Line2D([], [], color=INK, linewidth=0.9, linestyle=(0, (3, 3)))}
@@ -154,7 +163,7 @@ def _draw_cameras(figure: Figure, judged: Judged) -> float:
     high = step * len(rows)
     draw_table(figure, (MARGIN, 0.42, WIDTH - 2.0 * MARGIN, high), rows,
                7.2 if step == ROW else 6.2,
-               [maps.dark(maps.camera_colour(number)) for number in range(len(rows) - 1)])
+               [dark(camera_colour(number)) for number in range(len(rows) - 1)])
     found = figures_of(judged)
     foot = found.foot if left_out <= 0 else f'{left_out} more cameras: installer.md. {found.foot}'
     figure.text(MARGIN / WIDTH, 0.22 / HEIGHT, shortened(foot, WIDTH - 2.0 * MARGIN, 6.2),

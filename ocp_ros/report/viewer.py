@@ -16,7 +16,8 @@ import plotly.graph_objects as go
 from ocp_ros.report.cones import edges
 from ocp_ros.report.figures import figures_of
 from ocp_ros.report.judged import Judged
-from ocp_ros.report.maps import camera_colour, COUNT_COLOURS, COUNT_NAMES, ERROR_COLOURS
+from ocp_ros.report.maps import COUNT_COLOURS, COUNT_NAMES, ERROR_COLOURS
+from ocp_ros.report.numbers import camera_colour
 from ocp_ros.report.room import HEIGHTS, heights_of, INK, PALE_INK, room_of
 from ocp_ros.report.tables import tables_of
 from ocp_ros.scenes.scene import Scene

@@ -280,7 +280,8 @@ class Allowed:
         if poses.shape[1] == 3:
             return
         low, high = self.rig.pitch
-        turned = np.array([model is None or not model.omnidirectional for model in models])
+        turned = np.array([model is None or not model.omnidirectional for model in models],
+                          dtype=bool)
         pitch = poses[:, 4]
         wrong = turned & ((pitch < low - LEEWAY) | (pitch > high + LEEWAY))
         yield Check('pitch', wrong, lambda k: (

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Planners that know only what has been seen, played with a rig under all its constraints.
+
+The room is a simulation: a turn shows what the cameras see from where they are, and each target is
+held to the rig as ``policy_node`` holds it. Where the cameras end they are hung up.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ocp_ros.agent.guard import Guard
+from ocp_ros.geometry.blocks import Subset
+from ocp_ros.planners.budget import Budget
+from ocp_ros.planners.decoder import Decoder
+from ocp_ros.planners.online import Online
+from ocp_ros.planners.pool import check_room, Pool
+from ocp_ros.planners.registry import ONLINE
+from ocp_ros.planners.rig_search import Answer, Progress, views_of
+from ocp_ros.simulation.config import EpisodeConfig, RigConfig, SimulationConfig
+from ocp_ros.simulation.constraints import Allowed
+from ocp_ros.simulation.objective import Objective
+from ocp_ros.simulation.rig_file import Rig
+
+#: Metres: farther than this no planner is told that cameras see.
+FARTHEST = 100.0
+
+
+def play_online(name: str, objective: Objective, allowed: Allowed, pool: Pool, budget: Budget,
+                seed: int, progress: Progress | None = None) -> Answer:
+    """
+    Find a placement of a rig's cameras by an online planner.
+
+    :param name: of ``ONLINE``.
+    :param objective: judges placements of the rig.
+    :param allowed: its constraints, by which the cameras are hung up at the end.
+    :param pool: candidates of all its models.
+    :param budget: a turn is an evaluation; more turns than an episode has are not played.
+    :param seed: of all chance.
+    :param progress: called after each turn.
+    :raises ConfigurationError: if there is no placement.
+    """
+    check_room(objective, pool)
+    decoder, config = Decoder(objective, allowed, pool), config_of(objective.rig)
+    online = ONLINE[name](config, np.random.default_rng([seed, 1]))
+    turns = min(config.episode.turns, budget.evaluations or config.episode.turns)
+    played = 0
+
+    def over(turn: int) -> bool:
+        nonlocal played
+        played = turn
+        if progress is not None:
+            progress(turn / turns, np.inf)
+        return budget.share(turn, turns) >= 1.0
+
+    start = _start(decoder, config.episode, np.random.default_rng([seed, 0]))
+    sites = decoder(play_held(online, objective, start, config.episode, turns, over)[:, :2])
+    loss = objective.loss(views_of(sites))
+    return Answer(sites, loss, (loss,), played)
+
+
+def config_of(rig: Rig) -> SimulationConfig:
+    """Return what an online planner is told: how many cameras, and how far one of them sees."""
+    farthest = min(max(camera.model.max_range for camera in rig.cameras), FARTHEST)
+    return SimulationConfig(RigConfig(cameras=len(rig.cameras), max_range=farthest))
+
+
+def _start(decoder: Decoder, config: EpisodeConfig, rng: np.random.Generator) -> np.ndarray:
+    """Draw where cameras begin, as near the room's middle as they may hang: (K, 3) metres."""
+    count = len(decoder.rig.cameras)
+    radius = config.start_radius * np.sqrt(rng.random(count))
+    angle = rng.uniform(-np.pi, np.pi, count)
+    near = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    middle = decoder.objective.simulator.scene.bounds.mean(axis=0)[:2]
+    return np.array([site.pose[:3] for site in decoder(middle + near)])
+
+
+def play_held(online: Online, objective: Objective, positions: np.ndarray, config: EpisodeConfig,
+              turns: int, over: Callable[[int], bool]) -> np.ndarray:
+    """
+    Play a room, each camera held to its rig by what has been seen so far.
+
+    :param online: moves the cameras; it is reset first.
+    :param objective: the room and the rig; cameras in place see, but do not move.
+    :param positions: (K, 3) metres, where the cameras begin.
+    :param config: the longest step and the distance from the sides of what has been seen.
+    :param turns: of the whole episode.
+    :param over: gets the turns played so far and tells whether to end.
+    :returns: (K, 3) metres, where the cameras end.
+    """
+    rig, guard = objective.rig, Guard(objective.rig, config.wall_margin)
+    order, points = objective.simulator.visibility.order, objective.simulator.scene.points
+    seen = objective.simulator.nothing()
+    for view in objective.fixed:
+        seen |= Subset(view.seen, order)
+    online.reset()
+    turn = 0
+    while not over(turn):
+        poses = np.hstack([positions, _headings(positions, objective)])
+        for view in objective.look(poses):
+            seen |= Subset(view.seen, order)
+        cloud = points[seen.mask]
+        targets = positions.copy()
+        targets[:, :2] += online.move(cloud, positions, turn, turns)
+        positions = guard(cloud, positions, targets, config.max_step,
+                          rig.fixed_poses[:, :3]).targets
+        turn += 1
+    return positions
+
+
+def _headings(positions: np.ndarray, objective: Objective) -> np.ndarray:
+    """Turn cameras while they move: outwards, or from walls to the middle: (K, 3) radians."""
+    rig, count = objective.rig, len(positions)
+    headings = np.zeros((count, 3))
+    headings[:, 0] = 2.0 * np.pi * np.arange(count) / count
+    if rig.mount.on == 'walls':
+        way = objective.simulator.scene.bounds.mean(axis=0)[:2] - positions[:, :2]
+        headings[:, 0] = np.arctan2(way[:, 1], way[:, 0])
+    headings[:, 1] = np.clip(0.0, *rig.pitch)
+    return headings

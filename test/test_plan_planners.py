@@ -1,0 +1,328 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ocp plan --planner: whoever proposes a placement, every constraint of the rig holds in it."""
+
+from dataclasses import replace
+import json
+
+from conftest import box_room, box_sides
+from hypothesis import given, settings, strategies
+import numpy as np
+import pytest
+import yaml
+
+from ocp_ros.cli import main
+from ocp_ros.geometry.blocks import Subset
+from ocp_ros.planners.budget import Budget
+from ocp_ros.planners.decoder import Decoder
+from ocp_ros.planners.methods import PLANNERS
+from ocp_ros.planners.pool import Pool
+from ocp_ros.planners.registry import OFFLINE, ONLINE
+from ocp_ros.planners.rig_offline import RigScorer
+from ocp_ros.planners.rig_online import play_held
+from ocp_ros.planners.rig_plan import RigPlanner
+from ocp_ros.scenes.files import save_scene
+from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.source import make_room
+from ocp_ros.simulation.config import EngineConfig, EpisodeConfig
+from ocp_ros.simulation.constraints import Allowed
+from ocp_ros.simulation.objective import Objective, simulator_of
+from ocp_ros.simulation.placement_file import placement_of, save_placement
+from ocp_ros.simulation.rig_file import load_rig, rig_of, with_count
+
+FAST = EngineConfig(preset='fast', error_rows=32)
+EVALUATIONS, TURNS = 40, 10
+#: Room 8 is 7.0 x 7.5 m; the zone is where its cameras begin.
+RIG = """\
+cameras:
+  - {sensor: realsense_d455, count: 2}
+  - {sensor: omnidirectional, max_range: 3.0, name: ball}
+fixed:
+  - {sensor: realsense_d455, position: [6.0, 6.0, 2.0], yaw: 225, pitch: 25, name: door}
+mount: {on: plane, height: 1.9}
+pitch: [10, 40]
+keep_clear: 0.35
+spacing: 1.2
+no_go:
+  - {polygon: [[2.5, 2.5], [4.5, 2.5], [4.5, 4.5], [2.5, 4.5]]}
+regions:
+  - {name: table, box: [[2, 2, 0], [5, 5, 1.5]], weight: 2.0}
+"""
+
+
+@pytest.fixture(scope='module')
+def files(tmp_path_factory):
+    """Write a room and a rig to a folder."""
+    folder = tmp_path_factory.mktemp('planners')
+    save_scene(generate_room(8, 2000), folder / 'room.ply')
+    (folder / 'rig.yaml').write_text(RIG)
+    return folder
+
+
+@pytest.fixture(scope='module')
+def planned(files):
+    """Return a function that plans by name, each planner and seed once."""
+    scene, rig = make_room(str(files / 'room.ply'), 0.0, 25000), load_rig(files / 'rig.yaml')
+    known = {}
+
+    def plan(name, seed=0, again=0):
+        if (name, seed, again) not in known:
+            budget = Budget(evaluations=TURNS if name in ONLINE else EVALUATIONS)
+            planner = RigPlanner(scene, rig, FAST, budget, seed, planner=name)
+            known[name, seed, again] = planner.plan(rig)
+        return known[name, seed, again]
+
+    plan.scene, plan.rig = scene, rig
+    return plan
+
+
+@pytest.fixture(scope='module')
+def furnished():
+    """Return a box of 6 x 4 x 2.8 m with a closed cabinet of 1 x 1 x 2 m in it."""
+    cabinet = box_sides(np.array([1.0, 1.0, 2.0]), np.array([4.0, 2.0, 1.0]))
+    return Scene(np.concatenate([box_room().points, cabinet]).astype(np.float32), 'furnished')
+
+
+def decoder_of(scene, rig, candidates=120):
+    """Return a decoder with few candidates."""
+    objective, allowed = Objective(simulator_of(scene, rig, FAST), rig), Allowed(scene, rig)
+    return Decoder(objective, allowed, Pool(objective, allowed, candidates, 600))
+
+
+@pytest.mark.parametrize('name', PLANNERS)
+def test_every_constraint_holds_and_a_file_scores_the_same(planned, files, capsys, name):
+    plan = planned(name)
+    poses, rig = plan.answer.poses, planned.rig
+    assert poses.shape == (3, 6) and Allowed(planned.scene, rig).broken(poses) == []
+    x, y, z = poses[:, :3].T
+    assert not ((x > 2.5) & (x < 4.5) & (y > 2.5) & (y < 4.5)).any() and np.ptp(z) < 0.02
+    places = np.vstack([poses[:, :3], [6.0, 6.0, 2.0]])
+    away = np.linalg.norm(places[:, None] - places[None], axis=2)
+    assert away[np.triu_indices(4, 1)].min() >= 1.2 - 0.0011
+    assert (np.rad2deg(poses[:2, 4]) >= 9.4).all() and (np.rad2deg(poses[:2, 4]) <= 40.6).all()
+    room = str(files / 'room.ply')
+    path = files / f'{name}.yaml'
+    save_placement(path, placement_of(rig, poses, engine=FAST))
+    assert main(['score', room, str(path), '--json']) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found['broken'] == []
+    for key in ('loss', 'depth_error', 'space_coverage'):
+        assert found['scores'][key] == pytest.approx(getattr(plan.worth, key), abs=1e-6)
+    assert plan.planner == name and plan.worth.loss == plan.answer.loss
+
+
+@pytest.mark.parametrize('name', PLANNERS)
+def test_the_same_seed_gives_the_same_answer_within_the_budget(planned, name):
+    one, again = planned(name), planned(name, again=1)
+    assert np.array_equal(one.answer.poses, again.answer.poses)
+    assert one.answer.evaluations == again.answer.evaluations
+    if name in OFFLINE:
+        assert 1 <= one.answer.evaluations <= EVALUATIONS
+    if name in ONLINE:
+        assert one.answer.evaluations == TURNS
+
+
+@pytest.mark.parametrize('name', ['random', 'tdsa', 'cma_es', 'lookahead'])
+def test_another_seed_gives_another_answer(planned, name):
+    assert not np.array_equal(planned(name).answer.poses, planned(name, seed=1).answer.poses)
+
+
+MOUNTS = {'plane': {'on': 'plane', 'height': 1.9}, 'ceiling': {'on': 'ceiling'},
+          'rods': {'on': 'ceiling', 'height': 2.0},
+          'walls': {'on': 'walls', 'height': [1.7, 2.3]},
+          'free': {'on': 'free', 'height': [1.2, 2.2]}}
+
+
+@settings(deadline=None, max_examples=15)
+@given(mount=strategies.sampled_from(sorted(MOUNTS)), spacing=strategies.floats(0.0, 3.0),
+       side=strategies.floats(0.5, 5.0), in_place=strategies.booleans(),
+       cameras=strategies.lists(strategies.sampled_from(
+           ['realsense_d455', 'omnidirectional', 'vlp16']), min_size=1, max_size=3),
+       places=strategies.lists(strategies.tuples(strategies.floats(-3.0, 9.0),
+                                                 strategies.floats(-3.0, 7.0)), max_size=3))
+def test_whatever_is_proposed_is_hung_where_it_may(
+        furnished, mount, spacing, side, in_place, cameras, places):
+    fixed = [{'sensor': 'kinect_v2', 'position': [1.0, 1.0, 2.0], 'name': 'door'}] * in_place
+    zone = {'polygon': [[side, 0.0], [side + 0.8, 0.0], [side + 0.8, 4.0], [side, 4.0]]}
+    rig = rig_of(1, mount=MOUNTS[mount], pitch=[10, 40], spacing=spacing, no_go=[zone],
+                 fixed=fixed)
+    rig = replace(rig, cameras=tuple(rig_of(1, name).cameras[0]._replace(name=f'{name}_{k}')
+                                     for k, name in enumerate(cameras)))
+    decode = decoder_of(furnished, rig, 60)
+    places = np.array(places).reshape(-1, 2)[:len(cameras)]
+    sites = decode(places)
+    full = decode.completed(sites)
+    assert len(sites) == min(len(places), len(full))
+    judge = Allowed(furnished, rig)
+    for hung in (sites, full):
+        assert judge.broken(np.array([site.pose for site in hung]).reshape(-1, 6)) == []
+    for camera, site in enumerate(full):
+        assert np.array_equal(decode.objective.simulator.look(site.pose, camera).seen,
+                              site.view.seen)
+
+
+def test_a_place_that_is_allowed_is_kept_and_another_is_the_nearest(furnished):
+    rig = rig_of(2, 'omnidirectional', no_go=[{'box': [[0, 0, 0], [2, 4, 3]]}], spacing=0.5)
+    decode = decoder_of(furnished, rig)
+    free, inside = np.array([2.7132, 3.1457]), np.array([1.0, 2.0])
+    first, second = decode(np.array([free, inside]))
+    assert np.allclose(first.pose[:3], [*free, 1.9], atol=1e-4)
+    poses = decode.pool.kind(rig.models[0]).poses
+    away = np.linalg.norm(poses[:, :2] - inside, axis=1)
+    assert np.array_equal(second.pose, poses[np.argmin(away)])
+    # Where another camera hangs nobody else may.
+    first, second = decode(np.array([free, free]))
+    assert np.linalg.norm(first.pose[:3] - second.pose[:3]) >= 0.5
+
+
+def test_cameras_with_a_view_are_turned_to_where_they_help(furnished):
+    rig = rig_of(1, 'd455', pitch=[10, 40])
+    decode = decoder_of(furnished, rig, 600)
+    place = np.array([[0.7, 0.7]])
+    (site,) = decode(place)
+    assert np.allclose(site.pose[:2], place, atol=1e-4)
+    losses = []
+    for yaw in np.linspace(-np.pi, np.pi, 9)[:-1]:
+        pose = site.pose.copy()
+        pose[3] = yaw
+        losses.append(decode.objective.evaluate(pose[None]).loss)
+    assert decode.objective.evaluate(site.pose[None]).loss < np.median(losses)
+
+
+def test_who_leaves_cameras_out_gets_them_hung_where_they_help(furnished):
+    rig = rig_of(3, 'omnidirectional')
+    decode = decoder_of(furnished, rig)
+    assert decode(np.empty((0, 2))) == ()
+    losses = [decode.objective.loss([site.view for site in decode.completed(decode(places))[:n]])
+              for places in (np.array([[1.0, 1.0]]),) for n in (1, 2, 3)]
+    assert losses == sorted(losses, reverse=True) and losses[2] < losses[0]
+
+
+def test_cameras_that_hardly_find_room_hang_packed(furnished):
+    rig = rig_of(4, mount=MOUNTS['plane'], spacing=2.6)
+    sites = decoder_of(furnished, rig)(np.repeat([[3.0, 2.0]], 4, axis=0))
+    assert Allowed(furnished, rig).broken(np.array([site.pose for site in sites])) == []
+    plan = RigPlanner(furnished, rig, FAST, Budget(evaluations=20), planner='cma_es').plan(rig)
+    assert Allowed(furnished, rig).broken(plan.answer.poses) == []
+
+
+def test_planners_are_told_the_loss_the_coverage_and_what_is_seen(furnished):
+    rig = rig_of(2, 'd455', regions=[{'name': 'corner', 'box': [[0, 0, -0.1], [2, 2, 1]]}])
+    decode = decoder_of(furnished, rig)
+    placements = [np.array([[1.0, 1.0, 0.0], [5.0, 3.0, 0.0]]), np.array([[1.0, 1.0, 0.0]]),
+                  np.empty((0, 3))]
+    scores = RigScorer(decode, Budget(evaluations=3))(placements)
+    poses = np.array([site.pose for site in decode(placements[0][:, :2])])
+    worth = decode.objective.evaluate(poses)
+    assert scores.depth_error[0] == worth.loss
+    assert scores.depth_error[0] < scores.depth_error[1] < scores.depth_error[2] == 2.0
+    assert scores.space_coverage[0] == worth.space_coverage
+    order = decode.objective.simulator.visibility.order
+    views = decode.objective.look(poses)
+    seen = Subset(views[0].seen | views[1].seen, order).mask
+    assert np.array_equal(scores.cloud(0), furnished.points[seen]) and len(scores.cloud(2)) == 0
+
+
+@pytest.mark.parametrize('name', ['random', 'greedy_error', 'cma_es', 'learned', 'lookahead'])
+def test_who_has_had_enough_gets_the_best_so_far(furnished, name):
+    rig, calls = rig_of(2, 'omnidirectional'), []
+    budget = Budget(seconds=3600.0)
+
+    def progress(share, loss):
+        calls.append((share, loss))
+        if len(calls) == 3:
+            budget.stop()
+
+    planner = RigPlanner(furnished, rig, FAST, budget, progress=progress, planner=name)
+    plan = planner.plan(rig)
+    assert len(calls) == 3 and budget.stopped
+    assert Allowed(furnished, rig).broken(plan.answer.poses) == []
+    if name in OFFLINE:
+        assert plan.answer.evaluations == 3
+        # What it had before all cameras hung is completed.
+        assert plan.answer.loss <= calls[-1][1]
+
+
+def test_seconds_end_a_search_that_counts_nothing(furnished):
+    now = [0.0]
+
+    def clock():
+        now[0] += 0.05
+        return now[0]
+
+    rig = rig_of(2, 'omnidirectional')
+    budget = Budget(seconds=20.0, clock=clock)
+    plan = RigPlanner(furnished, rig, FAST, budget, planner='random').plan(rig)
+    assert 20.0 <= budget.elapsed < 30.0 and plan.answer.evaluations > 5
+
+
+def test_cameras_that_move_never_break_what_they_know_of(planned):
+    # Targets go straight through the zone.
+    rig = replace(planned.rig, pitch=(0.0, 1.0))
+    objective = Objective(simulator_of(planned.scene, rig, FAST), rig)
+    visited = []
+
+    class Across:
+        def reset(self):
+            visited.clear()
+
+        def move(self, cloud, positions, turn, turns):
+            assert 0 < len(cloud) < len(planned.scene)
+            visited.append(positions.copy())
+            return np.array([[0.5, 0.0], [0.0, 0.5], [-0.5, 0.0]])
+
+    start = np.array([[1.2, 3.5, 1.9], [3.5, 1.2, 1.9], [5.5, 3.5, 1.9]])
+    last = play_held(Across(), objective, start, EpisodeConfig(), 12, lambda turn: turn >= 12)
+    visited.append(last)
+    for positions in visited[1:]:
+        x, y, _ = positions.T
+        assert not ((x > 2.5) & (x < 4.5) & (y > 2.5) & (y < 4.5)).any()
+        places = np.vstack([positions, [6.0, 6.0, 2.0]])
+        away = np.linalg.norm(places[:, None] - places[None], axis=2)
+        assert away[np.triu_indices(4, 1)].min() >= 1.2 - 0.0011
+    assert len(visited) == 13 and np.linalg.norm(last - start, axis=1).max() > 0.3
+
+
+def test_more_cameras_are_worth_no_less_by_any_planner(furnished):
+    rig = rig_of(1, 'omnidirectional')
+    planner = RigPlanner(furnished, rig, FAST, Budget(evaluations=10), planner='random')
+    plans = list(planner.count_up(lambda count: with_count(rig, count), 1, 4))
+    assert [len(plan.answer.sites) for plan in plans] == [1, 2, 3, 4]
+    assert (np.diff([plan.worth.loss for plan in plans]) <= 0.0).all()
+
+
+def test_the_report_and_the_files_name_the_planner(files, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    command = ['plan', str(files / 'room.ply'), '--rig', str(files / 'rig.yaml'),
+               '--planner', 'cma_es', '--evaluations', '30']
+    assert main([*command, '--json']) == 0
+    out, err = capsys.readouterr()
+    found = json.loads(out)
+    assert err == '' and found['broken'] == [] and found['search']['planner'] == 'cma_es'
+    assert found['search']['loss'] == found['scores']['loss']
+    assert found['search']['evaluations'] == 30
+    data = yaml.safe_load((tmp_path / 'out/plan/placement.yaml').read_text())
+    assert data['created']['planner'] == 'cma_es'
+    assert 'found by the planner cma_es' in (tmp_path / 'out/plan/report.html').read_text()
+    assert 'found by the planner cma_es' in (tmp_path / 'out/plan/installer.md').read_text()
+    again = ['score', str(files / 'room.ply'), 'out/plan/placement.yaml', '--json', '--out', 'b']
+    assert main(again) == 0
+    scored = json.loads(capsys.readouterr().out)
+    assert scored['scores'] == found['scores'] and scored['notes'] == []
+    assert 'found by the planner cma_es' in (tmp_path / 'b/report.html').read_text()
+    assert main([*command[:-1], '5']) == 0
+    out = ' '.join(capsys.readouterr().out.split())
+    assert 'cma_es: 5 placements in' in out and ', of one search' in out
+
+
+@pytest.mark.parametrize(('arguments', 'words'), [
+    (['--planner', 'cmaes'], "--planner: found 'cmaes'; expected one of rig_search, random, .*; "
+     "did you mean 'cma_es'?"),
+    (['--planner', 'lookahead', '--count', 'auto'], '--count: found auto with --planner lookahead'
+     ', .*; expected a number; name one, or')])
+def test_what_makes_no_sense_is_refused_in_one_sentence(files, capsys, arguments, words):
+    import re
+    assert main(['plan', str(files / 'room.ply'), *arguments]) == 2
+    out, err = capsys.readouterr()
+    assert out == '' and err.startswith('ocp: ') and err.count('\n') == 1
+    assert re.search(words.replace('?', r'\?'), err)
