@@ -28,9 +28,9 @@ class Decoder:
 
     Camera k of the rig takes row k. Of the candidates of its model that are far enough from the
     cameras before it, the nearest are compared by what they see, and the best addition gives
-    height and heading. With these the camera hangs at the place itself where that is allowed, else
-    where the candidate does. Where no candidate is left all cameras hang packed together, so
-    whatever is proposed, every constraint holds.
+    height and heading. With these, or with the heading that is asked for, the camera hangs at the
+    place itself where that is allowed, else where the candidate does. Where no candidate is left
+    all cameras hang packed together, so whatever is proposed, every constraint holds.
 
     :param objective: judges placements of the rig.
     :param allowed: the rig's constraints.
@@ -48,16 +48,18 @@ class Decoder:
 
         self._look = lru_cache(max(REMEMBERED // nothing, 64))(look)
 
-    def __call__(self, positions: np.ndarray) -> tuple[Site, ...]:
+    def __call__(self, positions: np.ndarray, headings: np.ndarray | None = None
+                 ) -> tuple[Site, ...]:
         """
         Hang up cameras.
 
         :param positions: (n, 2) metres, n at most the number of cameras to be placed.
+        :param headings: (n, 3) yaw, pitch and roll in radians; None to turn each where it helps.
         :returns: n sites, all of them allowed together.
         """
         sites: list[Site] = []
-        for place in positions:
-            site = self._near(place, sites)
+        for number, place in enumerate(positions):
+            site = self._near(place, sites, None if headings is None else headings[number])
             if site is None:
                 return self._packed[:len(positions)]
             sites.append(site)
@@ -78,7 +80,8 @@ class Decoder:
         """Return all cameras as close together as they may be."""
         return tuple(packed(self.rig, self.pool))
 
-    def _near(self, place: np.ndarray, sites: Sequence[Site]) -> Site | None:
+    def _near(self, place: np.ndarray, sites: Sequence[Site], heading: np.ndarray | None
+              ) -> Site | None:
         """Hang the next camera near a place (2,); None where no candidate is left."""
         model = self.rig.cameras[len(sites)].model
         poses = self.pool.kind(model).poses
@@ -86,7 +89,11 @@ class Decoder:
         away = np.linalg.norm(poses[far, :2] - place, axis=1)
         near = far[np.argsort(away, kind='stable')[:self._count(len(sites))]]
         site = best_addition(self._quick, self.pool, sites, near)
-        return site and (self._there(place, site, sites) or site)
+        if site is None:
+            return None
+        asked = None if heading is None else self._there(
+            place, np.concatenate([site.pose[:3], heading]), sites)
+        return asked or self._there(place, site.pose, sites) or site
 
     def _count(self, camera: int) -> int:
         """Return how many candidates are compared: one where they differ in place alone."""
@@ -94,10 +101,9 @@ class Decoder:
         level = on in ('plane', 'ceiling')
         return 1 if level and self.rig.cameras[camera].model.omnidirectional else NEAREST
 
-    def _there(self, place: np.ndarray, like: Site, sites: Sequence[Site]) -> Site | None:
-        """Hang the next camera at a place (2,), turned like another; None if it must not."""
-        camera = len(sites)
-        pose = like.pose.copy()
+    def _there(self, place: np.ndarray, like: np.ndarray, sites: Sequence[Site]) -> Site | None:
+        """Hang the next camera at a place (2,), else as in a pose (6,); None if it must not."""
+        camera, pose = len(sites), like.copy()
         pose[:2] = place
         pose[:3] = self.allowed.onto_mount(pose[None, :3])[0]
         poses = as_written(pose[None])

@@ -3,14 +3,17 @@
 Planners that know only what has been seen, played with a rig under all its constraints.
 
 The room is a simulation: a turn shows what the cameras see from where they are, and each target is
-held to the rig as ``policy_node`` holds it. Where the cameras end they are hung up.
+held to the rig and each camera turned as ``policy_node`` does it. Where the cameras end they are
+hung up.
 """
 
 from collections.abc import Callable
 
 import numpy as np
 
+from ocp_ros.agent.aim import Aim
 from ocp_ros.agent.guard import Guard
+from ocp_ros.agent.sight import Sight
 from ocp_ros.geometry.blocks import Subset
 from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.decoder import Decoder
@@ -25,6 +28,8 @@ from ocp_ros.simulation.rig_file import Rig
 
 #: Metres: farther than this no planner is told that cameras see.
 FARTHEST = 100.0
+#: Radians: the most that a camera is turned in a turn.
+MAX_TURN = 0.5
 
 
 def play_online(name: str, objective: Objective, allowed: Allowed, pool: Pool, budget: Budget,
@@ -55,7 +60,8 @@ def play_online(name: str, objective: Objective, allowed: Allowed, pool: Pool, b
         return budget.share(turn, turns) >= 1.0
 
     start = _start(decoder, config.episode, np.random.default_rng([seed, 0]))
-    sites = decoder(play_held(online, objective, start, config.episode, turns, over)[:, :2])
+    poses = play_held(online, objective, start, config.episode, turns, over)
+    sites = decoder(poses[:, :2], poses[:, 3:])
     loss = objective.loss(views_of(sites))
     return Answer(sites, loss, (loss,), played)
 
@@ -87,9 +93,11 @@ def play_held(online: Online, objective: Objective, positions: np.ndarray, confi
     :param config: the longest step and the distance from the sides of what has been seen.
     :param turns: of the whole episode.
     :param over: gets the turns played so far and tells whether to end.
-    :returns: (K, 3) metres, where the cameras end.
+    :returns: (K, 6) metres and radians, where the cameras end and how they are turned.
     """
     rig, guard = objective.rig, Guard(objective.rig, config.wall_margin)
+    aim = Aim(rig.models, len(rig.cameras), rig.pitch, config.wall_margin)
+    poses = np.hstack([positions, _headings(positions, objective)])
     order, points = objective.simulator.visibility.order, objective.simulator.scene.points
     seen = objective.simulator.nothing()
     for view in objective.fixed:
@@ -97,20 +105,25 @@ def play_held(online: Online, objective: Objective, positions: np.ndarray, confi
     online.reset()
     turn = 0
     while not over(turn):
-        poses = np.hstack([positions, _headings(positions, objective)])
         for view in objective.look(poses):
             seen |= Subset(view.seen, order)
-        cloud = points[seen.mask]
-        targets = positions.copy()
-        targets[:, :2] += online.move(cloud, positions, turn, turns)
-        positions = guard(cloud, positions, targets, config.max_step,
-                          rig.fixed_poses[:, :3]).targets
+        cloud, targets = points[seen.mask], poses[:, :3].copy()
+        sight = Sight(np.vstack([poses, rig.fixed_poses]), rig.models, len(poses), rig.pitch)
+        online.know(sight)
+        targets[:, :2] += online.move(cloud, poses[:, :3], turn, turns)
+        targets = guard(cloud, poses[:, :3], targets, config.max_step,
+                        rig.fixed_poses[:, :3]).targets
+        if aim.aimed:
+            everybody = np.vstack([targets, rig.fixed_poses[:, :3]])
+            headings = aim(cloud, sight, everybody, MAX_TURN, turn, turns, online.headings)
+            poses[aim.aimed, 3:] = headings[aim.aimed]
+        poses[:, :3] = targets
         turn += 1
-    return positions
+    return poses
 
 
 def _headings(positions: np.ndarray, objective: Objective) -> np.ndarray:
-    """Turn cameras while they move: outwards, or from walls to the middle: (K, 3) radians."""
+    """Turn cameras to begin with: outwards, or from walls to the middle: (K, 3) radians."""
     rig, count = objective.rig, len(positions)
     headings = np.zeros((count, 3))
     headings[:, 0] = 2.0 * np.pi * np.arange(count) / count
