@@ -8,6 +8,7 @@ import pytest
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.observed import cells_of_the_air, Memory, Observed, thinned
 from ocp_ros.agent.policy import Policy
+from ocp_ros.geometry.visibility import FINE
 from ocp_ros.planners.lookahead import Lookahead
 from ocp_ros.planners.online import HandRule, Learned, Online, play, ThenLookahead
 from ocp_ros.resources import find_model
@@ -147,7 +148,7 @@ def test_lookahead_alone_in_the_last_turn_stays_within_reach(room):
     online, positions = Lookahead(*settings()), np.array([[1.0, 1.0, 1.9], [2.0, 2.0, 1.9]])
     moves = online.move(room.points, positions, 29, 30)
     assert np.linalg.norm(moves, axis=1).max() <= MAX_STEP + 1e-9
-    model = Observed(room.points, positions, MAX_RANGE, 25000, 64)
+    model = Observed(room.points, positions, MAX_RANGE, 25000, 64, FINE)
     moved = positions + np.pad(moves, ((0, 0), (0, 1)))
     before, after = (model.error([model.look(position) for position in placed])
                      for placed in (positions, moved))

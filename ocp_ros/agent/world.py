@@ -14,6 +14,7 @@ import numpy as np
 from ocp_ros.agent.observed import KeptModel, Memory, Observed
 from ocp_ros.agent.sight import fixed_views, remember, Sight, view_from
 from ocp_ros.geometry.blocks import count_bits
+from ocp_ros.geometry.threads import mapped
 from ocp_ros.geometry.visibility import FAST, FINE
 from ocp_ros.simulation.simulator import View
 from ocp_ros.simulation.space import Space
@@ -98,11 +99,14 @@ class WorldTurn:
         inside = space.inside(places)
         off = np.linalg.norm(inside - places, axis=-1)
         tried = np.empty((DIRECTIONS, len(TRIED), OF_PLACES), dtype=np.float32)
-        for place, told in zip(space.placement(inside.reshape(-1, 2)),
-                               tried.reshape(-1, OF_PLACES)):
+
+        def told(place: np.ndarray) -> tuple[float, float]:
             look = self._look(camera, place)
-            told[0] = self._ratio(model.depth_error(seen | look.seen), error)
-            told[1] = int(count_bits(look.covered & fresh)) / self._count
+            return (self._ratio(model.depth_error(seen | look.seen), error),
+                    int(count_bits(look.covered & fresh)) / self._count)
+
+        tried.reshape(-1, OF_PLACES)[:, :2] = mapped(
+            told, space.placement(inside.reshape(-1, 2)))
         tried[..., 2], tried[..., 3] = off < BEYOND, np.minimum(off, 4.0) / 4.0
         others = _others(position, np.delete(self.positions, camera, axis=0))
         directions = np.concatenate([tried.reshape(DIRECTIONS, -1), np.column_stack([

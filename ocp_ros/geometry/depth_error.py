@@ -18,6 +18,7 @@ import numpy as np
 from ocp_ros.geometry.blocks import no_bits
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose
 from ocp_ros.geometry.shadow_maps import footprint, project, Projection
+from ocp_ros.geometry.threads import mapped
 
 #: Pixels are sorted by this many of their nearest points, so that those with the same meet.
 SORTED_BY = 6
@@ -163,8 +164,8 @@ class DepthError:
         self.viewpoints = viewpoints(bounds)
         half_sides = (cube_scale * spacing).astype(np.float32)
         self._maps, grown = [], []
-        for position in self.viewpoints:
-            trees, depth_map = self._viewpoint(points, half_sides, position)
+        for trees, depth_map in mapped(
+                lambda position: self._viewpoint(points, half_sides, position), self.viewpoints):
             end = trees.end + np.uint32(sum(len(before.end) for before in grown))
             grown.append(trees._replace(end=end))
             self._maps.append(depth_map)

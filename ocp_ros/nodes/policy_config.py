@@ -40,6 +40,8 @@ class PolicyNodeConfig:
         False, "draw moves from the policy's distribution, whoever is the planner, and never "
         'settle: for training')
     seed: int = setting(0, 'seed of exploration and lookahead', 0, 1 << 31)
+    threads: int = setting(
+        0, 'threads that try places at once; 0 for one on each core', 0, 1024)
     rig_file: str = setting(
         '', 'YAML of docs/rig.md that every command is held to; empty for none')
     cloud_topics: str = setting(

@@ -18,6 +18,7 @@ import torch
 
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.agent.policy import Policy
+from ocp_ros.geometry.threads import set_threads
 from ocp_ros.nodes import health, topics
 from ocp_ros.nodes.commander import Commander
 from ocp_ros.nodes.conversions import MessageError, msg_to_bytes, msg_to_positions, stamp_to_ns
@@ -48,6 +49,7 @@ class PolicyNode(Node):
     def __init__(self, **kwargs) -> None:
         super().__init__('policy_node', **kwargs)
         self.config = declare(self, PolicyNodeConfig)
+        set_threads(self.config.threads)
         path = None if self.config.weightless else find_model(self.config.model)
         self._decider = Decider(
             self.config, None if path is None else Checkpoint.load(path), self.get_logger())

@@ -48,7 +48,8 @@ def namespaces(pairs: int) -> list[str]:
 
 def pair_of(number: int, seed: int, model: str) -> dict[str, dict[str, Any]]:
     """Return the nodes of a pair and their parameters: each plays in a room of its own."""
-    return {'policy_node': {'model': model, 'explore': True, 'seed': number},
+    # Others use the other cores.
+    return {'policy_node': {'model': model, 'explore': True, 'seed': number, 'threads': 1},
             'sim_node': {'scene.seed': seed + number, 'seed': number, 'auto_reset': True}}
 
 

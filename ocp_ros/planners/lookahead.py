@@ -11,11 +11,14 @@ resolution, among places that the cameras can still reach: a model of thinned po
 what the room does not keep.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ocp_ros.agent.observed import KeptModel, Memory, Observed
 from ocp_ros.agent.sight import AROUND, fixed_views, remember
 from ocp_ros.agent.world import cell_weight
+from ocp_ros.geometry.threads import mapped
 from ocp_ros.geometry.visibility import FINE
 from ocp_ros.planners.annealing import accepted, between
 from ocp_ros.planners.online import matched, Online, REFINING
@@ -33,7 +36,7 @@ KEPT = 3
 #: Points and rows of depth maps of the model to refine on, and turns that it is kept for at least.
 REFINING_POINTS, REFINING_ROWS, REFINING_KEPT = 25000, 64, 4
 #: Proposals of a turn of refinement, and of one that makes a model as well.
-STEPS, FEWER_STEPS = 80, 20
+STEPS, FEWER_STEPS = 80, 16
 #: First and last temperature of the refinement, in multiples of the best plan's error, and the
 #: error from which these are taken at least, metres.
 WARM, COOL, LEAST = 0.1, 0.003, 1e-3
@@ -41,6 +44,21 @@ WARM, COOL, LEAST = 0.1, 0.003, 1e-3
 #: last steps.
 FAR, NEAR = 0.5, 0.02
 WIDE, NARROW = 0.5, 0.05
+#: Proposals that are looked from at once.
+TOGETHER = 4
+
+
+class Trial(NamedTuple):
+    """
+    A camera somewhere else.
+
+    :ivar position: (3,) metres.
+    :ivar heading: (3,) yaw, pitch and roll in radians; None where all see all around.
+    """
+
+    camera: int
+    position: np.ndarray
+    heading: np.ndarray | None
 
 
 class Lookahead(Online):
@@ -140,27 +158,41 @@ class Lookahead(Online):
         placed = positions[:, :2] if self._plan is None else self._plan
         placed = best = self.towards(positions, space.inside(placed), turns - turn)
         headings = best_headings = self._planned_headings()
-        views = [self._view(model, camera, position, headings)
+        views = [self._view(model, Trial(camera, position, None if headings is None
+                                         else headings[camera]))
                  for camera, position in enumerate(space.placement(placed))]
         fixed = self._fixed(model)
         error = best_error = model.error(views + fixed)
-        for step in range(steps):
+        for step in range(0, steps, TOGETHER):
             share = (turn - first + step / steps) / (turns - first)
             temperature = max(best_error, LEAST) * between(WARM, COOL, share)
-            trial, camera = placed.copy(), int(self.rng.integers(len(placed)))
-            trial[camera] = space.reflected(
-                trial[camera] + self.rng.normal(0.0, between(FAR, NEAR, share), 2))
-            trial = self.towards(positions, trial, turns - turn)
-            trial_headings = self._wiggled(headings, camera, between(WIDE, NARROW, share))
-            trial_views = views.copy()
-            trial_views[camera] = self._view(
-                model, camera, space.placement(trial)[camera], trial_headings)
-            trial_error = model.error(trial_views + fixed)
-            if accepted(trial_error - error, temperature, self.rng):
-                placed, headings, views, error = trial, trial_headings, trial_views, trial_error
+            trials = [self._trial(positions, placed, headings, space, share, turns - turn)
+                      for _ in range(TOGETHER)]
+            looks = mapped(lambda trial, model=model: self._view(model, trial), trials)
+            for (camera, position, heading), view in zip(trials, looks):
+                trial_views = [*views[:camera], view, *views[camera + 1:]]
+                trial_error = model.error(trial_views + fixed)
+                if not accepted(trial_error - error, temperature, self.rng):
+                    continue
+                placed, views, error = placed.copy(), trial_views, trial_error
+                placed[camera] = position[:2]
+                if headings is not None:
+                    headings = headings.copy()
+                    headings[camera] = heading
                 if error < best_error:
                     best, best_headings, best_error = placed, headings, error
         self._plan, self._headings = best, best_headings
+
+    def _trial(self, positions: np.ndarray, placed: np.ndarray, headings: np.ndarray | None,
+               space: Space, share: float, left: int) -> Trial:
+        """Draw a place near that of any camera, which it can reach in the turns that are left."""
+        camera = int(self.rng.integers(len(placed)))
+        place = space.reflected(
+            placed[camera] + self.rng.normal(0.0, between(FAR, NEAR, share), 2))
+        place = self.towards(positions[camera:camera + 1], place[None], left)
+        heading = None if headings is None else self._wiggled(
+            headings[camera], camera, between(WIDE, NARROW, share))
+        return Trial(camera, space.placement(place)[0], heading)
 
     @property
     def headings(self) -> np.ndarray | None:
@@ -174,20 +206,18 @@ class Lookahead(Online):
         known = self._headings is not None and self.sight.turns
         return self._headings if known else self._turned()
 
-    def _wiggled(self, headings: np.ndarray | None, camera: int, most: float
-                 ) -> np.ndarray | None:
-        """Turn a camera that does not see all around a little, within its limits."""
-        if headings is None or not self.sight.turns or camera not in self.sight.aimed:
-            return headings
-        turned = headings.copy()
-        turned[camera, :2] += self.rng.normal(0.0, most, 2)
-        turned[camera, 1] = np.clip(turned[camera, 1], *self.sight.pitch)
+    def _wiggled(self, heading: np.ndarray, camera: int, most: float) -> np.ndarray:
+        """Turn a camera that does not see all around a little, within its limits: (3,)."""
+        if not self.sight.turns or camera not in self.sight.aimed:
+            return heading
+        turned = heading.copy()
+        turned[:2] += self.rng.normal(0.0, most, 2)
+        turned[1] = np.clip(turned[1], *self.sight.pitch)
         return turned
 
-    def _view(self, model: Observed, camera: int, position: np.ndarray,
-              headings: np.ndarray | None) -> View:
-        """Compute what a camera would see at a position (3,)."""
-        if headings is None:
-            return model.look(position)
-        return model.look(np.concatenate([position, headings[camera]]),
-                          self.sight.models[camera].lens)
+    def _view(self, model: Observed, trial: Trial) -> View:
+        """Compute what a camera would see."""
+        if trial.heading is None:
+            return model.look(trial.position)
+        return model.look(np.concatenate([trial.position, trial.heading]),
+                          self.sight.models[trial.camera].lens)

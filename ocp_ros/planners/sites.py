@@ -10,6 +10,7 @@ from ocp_ros.agent.observed import Observed
 from ocp_ros.agent.sight import fixed_views, Sight
 from ocp_ros.geometry.blocks import count_bits
 from ocp_ros.geometry.cameras import rotation_matrix
+from ocp_ros.geometry.threads import mapped
 from ocp_ros.planners.annealing import annealed, between
 from ocp_ros.simulation.simulator import View
 from ocp_ros.simulation.space import Space
@@ -45,7 +46,7 @@ class Candidates:
     def __init__(self, model: Observed, places: np.ndarray, space: Space, unseen: np.ndarray,
                  weight: float, fixed: Sequence[View] = ()) -> None:
         self.model, self.places, self.weight = model, places, weight
-        self._see([model.look(position) for position in space.placement(places)], fixed, unseen)
+        self._see(mapped(model.look, space.placement(places)), fixed, unseen)
         apart = ((places[:, None] - places[None]) ** 2).sum(axis=-1)
         self._near = np.argsort(apart, axis=1, kind='stable')[:, 1:NEIGHBOURS + 1]
 
@@ -123,10 +124,13 @@ class Sites(Candidates):
             sites, of_kind = list(plan), list(self.kind_of)
         for kind, camera in enumerate(firsts):
             headings = sight.headings(camera, YAWS, PITCHES)
-            for place in places:
-                views += model.look_many(place, headings, sight.models[camera].lens)
-                sites += [np.concatenate([place, heading]) for heading in headings]
-                of_kind += [kind] * len(headings)
+            lens = sight.models[camera].lens
+            for some in mapped(lambda place, headings=headings, lens=lens: model.look_many(
+                    place, headings, lens), places):
+                views += some
+            sites += [np.concatenate([place, heading]) for place in places
+                      for heading in headings]
+            of_kind += [kind] * (len(places) * len(headings))
         self.sites, self.places = np.array(sites), np.array(sites)[:, :2]
         self._of_kind = [np.flatnonzero(np.array(of_kind) == kind) for kind in range(len(firsts))]
         self._see(views, fixed_views(model, sight), unseen)

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ocp_ros.geometry.clouds import corners_of
+from ocp_ros.geometry.threads import mapped
 
 #: Points that an occupied cell should hold, as a share of the neighbours that are sought: most of
 #: these then lie in the 27 cells around a point.
@@ -21,6 +22,8 @@ SHARE = 0.5
 #: A cloud is not even if its fullest cell holds so many times as many, or if there are so many
 #: cells per point.
 CROWDED, SPARSE = 16.0, 16.0
+#: Parts of the points whose neighbours are sought at once.
+PARTS = 4
 
 
 def nearest(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -50,8 +53,12 @@ def nearest(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
             starts = np.concatenate([[0], np.cumsum(held)])
             offsets = np.array(sorted(product((-1, 0, 1), repeat=3), key=np.linalg.norm))
             around = offsets @ [shape[1] * shape[2], shape[2], 1]
-            distances, indices = _search(points[order], order, numbers[order], starts, around,
-                                         count)
+            distances = np.full((len(points), count), np.inf)
+            indices = np.full((len(points), count), len(points))
+            ends = len(points) * np.arange(PARTS + 1) // PARTS
+            ordered = points[order], order, numbers[order], starts, around, count
+            mapped(lambda k: _search(*ordered, ends[k], ends[k + 1], distances, indices),
+                   range(PARTS))
             far = np.flatnonzero(distances[:, -1] > edge)
             if len(far):
                 distances[far], indices[far] = _by_tree(points, points[far], count)
@@ -65,9 +72,9 @@ def _by_tree(points: np.ndarray, of: np.ndarray, count: int) -> tuple[np.ndarray
 
 
 @njit(cache=True, nogil=True)
-def _search(points, order, numbers, starts, around, count):
+def _search(points, order, numbers, starts, around, count, first, end, distances, indices):
     """
-    Look through the 27 cells around each point.
+    Look through the 27 cells around some of the points.
 
     :param points: (N, 3) float64, metres, in the order of their cells.
     :param order: (N,) int64, what their indices are among the caller's points.
@@ -75,13 +82,14 @@ def _search(points, order, numbers, starts, around, count):
     :param starts: (C + 1,) int64, where each cell begins.
     :param around: (27,) int64, the way from the number of a cell to those around it.
     :param count: how many to find, K.
-    :returns: distances (N, K) and indices (N, K) in the caller's order; a last distance of more
-        than the edge says that nearer ones may lie elsewhere.
+    :param first: the first of these points.
+    :param end: that after the last.
+    :param distances: (N, K) out, in the caller's order; a last distance of more than the edge
+        says that nearer ones may lie elsewhere.
+    :param indices: (N, K) out.
     """
-    distances = np.full((points.shape[0], count), np.inf)
-    indices = np.full((points.shape[0], count), points.shape[0])
     squares, found = np.empty(count), np.empty(count, dtype=np.int64)
-    for i in range(points.shape[0]):
+    for i in range(first, end):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         squares[:] = np.inf
         last = count - 1
@@ -99,4 +107,3 @@ def _search(points, order, numbers, starts, around, count):
         for k in range(count):
             if squares[k] < np.inf:
                 distances[own, k], indices[own, k] = np.sqrt(squares[k]), order[found[k]]
-    return distances, indices

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Looks of the engine, whose kernels hold no lock, spread over threads."""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+import os
+from typing import TypeVar
+
+T, U = TypeVar('T'), TypeVar('U')
+
+_helpers: ThreadPoolExecutor | None = None
+_count = 1
+
+
+def set_threads(count: int) -> None:
+    """
+    Say how many threads this process may use for one answer; it begins with one.
+
+    :param count: 0 for as many as there are cores that it may use.
+    """
+    global _helpers, _count
+    count = count or len(os.sched_getaffinity(0))
+    if count != _count:
+        if _helpers is not None:
+            _helpers.shutdown()
+        _helpers, _count = ThreadPoolExecutor(count - 1) if count > 1 else None, count
+
+
+def mapped(function: Callable[[T], U], items: Sequence[T]) -> list[U]:
+    """Apply a function that calls no other of this kind to all items, and keep their order."""
+    helpers, count = _helpers, min(_count, len(items))
+    if helpers is None or count < 2:
+        return [function(item) for item in items]
+    ends = [len(items) * k // count for k in range(count + 1)]
+
+    def part(k: int) -> list[U]:
+        return [function(item) for item in items[ends[k]:ends[k + 1]]]
+
+    others = [helpers.submit(part, k) for k in range(1, count)]
+    return part(0) + [result for other in others for result in other.result()]

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Threads change how long answers take and nothing else."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from ocp_ros.geometry.threads import mapped, set_threads
+from ocp_ros.planners.registry import ONLINE
+from ocp_ros.simulation.config import EngineConfig, RigConfig, SimulationConfig
+
+
+@pytest.fixture
+def threads():
+    """Return what sets the number of threads; it is one again afterwards."""
+    yield set_threads
+    set_threads(1)
+
+
+@pytest.mark.parametrize('count', [1, 2, 3, 8])
+@pytest.mark.parametrize('items', [0, 1, 2, 7, 40])
+def test_what_is_mapped_keeps_its_order(threads, count, items):
+    threads(count)
+    assert mapped(lambda item: item * item, range(items)) == [item ** 2 for item in range(items)]
+
+
+def test_as_many_work_at_once_as_were_asked_for(threads):
+    threads(3)
+    together = threading.Barrier(3, timeout=60.0)
+    assert len(set(mapped(lambda item: (together.wait(), threading.get_ident())[1],
+                          range(3)))) == 3
+
+
+@pytest.mark.parametrize('wrong', range(4))
+def test_what_fails_in_a_thread_fails(threads, wrong):
+    threads(2)
+
+    def fail(item):
+        if item == wrong:
+            raise KeyError(item)
+
+    with pytest.raises(KeyError):
+        mapped(fail, range(4))
+
+
+@pytest.mark.parametrize('name', ['learned', 'lookahead'])
+def test_planners_answer_alike_with_any_number_of_threads(threads, room, name):
+    config = SimulationConfig(rig=RigConfig(cameras=2), engine=EngineConfig(preset='fast'))
+    positions = room.bounds.mean(axis=0)[None] + [[0.4, 0.3, 0.3], [-0.5, 0.2, 0.3]]
+    answers = []
+    for count in (1, 3):
+        threads(count)
+        online = ONLINE[name](config, np.random.default_rng(0))
+        answers.append([online.move(room.points, positions, turn, 30) for turn in (0, 1, 25)])
+    np.testing.assert_array_equal(*answers)
