@@ -9,7 +9,7 @@ import pytest
 from ocp_ros.benchmark.paired import NEGLIGIBLE, pairs
 from ocp_ros.benchmark.protocol import CONTROL
 from ocp_ros.cli import main
-from ocp_ros.report.training import band
+from ocp_ros.report.training import band, grouped
 from ocp_ros.report.training import main as draw
 from ocp_ros.scenes.files import save_scene
 from ocp_ros.scenes.rooms import generate_room
@@ -79,15 +79,18 @@ def test_bands_stand_on_common_numbers_of_interactions():
 
 
 def test_the_figure_of_training_is_drawn_from_what_runs_left(tmp_path):
-    for seed in (0, 1):
+    for seed, reward in enumerate(('potential', 'potential', 'paper')):
         folder = tmp_path / f'run-{seed}'
         folder.mkdir()
         (folder / 'config.yaml').write_text(
             'agent: {inputs: world}\ninteractions: 100\n'
+            f'simulation: {{reward: {{kind: {reward}}}}}\n'
             'demonstrations: {rounds: 2, expert: hand_rule}\n')
         (folder / 'progress.jsonl').write_text('\n'.join(json.dumps(
             {'phase': 'sac', 'interactions': 10 * k, 'ratio': 1.0 / (k + seed),
              'critic_loss': 1.0 / k}) for k in range(1, 5)))
     picture = tmp_path / 'training.png'
-    assert draw([str(tmp_path / 'run-0'), str(tmp_path / 'run-1'), '--out', str(picture)]) == 0
+    runs = [tmp_path / f'run-{seed}' for seed in range(3)]
+    assert draw([*map(str, runs), '--out', str(picture)]) == 0
+    assert [len(alike) for alike in grouped(runs).values()] == [2, 1]
     assert picture.stat().st_size > 10_000
