@@ -35,6 +35,7 @@ from ocp_ros.nodes.policy_config import PLANNERS, PolicyNodeConfig
 from ocp_ros.nodes.policy_node import PolicyNode
 from ocp_ros.nodes.policy_planners import make_planner
 from ocp_ros.nodes.sim_node import SimNode
+from ocp_ros.nodes.simulated_turns import REMEMBERED
 from ocp_ros.planners.online import play, REFINING
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.moves import bounded_moves
@@ -113,7 +114,7 @@ def test_the_parts_of_different_turns_are_not_mixed(robot, room):
     policy = robot.start()
     header = Header(stamp=ns_to_stamp(1), frame_id='map')
     robot.poses.publish(positions_to_msg(POSITIONS, header))
-    robot.graph.until(lambda: policy._turns.poses is not None)
+    robot.graph.until(lambda: policy._turns.poses)
     header.stamp = ns_to_stamp(2)
     robot.clouds.publish(cloud_to_msg(room.points, header))
     robot.graph.until(lambda: policy._turns.cloud is not None)
@@ -121,6 +122,36 @@ def test_the_parts_of_different_turns_are_not_mixed(robot, room):
     robot.send(3)
     robot.command(3)
     assert policy._counts['turns_answered'] == 1
+
+
+def test_a_turn_is_answered_whose_parts_are_never_the_latest_together(robot, room):
+    """Somebody else publishes as well, and this node takes one message of each kind at a time."""
+    turns = robot.start()._turns
+    header = [Header(stamp=ns_to_stamp(stamp), frame_id='map') for stamp in range(100)]
+    for other in range(10, 40, 2):
+        turns.on_poses(positions_to_msg(POSITIONS, header[5]))
+        turns.on_cloud(cloud_to_msg(room.points, header[other]))
+        for stamp in (other, other + 1):
+            turns.on_poses(positions_to_msg(POSITIONS + 1e6, header[stamp]))
+        turns.on_cloud(cloud_to_msg(room.points, header[5]))
+    robot.command(5)
+    assert len(turns.poses) <= REMEMBERED
+    # What was not answered is older than what was, and forgotten.
+    robot.send(50)
+    robot.command(50)
+    assert list(turns.poses) == [50]
+
+
+def test_the_placement_is_that_of_the_turn_whoever_else_publishes(robot):
+    policy = robot.start()
+    robot.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
+    robot.send(8)
+    robot.command(8)
+    header = Header(stamp=ns_to_stamp(9), frame_id='map')
+    policy._turns.on_poses(positions_to_msg(POSITIONS + 1e6, header))
+    policy._turns.on_reward(reward(8, truncated=True))
+    robot.graph.until(lambda: robot.received[topics.PLACEMENT])
+    np.testing.assert_allclose(msg_to_positions(robot.received[topics.PLACEMENT][0]), POSITIONS)
 
 
 def test_a_turn_sent_again_gets_the_same_answer(robot):

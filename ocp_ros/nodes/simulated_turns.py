@@ -21,6 +21,10 @@ from ocp_ros.nodes.conversions import (
 )
 from ocp_ros.nodes.qos import LOOP
 
+#: Poses that are remembered: those of a turn and its observation need not be heard side by side,
+#: where others publish as well and this node is slow.
+REMEMBERED = 16
+
 
 class Told(NamedTuple):
     """
@@ -58,7 +62,8 @@ class SimulatedTurns:
         self._commands, self._answer_turn, self._tell = commands, answer, told
         self._refuse, self._waits = refuse, waits
         self.cloud: PointCloud2 | None = None
-        self.poses: PoseArray | None = None
+        #: The latest poses by their stamps in nanoseconds, none older than the turn answered last.
+        self.poses: dict[int, PoseArray] = {}
         self.answer: PoseArray | None = None
         #: Stamp of the latest reward, nanoseconds.
         self.told: int | None = None
@@ -82,7 +87,7 @@ class SimulatedTurns:
         self.told = stamp
         answered = self.answer is not None and stamp_to_ns(self.answer.header.stamp) == stamp
         self._tell(Told(int(fields['episode']), int(fields['step']), bool(fields['truncated']),
-                        self.poses if answered else None))
+                        self.poses[stamp] if answered else None))
 
     def on_cloud(self, message: PointCloud2) -> None:
         """Keep the observation; act when its poses are here."""
@@ -91,22 +96,28 @@ class SimulatedTurns:
 
     def on_poses(self, message: PoseArray) -> None:
         """Keep the poses; act when their observation is here."""
-        self.poses = message
+        stamp = stamp_to_ns(message.header.stamp)
+        self.poses[stamp] = message
+        if len(self.poses) > REMEMBERED:
+            answered = None if self.answer is None else stamp_to_ns(self.answer.header.stamp)
+            del self.poses[next(one for one in self.poses if one != answered)]
         self.act()
 
     def act(self) -> None:
         """Answer a turn once both its messages are here; the same turn gets the same answer."""
-        cloud, poses = self.cloud, self.poses
-        if cloud is None or poses is None or cloud.header.stamp != poses.header.stamp:
+        cloud = self.cloud
+        stamp = None if cloud is None else stamp_to_ns(cloud.header.stamp)
+        if stamp not in self.poses or self._waits():
             return
-        if self._waits():
-            return
+        poses = self.poses[stamp]
         if self.answer is None or self.answer.header.stamp != poses.header.stamp:
             try:
                 if cloud.header.frame_id != poses.header.frame_id:
                     raise MessageError(f'cloud: found the frame {cloud.header.frame_id!r}; '
                                        f'expected that of the poses, {poses.header.frame_id!r}')
                 self.answer = self._answer_turn(msg_to_cloud(cloud), poses)
+                while next(iter(self.poses)) != stamp:
+                    del self.poses[next(iter(self.poses))]
             except MessageError as error:
                 self._refuse(error)
                 return
