@@ -35,7 +35,7 @@ from ocp_ros.nodes.conversions import (
     ns_to_stamp,
     positions_to_msg,
 )
-from ocp_ros.nodes.policy_config import PLANNERS
+from ocp_ros.nodes.policy_config import LEARNED, PLANNERS
 from ocp_ros.nodes.policy_node import PolicyNode
 from ocp_ros.nodes.processes import (
     end_on_signals,
@@ -53,6 +53,8 @@ from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.training.speed import cpu_of, in_one_process, Speed
 
 POINTS, PAIRS = (25_000, 100_000), (1, 2, 4)
+#: Planners and weights; those of the paper's inputs ask no engine.
+PLAYED = (*((planner, 'default') for planner in PLANNERS), (LEARNED, 'paper'))
 #: The first of the rooms in which turns are answered; none of them is a training room.
 FIRST_ROOM = 200
 #: Share of a room's points that cameras see in the end, about.
@@ -69,14 +71,16 @@ class Answers:
 
     :param watch: whose executor spins the node, and which listens to the commands.
     :param planner: of the node.
+    :param model: its weights.
     :ivar profile: of the turns that come, if they shall be profiled and not timed.
     """
 
-    def __init__(self, watch: Watch, planner: str) -> None:
+    def __init__(self, watch: Watch, planner: str, model: str) -> None:
         self.watch, self.wall, self.cpu, self.points = watch, [], [], []
         self.profile: cProfile.Profile | None = None
         self.node = PolicyNode(context=watch.context, parameter_overrides=[
-            Parameter('planner', value=planner), Parameter('turns', value=TURNS),
+            Parameter('planner', value=planner), Parameter('model', value=model),
+            Parameter('turns', value=TURNS),
             Parameter('convergence_distance', value=0.0)])
 
     def play(self, room: int, points: int) -> None:
@@ -108,13 +112,13 @@ def _reward(stamp: int, episode: int, step: int) -> Float64MultiArray:
                           'episode': episode, 'step': step})
 
 
-def latency(watch: Watch, planner: str, points: int, rooms: int) -> dict[str, Any]:
+def latency(watch: Watch, planner: str, model: str, points: int, rooms: int) -> dict[str, Any]:
     """
     Measure how long turns take.
 
     :returns: milliseconds, wall and processor, and the functions that took most of the time.
     """
-    answers = Answers(watch, planner)
+    answers = Answers(watch, planner, model)
     try:
         # What is compiled or built once is not measured.
         answers.play(FIRST_ROOM - 1, 5000)
@@ -124,7 +128,7 @@ def latency(watch: Watch, planner: str, points: int, rooms: int) -> dict[str, An
         wall, cpu = 1e3 * np.array(answers.wall), 1e3 * np.array(answers.cpu)
         answers.profile = cProfile.Profile()
         answers.play(FIRST_ROOM + rooms, points)
-        return {'planner': planner, 'points': points, 'turns': len(wall),
+        return {'planner': planner, 'model': model, 'points': points, 'turns': len(wall),
                 'points_seen_in_the_end': int(max(answers.points)),
                 **{f'{name}_{kind}': float(np.percentile(values, level))
                    for kind, values in (('ms', wall), ('cpu_ms', cpu))
@@ -212,9 +216,9 @@ def main(args: list[str] | None = None) -> int:
     if options.rooms:
         domain, holder = free_domain()
         with holder, Watch(domain) as watch:
-            cases = [(planner, points) for planner in PLANNERS for points in POINTS]
-            for planner, points in track(cases, 'turns', console=Console(stderr=True)):
-                rows.append(latency(watch, planner, points, options.rooms))
+            cases = [(*played, points) for played in PLAYED for points in POINTS]
+            for planner, model, points in track(cases, 'turns', console=Console(stderr=True)):
+                rows.append(latency(watch, planner, model, points, options.rooms))
                 Console(stderr=True).print(rows[-1])
     result = {'policy_latency_ms': rows,
               'training': training(options.seconds, options.pairs) if options.seconds else [],

@@ -48,6 +48,11 @@ def _learned(config: SimulationConfig, rng: np.random.Generator, model: str = 'd
     return Learned(Policy(checkpoint, encoder), *settings)
 
 
+def _learned_paper(config: SimulationConfig, rng: np.random.Generator, model: str = '') -> Learned:
+    """Return the policy that learned as the paper's did, whatever other weights are named."""
+    return _learned(config, rng, 'paper')
+
+
 def _lookahead(config: SimulationConfig, rng: np.random.Generator, model: str = '') -> Lookahead:
     """Return the lookahead planner; it has no weights."""
     return Lookahead(*settings_of(config, rng))
@@ -93,6 +98,7 @@ KNOWS = {
 ONLINE: dict[str, Callable[..., Online]] = {
     'hand_rule': _hand_rule,
     'learned': _learned,
+    'learned_paper': _learned_paper,
     'lookahead': _lookahead,
     'learned_lookahead': _learned_lookahead,
 }

@@ -19,7 +19,8 @@ SEARCHES = ('greedy_swap', 'tdsa', 'annealing', 'bpso', 'bee_colony', 'different
             'cma_es', 'learned_cma_es')
 ALIKE = 1.10
 TITLES = {'tdsa': 'TDSA', 'bpso': 'BPSO', 'cma_es': 'CMA-ES',
-          'learned_cma_es': 'learned + CMA-ES', 'learned_lookahead': 'learned + lookahead'}
+          'learned_cma_es': 'learned + CMA-ES', 'learned_lookahead': 'learned + lookahead',
+          'learned_paper': 'learned, paper inputs'}
 Rows = list[dict[str, Any]]
 
 
