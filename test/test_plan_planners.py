@@ -285,6 +285,15 @@ def test_cameras_that_move_never_break_what_they_know_of(planned):
     assert len(visited) == 13 and np.linalg.norm(last[:, :3] - start, axis=1).max() > 0.3
 
 
+def test_the_clock_cuts_no_episode_short(furnished):
+    # Reading kernels and laying out candidates may have taken all the time.
+    hours = iter(range(0, 1000000, 3600))
+    budget = Budget(seconds=60.0, clock=lambda: next(hours))
+    rig = rig_of(2, 'omnidirectional')
+    planner = RigPlanner(furnished, rig, FAST, budget, planner='hand_rule')
+    assert planner.plan(rig).answer.evaluations == EpisodeConfig().turns
+
+
 def test_more_cameras_are_worth_no_less_by_any_planner(furnished):
     rig = rig_of(1, 'omnidirectional')
     planner = RigPlanner(furnished, rig, FAST, Budget(evaluations=10), planner='random')

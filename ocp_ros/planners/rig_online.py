@@ -41,7 +41,8 @@ def play_online(name: str, objective: Objective, allowed: Allowed, pool: Pool, b
     :param objective: judges placements of the rig.
     :param allowed: its constraints, by which the cameras are hung up at the end.
     :param pool: candidates of all its models.
-    :param budget: a turn is an evaluation; more turns than an episode has are not played.
+    :param budget: a turn is an evaluation; more turns than an episode has are not played, and
+        fewer only if it is stopped.
     :param seed: of all chance.
     :param progress: called after each turn.
     :raises ConfigurationError: if there is no placement.
@@ -57,7 +58,8 @@ def play_online(name: str, objective: Objective, allowed: Allowed, pool: Pool, b
         played = turn
         if progress is not None:
             progress(turn / turns, np.inf)
-        return budget.share(turn, turns) >= 1.0
+        # The clock cuts no episode short: it takes seconds, where candidates may take longer.
+        return turn >= turns or budget.stopped
 
     start = _start(decoder, config.episode, np.random.default_rng([seed, 0]))
     poses = play_held(online, objective, start, config.episode, turns, over)
