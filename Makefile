@@ -22,8 +22,8 @@ train-demo: $(READY)  ## the same with trainer_node in the loop: weights arrive 
 train: $(READY)  ## train the shipped model again
 	$(RUN) -m ocp_ros.cli train --config config/train/default.yaml --out "$(OUT)/train" --model models/default.safetensors
 
-test: $(READY)  ## run all tests
-	$(RUN) -m pytest
+test: $(READY)  ## run all tests, on up to four cores
+	$(RUN) -m pytest -n auto --maxprocesses 4 --dist worksteal
 
 lint: $(READY)  ## check style, as ament_flake8 and ament_pep257 would
 	$(VENV)/bin/ruff check .
@@ -33,7 +33,7 @@ format: $(READY)  ## mend what ruff can mend
 	$(VENV)/bin/ruff check --fix .
 
 bench: $(READY)  ## measure fidelity and speed of the engine, and the nodes: how fast turns are answered and learned from
-	$(RUN) -m ocp_ros.benchmark.engine --out "$(OUT)/bench.json" --page docs/bench.md
+	$(RUN) -m ocp_ros.cli bench --preset full --out "$(OUT)/bench.json" --page docs/bench.md
 	$(RUN) -m ocp_ros.report.visibility --out docs/visibility.png
 	$(RUN) -m ocp_ros.nodes.bench --out "$(OUT)/bench_ros.json"
 

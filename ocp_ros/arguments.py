@@ -4,6 +4,9 @@
 import argparse
 from collections.abc import Callable
 
+#: The most cameras of a rig, and the largest seed.
+MOST_CAMERAS, LARGEST_SEED = 64, 1 << 31
+
 
 def count(text: str) -> int:
     """Read how many cameras: a number above 0, or 0 for auto."""
@@ -36,6 +39,15 @@ def names(text: str) -> tuple[str, ...]:
     return tuple(text.split(','))
 
 
+def camera_counts(text: str) -> tuple[int, ...]:
+    """Read how many cameras, with commas between."""
+    counts = whole_numbers(text)
+    if not all(1 <= one <= MOST_CAMERAS for one in counts):
+        raise argparse.ArgumentTypeError(
+            f'found {text!r}; expected numbers of cameras from 1 to {MOST_CAMERAS}')
+    return counts
+
+
 def whole_numbers(text: str) -> tuple[int, ...]:
     """Read whole numbers with commas between."""
     try:
@@ -45,6 +57,14 @@ def whole_numbers(text: str) -> tuple[int, ...]:
             f'found {text!r}; expected whole numbers with commas between') from error
 
 
+def seed(text: str) -> int:
+    """Read a seed."""
+    value = at_least(0)(text)
+    if value > LARGEST_SEED:
+        raise argparse.ArgumentTypeError(f'found {text!r}; expected at most {LARGEST_SEED}')
+    return value
+
+
 def at_least(least: int) -> Callable[[str], int]:
     """Return a reader of whole numbers from some number on."""
     def read(text: str) -> int:
@@ -52,3 +72,16 @@ def at_least(least: int) -> Callable[[str], int]:
             raise argparse.ArgumentTypeError(f'found {text!r}; expected {least} or more')
         return int(text)
     return read
+
+
+def add_units(command: argparse.ArgumentParser, what: str) -> None:
+    """Add in which units scans are."""
+    command.add_argument('--scale', type=float, help=f'metres per unit {what}')
+    command.add_argument('--up', choices=('x', 'y', 'z'), help=f'axis {what} that points up')
+
+
+def add_reading(command: argparse.ArgumentParser) -> None:
+    """Add how a scan is to be read."""
+    add_units(command, 'of the scan')
+    command.add_argument('--drop-nonfinite', action='store_true',
+                         help='leave out points with NaN or inf, as organised clouds have them')

@@ -6,7 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 import sys
 
-from ocp_ros.arguments import at_least, names, whole_numbers
+from ocp_ros.arguments import (
+    add_reading,
+    add_units,
+    at_least,
+    camera_counts,
+    names,
+    seed,
+    whole_numbers,
+)
 from ocp_ros.command_line import (
     Commands,
     COMPARE,
@@ -84,6 +92,22 @@ def _view(arguments: argparse.Namespace) -> Found:
     return view(arguments, command_of(arguments.argv))
 
 
+def _bench(arguments: argparse.Namespace) -> Found:
+    """Measure the engine on this machine."""
+    from ocp_ros.report.bench import bench
+    file_to_write(arguments.out, 'figures')
+    if arguments.page:
+        file_to_write(arguments.page, 'a page', '--page')
+    return bench(arguments)
+
+
+def _show_bench(found: Found) -> None:
+    """Print what was measured of the engine."""
+    from ocp_ros.report.bench import show
+    show(found)
+    show_written(found)
+
+
 def _add_train(commands: Commands) -> None:
     """Add ``ocp train``."""
     train = commands.add(
@@ -93,7 +117,7 @@ def _add_train(commands: Commands) -> None:
     train.add_argument('--out', type=Path, required=True,
                        help='folder of the run; an interrupted one goes on')
     train.add_argument('--model', type=Path, help='write the best weights here as well')
-    train.add_argument('--seed', type=at_least(0), help='in place of the one in the settings')
+    train.add_argument('--seed', type=seed, help='in place of the one in the settings')
     train.set_defaults(run=_train, show=_show_training)
 
 
@@ -106,7 +130,7 @@ def _add_benchmark(commands: Commands) -> None:
                          help='smoke: two rooms, under two minutes; full: ten rooms, three '
                          'rotations, up to 10,000 evaluations')
     compare.add_argument('--rooms', type=Path, help='folder of scans to take instead')
-    _add_units(compare, 'of the scans')
+    add_units(compare, 'of the scans')
     compare.add_argument('--planners', type=names,
                          help='names with commas between; all unless named')
     compare.add_argument('--budgets', type=whole_numbers, help='evaluations, with commas between')
@@ -121,10 +145,17 @@ def _add_benchmark(commands: Commands) -> None:
     compare.set_defaults(run=_benchmark, show=_show_nothing)
 
 
-def _add_units(command: argparse.ArgumentParser, what: str) -> None:
-    """Add how scans are to be read."""
-    command.add_argument('--scale', type=float, help=f'metres per unit {what}')
-    command.add_argument('--up', choices=('x', 'y', 'z'), help=f'axis {what} that points up')
+def _add_bench(commands: Commands) -> None:
+    """Add ``ocp bench``."""
+    measured = commands.add(COMPARE, 'bench', 'measure how true and how fast the engine is here',
+                            'ocp bench --out out/bench.json')
+    measured.add_argument('--preset', choices=('smoke', 'full'), default='smoke',
+                          help='smoke: under a minute; full: what docs/bench.md shows, a quarter '
+                          'of an hour')
+    measured.add_argument('--out', type=Path, default=Path('out/bench.json'),
+                          help='file of the figures')
+    measured.add_argument('--page', type=Path, help='write them as a page as well (Markdown)')
+    measured.set_defaults(run=_bench, show=_show_bench)
 
 
 def _add_evaluate(commands: Commands) -> None:
@@ -138,10 +169,10 @@ def _add_evaluate(commands: Commands) -> None:
     rooms.add_argument('--set', choices=('fresh', 'test', 'training', 'validation'),
                        default='fresh', help='which generated rooms; fresh ones unless named')
     rooms.add_argument('--rooms', type=Path, nargs='+', metavar='SCAN', help='scans instead')
-    _add_units(judged, 'of the scans')
+    add_units(judged, 'of the scans')
     judged.add_argument('--rotations', type=whole_numbers, default=(0,),
                         help='degrees, with commas between')
-    judged.add_argument('--cameras', type=whole_numbers, default=(4,),
+    judged.add_argument('--cameras', type=camera_counts, default=(4,),
                         help='how many, with commas between')
     judged.add_argument('--budgets', type=whole_numbers, default=(1000,),
                         help='evaluations of offline planners, with commas between')
@@ -164,7 +195,7 @@ def _add_score(commands: Commands) -> None:
                         help='what is asked for, in place of what the placement says: docs/rig.md')
     judged.add_argument('--out', '--export', type=Path, metavar='DIR',
                         help='write report, placement, CSV, launch file, xacro and more here')
-    _add_units(judged, 'of the scan')
+    add_reading(judged)
     judged.set_defaults(run=_score, show=_show_score)
 
 
@@ -179,7 +210,7 @@ def _add_view(commands: Commands) -> None:
                       help='what is asked for, in place of what the placement says: docs/rig.md')
     seen.add_argument('--out', type=Path, default=Path('out/view.html'), help='page to write')
     seen.add_argument('--open', action='store_true', help='open it in a browser')
-    _add_units(seen, 'of the scan')
+    add_reading(seen)
     seen.set_defaults(run=_view, show=show_written)
 
 
@@ -187,7 +218,7 @@ def commands() -> Commands:
     """Build all commands."""
     made = Commands('ocp', 'Where do I put my depth cameras? Tools that need no ROS graph.')
     for add in (add_plan, _add_score, _add_view, add_rooms, _add_train, _add_evaluate,
-                _add_benchmark, add_replay):
+                _add_benchmark, _add_bench, add_replay):
         add(made)
     return made
 

@@ -18,7 +18,7 @@ from ocp_ros.scenes.scene import SceneError
 #: What one may want, as ``ocp --help`` lists it.
 PLAN, JUDGE, LOOK, LEARN, COMPARE, REPLAY = TITLES = (
     'find a placement', 'judge a placement', 'look at rooms and placements', 'learn a policy',
-    'compare planners', 'feed the nodes')
+    'compare and measure', 'feed the nodes')
 #: What a command found, as plain data.
 Found = dict[str, Any]
 #: Wrong use, and stopped by hand.
@@ -160,11 +160,12 @@ def show_written(found: Found) -> None:
         print(f'wrote {path}')
 
 
-def file_to_write(path: Path, what: str) -> Path:
+def file_to_write(path: Path, what: str, option: str = '--out') -> Path:
     """
     Make the folder of a file.
 
     :param what: it is, for the message.
+    :param option: which names it.
     :raises ConfigurationError: if it cannot be written.
     """
     try:
@@ -172,7 +173,7 @@ def file_to_write(path: Path, what: str) -> Path:
         if path.is_dir():
             raise IsADirectoryError(0, 'it is a folder')
     except OSError as error:
-        raise ConfigurationError(f'--out: found {path}, which cannot be written '
+        raise ConfigurationError(f'{option}: found {path}, which cannot be written '
                                  f'({error.strerror}); expected a file to write {what} to'
                                  ) from error
     return path

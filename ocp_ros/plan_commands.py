@@ -4,7 +4,7 @@
 import argparse
 from pathlib import Path
 
-from ocp_ros.arguments import at_least, count, seconds, share
+from ocp_ros.arguments import add_reading, at_least, count, seconds, seed, share
 from ocp_ros.command_line import Commands, Found, PLAN
 
 
@@ -46,9 +46,8 @@ def add_plan(commands: Commands) -> None:
                          '60, or 15 with auto, unless evaluations are named')
     planned.add_argument('--evaluations', type=at_least(1),
                          help='judge so many placements; the same seed finds the same answer')
-    planned.add_argument('--seed', type=at_least(0), default=0, help='of all chance')
+    planned.add_argument('--seed', type=seed, default=0, help='of all chance')
     planned.add_argument('--out', type=Path, default=Path('out/plan'), metavar='DIR',
                          help='write report, placement, CSV, launch file, xacro and more here')
-    planned.add_argument('--scale', type=float, help='metres per unit of the scan')
-    planned.add_argument('--up', choices=('x', 'y', 'z'), help='axis of the scan that points up')
+    add_reading(planned)
     planned.set_defaults(run=_plan, show=_show)

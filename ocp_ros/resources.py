@@ -34,3 +34,16 @@ def find_model(name: str) -> Path:
         known |= found.keys()
     raise FileNotFoundError(f'model: found no file {name!r} and no model of that name; expected a '
                             f'path to .safetensors or one of {sorted(known)}')
+
+
+def find_config(name: str) -> Path:
+    """
+    Find a file of ``config/``.
+
+    :raises FileNotFoundError: if it is not there: the package is not whole.
+    """
+    for folder in share_folders():
+        if (folder / 'config' / name).is_file():
+            return folder / 'config' / name
+    raise FileNotFoundError(f'config: found no file {name!r}; expected it in one of '
+                            f'{", ".join(map(str, share_folders()))}; install the package again')

@@ -4,7 +4,7 @@
 import argparse
 from pathlib import Path
 
-from ocp_ros.arguments import at_least
+from ocp_ros.arguments import add_reading, at_least
 from ocp_ros.command_line import Commands, file_to_write, Found, LOOK, show_written
 
 
@@ -57,7 +57,8 @@ def _preview_rooms(arguments: argparse.Namespace) -> Found:
         if name.isdecimal():
             scenes.append(titled(int(name), arguments.points))
         else:
-            scene = load_cached(name, max_points=arguments.points)
+            scene = load_cached(name, max_points=arguments.points, scale=arguments.scale or 1.0,
+                                up=arguments.up or 'z', drop_nonfinite=arguments.drop_nonfinite)
             scenes.append((scene.name, scene))
     draw_sheet(arguments.out, scenes)
     return {'written': [arguments.out]}
@@ -81,5 +82,6 @@ def add_rooms(commands: Commands) -> None:
                         'ocp rooms preview 5 room.ply --out out/rooms.png')
     seen.add_argument('rooms', nargs='+', metavar='ROOM', help='a seed or a scan')
     seen.add_argument('--points', type=at_least(1000), default=40000, help='of each room')
+    add_reading(seen)
     seen.add_argument('--out', type=Path, default=Path('out/rooms.png'), help='picture to write')
     seen.set_defaults(run=_preview_rooms, show=show_written)

@@ -19,12 +19,27 @@ from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import Scene
 
 ROOT = Path(__file__).resolve().parent.parent
+#: Parameters of a simulation that plays a turn in milliseconds.
+SMALL = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
+         'engine__coverage_cell': 0.5}
+#: Mounts of a rig in a room about as high as those that people live in.
+MOUNTS = {'plane': {'on': 'plane', 'height': 1.9}, 'ceiling': {'on': 'ceiling'},
+          'rods': {'on': 'ceiling', 'height': 2.0},
+          'walls': {'on': 'walls', 'height': [1.7, 2.3]},
+          'free': {'on': 'free', 'height': [1.2, 2.2]}}
 
 
 @pytest.fixture(scope='session')
 def room():
     """Return a generated room of about 2,000 points."""
     return generate_room(8, 2000)
+
+
+@pytest.fixture(scope='session')
+def furnished():
+    """Return a box of 6 x 4 x 2.8 m with a closed cabinet of 1 x 1 x 2 m in it."""
+    cabinet = box_sides(np.array([1.0, 1.0, 2.0]), np.array([4.0, 2.0, 1.0]))
+    return Scene(np.concatenate([box_room().points, cabinet]).astype(np.float32), 'furnished')
 
 
 @pytest.fixture(scope='session')
@@ -157,6 +172,39 @@ class Probe:
         """Return the latest message of a topic, waiting for the first."""
         self.graph.until(lambda: self.received[topic])
         return self.received[topic][-1]
+
+    def start_policy(self, **parameters):
+        """Start a policy_node whose turns this node sends, and whose commands it hears."""
+        from geometry_msgs.msg import PoseArray
+        from sensor_msgs.msg import PointCloud2
+
+        from ocp_ros.nodes import qos, topics
+        from ocp_ros.nodes.policy_node import PolicyNode
+        self.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
+        policy = self.graph.add(PolicyNode, **parameters)
+        self.clouds = self.publisher(PointCloud2, topics.OBSERVATION, qos.LOOP)
+        self.poses = self.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
+        return policy
+
+    def send_turn(self, stamp, points, poses):
+        """Publish a turn: points (N, 3) and a PoseArray, which gets the stamp in nanoseconds."""
+        from std_msgs.msg import Header
+
+        from ocp_ros.nodes.conversions import cloud_to_msg, ns_to_stamp
+        poses.header = Header(stamp=ns_to_stamp(stamp), frame_id='map')
+        self.poses.publish(poses)
+        self.clouds.publish(cloud_to_msg(points, poses.header))
+
+    def command(self, stamp):
+        """Return the latest command that answers a turn, waiting for the first."""
+        from ocp_ros.nodes import topics
+        from ocp_ros.nodes.conversions import stamp_to_ns
+
+        def found():
+            return [message for message in self.received[topics.CAMERA_COMMANDS]
+                    if stamp_to_ns(message.header.stamp) == stamp]
+        self.graph.until(found)
+        return found()[-1]
 
 
 @pytest.fixture

@@ -117,29 +117,10 @@ def test_a_simulated_rig_that_is_turned_ends_better_and_within_the_limits(graph,
 
 
 @pytest.fixture
-def robot(graph, probe):
+def robot(probe):
     """Return the probe as a rig that sends turns and hears commands."""
-    probe.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
-
-    def start(**parameters):
-        probe.policy = graph.add(PolicyNode, **parameters)
-        probe.clouds = probe.publisher(PointCloud2, topics.OBSERVATION, qos.LOOP)
-        probe.poses = probe.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
-        return probe.policy
-
-    def send(stamp, poses):
-        poses.header = Header(stamp=ns_to_stamp(stamp), frame_id='map')
-        probe.poses.publish(poses)
-        probe.clouds.publish(cloud_to_msg(box_room().points, poses.header))
-
-    def command(stamp):
-        def found():
-            return [message for message in probe.received[topics.CAMERA_COMMANDS]
-                    if stamp_to_ns(message.header.stamp) == stamp]
-        graph.until(found)
-        return found()[-1]
-
-    probe.start, probe.send, probe.command = start, send, command
+    probe.start = probe.start_policy
+    probe.send = lambda stamp, poses: probe.send_turn(stamp, box_room().points, poses)
     return probe
 
 
@@ -162,6 +143,23 @@ def test_only_cameras_that_look_one_way_and_may_be_moved_are_turned(robot, rig_f
         for camera in (1, 2):
             assert found.poses[camera].orientation == poses.poses[camera].orientation
         poses = found
+
+
+def test_what_cameras_in_place_see_is_shown_although_nobody_sends_their_poses(
+        graph, probe, robot, rig_file):
+    probe.listen(PointCloud2, topics.COVERAGE_CLOUD, qos.LATCHED)
+    policy = robot.start(rig_file=rig_file(MIXED))
+    seen = []
+    for stamp, places in enumerate((PLACES[:2], PLACES), start=1):
+        headings = HEADINGS[:len(places)].copy()
+        if len(places) == 3:
+            headings[2] = np.deg2rad([40.0, 0.0, 0.0])
+        robot.send(stamp, positions_to_msg(places, Header(), headings))
+        robot.graph.until(lambda at=stamp: [
+            cloud for cloud in probe.received[topics.COVERAGE_CLOUD]
+            if stamp_to_ns(cloud.header.stamp) == at])
+        seen.append(bytes(probe.received[topics.COVERAGE_CLOUD][-1].data))
+    assert seen[0] == seen[1] and policy._counts['turns_answered'] == 2
 
 
 def test_cameras_that_nobody_knows_stay_turned_as_they_are(robot):

@@ -15,7 +15,7 @@ PACKAGE = ROOT / 'ocp_ros'
 #: Each layer may import itself, those before it and the modules that stand beside the layers.
 LAYERS = ['geometry', 'scenes', 'simulation', 'agent', 'planners', 'training', 'benchmark',
           'report', 'nodes']
-BESIDE = {'configuration', 'documents', 'resources', '__version__'}
+BESIDE = {'atomic', 'configuration', 'documents', 'resources', '__version__'}
 #: Packages that only some layers may import at all.
 ONLY = {
     'rclpy': {'nodes'}, 'tf2_ros': {'nodes'}, 'sensor_msgs': {'nodes'},

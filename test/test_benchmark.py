@@ -149,6 +149,10 @@ def test_an_interrupted_comparison_goes_on(tmp_path, monkeypatch):
     assert done == [CONTROL, 'random', None, 'annealing']
     with pytest.raises(ConfigurationError, match='results of another comparison'):
         runner.run(replace(SMALL, seeds=1), tmp_path, 1)
+    # The same name, but others than those that have played.
+    monkeypatch.setattr(runner, 'find_model', lambda name: tmp_path / 'protocol.json')
+    with pytest.raises(ConfigurationError, match='expected the same .* weights and version'):
+        runner.run(SMALL, tmp_path, 1)
 
 
 def rows_of(errors, budget=100):

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
 import numpy as np
+from plyfile import PlyData, PlyElement
 import pytest
 
 from ocp_ros import cli
@@ -28,6 +29,10 @@ def files(tmp_path, monkeypatch):
         save_scene(generate_room(8, 1500), tmp_path / name)
     (tmp_path / 'placement.yaml').write_text(PLACEMENT)
     (tmp_path / 'train.yaml').write_text('nonsense: 1\n')
+    points = generate_room(8, 1500).points.copy()
+    points[::7] = np.nan
+    rows = np.rec.fromarrays(points.T, dtype=[(axis, 'f4') for axis in 'xyz'])
+    PlyData([PlyElement.describe(rows, 'vertex')]).write(str(tmp_path / 'holes.ply'))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -44,7 +49,8 @@ def test_help_lists_every_command_under_what_one_wants(capsys):
     out = capsys.readouterr().out
     assert end.value.code == 0 and out.startswith('usage: ocp COMMAND ...')
     listed = [line.split()[0] for line in out.splitlines() if line.startswith('  ')]
-    for name in ('plan', 'score', 'view', 'replay', 'rooms', 'train', 'evaluate', 'benchmark'):
+    for name in ('plan', 'score', 'view', 'replay', 'rooms', 'train', 'evaluate', 'benchmark',
+                 'bench'):
         assert listed.count(name) == 1, name
     assert out.index('judge a placement:') < out.index('  score') < out.index('look at')
 
@@ -65,6 +71,9 @@ def test_every_example_can_be_read_and_stands_in_the_help_of_its_command(example
     (['score', 'room.ply', 'placement.yaml'], {'room', 'cameras', 'scores', 'broken', 'missed',
                                                'one_more', 'notes'}),
     (['view', 'room.ply'], {'room', 'written'}),
+    (['view', 'holes.ply', '--drop-nonfinite'], {'room', 'written'}),
+    (['rooms', 'preview', 'holes.ply', '--drop-nonfinite', '--scale', '1.1', '--points', '1000',
+      '--out', 'b.png'], {'written'}),
     (['rooms', 'list', '--count', '2'], {'rooms'}),
     (['rooms', 'make', '8', '--points', '1000', '--out', 'made'], {'folder', 'written'}),
     (['rooms', 'preview', '8', '--points', '1000', '--out', 'a.png'], {'written'}),
@@ -85,12 +94,35 @@ def test_json_is_all_that_a_command_prints(files, capsys, arguments, keys):
     (['view', 'room.ply', '--rig', 'rig.yaml'], 'and no placement'),
     (['train', '--config', 'train.yaml', '--out', 'out'], 'nonsense'),
     (['evaluate', '--seeds', '0'], "found '0'; expected 1 or more"),
+    (['evaluate', '--cameras', '4,0'], "found '4,0'; expected numbers of cameras from 1 to 64"),
+    (['train', '--config', 'train.yaml', '--out', 'out', '--seed', '202611212346'],
+     'expected at most 2147483648'),
+    (['score', 'holes.ply', 'placement.yaml'], 'leave them out (drop_nonfinite)'),
+    (['score', '8', 'placement.yaml', '--drop-nonfinite'], '--drop-nonfinite: found it with'),
     (['benchmark', '--scale', '0.1'], 'found no --rooms'),
+    (['bench', '--page', '.'], '--page: found ., which cannot be written'),
     (['rooms', 'list', '--count', 'x'], "found 'x'"),
     (['paint'], 'invalid choice'), ([], 'required: COMMAND')])
 def test_errors_are_json_where_it_is_asked_for(files, capsys, arguments, words):
     code, found = printed(capsys, *arguments)
     assert code == 2 and set(found) == {'error'} and words in found['error']
+
+
+def test_bench_measures_every_method_and_writes_a_page(files, capsys, monkeypatch):
+    from ocp_ros.benchmark import engine
+    monkeypatch.setitem(engine.EXTENTS, 'smoke', engine.Extent((engine.MIDDLE,), 1, 1, (2000,)))
+    code, found = printed(capsys, 'bench', '--out', 'new/bench.json', '--page', 'new/bench.md')
+    assert code == 0 and found['rooms'] == found['positions'] == 1
+    assert json.loads((files / 'new' / 'bench.json').read_text()).items() <= found.items()
+    rows = {row['method'].split()[0]: row for row in found['visibility']}
+    assert rows.keys() == {'fine', 'fast', 'paper', 'embree', 'numpy', 'hidden_point_removal'}
+    assert rows['embree']['f1'] == 1.0 and rows['numpy']['f1'] == rows['fast']['f1'] > 0.6
+    text = (files / 'new' / 'bench.md').read_text()
+    assert 'Made by `ocp bench --preset smoke`' in text
+    for row in found['visibility']:
+        assert f'| 40,000 | {row["method"].replace("_", " ")} | {row["precision"]:.3f} |' in text
+    for figure in engine.FIGURES:
+        assert f'| `{figure}` | {found[figure]:,.1f} |' in text
 
 
 def test_a_page_of_a_room_needs_no_placement_and_no_network(files, capsys):

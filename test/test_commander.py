@@ -82,3 +82,17 @@ def test_all_agree_whoever_hears_whom_first(graph):
     nodes = [graph.add(PolicyNode) for _ in range(3)]
     graph.until(lambda: all(len(node._commander._others) == 2 for node in nodes))
     assert [bool(node._commander.first) for node in nodes] == [False, True, True]
+
+
+def test_a_node_that_thinks_goes_on_saying_that_it_is_there(graph, probe, monkeypatch):
+    """Its executor gets round to nothing meanwhile."""
+    monkeypatch.setattr(commander, 'PERIOD', 0.02)
+    probe.listen(String, topics.COMMANDERS, qos.LOOP)
+    words = probe.received[topics.COMMANDERS]
+    thinks = PolicyNode(context=graph.context)
+    try:
+        count = len(words)
+        graph.until(lambda: len(words) >= count + 5)
+    finally:
+        thinks.destroy_node()
+    assert not thinks._commander._thread.is_alive()

@@ -23,7 +23,7 @@ from ocp_ros.geometry.blocks import (
 )
 from ocp_ros.geometry.cameras import CameraModel, Pose, rotation_matrix
 from ocp_ros.geometry.clouds import fixed_size
-from ocp_ros.geometry.coverage import coverage_grid, space_coverage
+from ocp_ros.geometry.coverage import coverable_cell, coverage_grid, space_coverage
 from ocp_ros.geometry.normals import edge_aware_normals
 from ocp_ros.geometry.sensors import SENSORS
 
@@ -157,6 +157,9 @@ def test_the_coverage_grid_fills_the_box():
         coverage_grid(bounds, 0.0)
     with pytest.raises(ValueError, match='use larger cells'):
         coverage_grid(1000.0 * bounds, 0.25)
+    assert coverable_cell(bounds, 0.25) == 0.25
+    hall = np.array([[0.0, 0.0, 0.0], [250.0, 160.0, 8.0]])
+    assert len(coverage_grid(hall, coverable_cell(hall, 0.25))[0]) == 500 * 320 * 16
 
 
 @given(count=st.integers(1, 3000), wanted=st.integers(1, 600))

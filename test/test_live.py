@@ -362,6 +362,10 @@ def test_instructions_are_plain_words():
         'camera 2: 0.40 m towards +x and 0.10 m towards -y, to (3.20, 1.75)\n'
         'camera 3: 0.30 m towards -x, to (0.00, 0.00)')
     assert instructions(positions, positions, 0.05) == STAY
+    raised = positions + [[0.0, 0.0, 0.5], [0.0, 0.2, -0.1], [0.0, 0.0, 0.04], [0.0, 0.0, 0.0]]
+    assert instructions(positions, raised, 0.05) == (
+        'camera 0: 0.50 m up, to (1.00, 2.00, 2.40)\n'
+        'camera 1: 0.20 m towards +y and 0.10 m down, to (1.00, 1.20, 1.80)')
 
 
 @pytest.mark.parametrize(('parameters', 'words'), [

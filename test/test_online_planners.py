@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Planners without a scan: they keep the rules, know only what was seen, and get somewhere."""
 
-from conftest import flat_clouds
+from conftest import box_room, flat_clouds
 import numpy as np
 import pytest
 
 from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.observed import cells_of_the_air, Memory, Observed, thinned
+from ocp_ros.agent.observed import cells_of_the_air, Memory, NO_CELL, Observed, thinned
 from ocp_ros.agent.policy import Policy
+from ocp_ros.geometry.blocks import unpack
 from ocp_ros.geometry.visibility import FINE
 from ocp_ros.planners.lookahead import Lookahead
 from ocp_ros.planners.online import HandRule, Learned, Online, play, ThenLookahead
@@ -217,8 +218,9 @@ def test_learned_gives_the_actions_of_its_policy_in_metres(engine):
 def test_cells_keep_their_numbers_while_the_bounds_grow():
     small = np.array([[-1.2, 0.3, 0.0], [2.1, 3.0, 2.5]])
     large = small + [[-1.7, -0.4, -0.1], [3.3, 0.2, 0.6]]
-    centres, numbers = cells_of_the_air(small)
-    more, more_numbers = cells_of_the_air(large)
+    centres, numbers, edge = cells_of_the_air(small)
+    more, more_numbers, _ = cells_of_the_air(large)
+    assert edge == 0.5
     assert len(set(more_numbers)) == len(more_numbers) > len(numbers)
     place = {number: tuple(centre) for number, centre in zip(more_numbers, more)}
     assert all(place[number] == tuple(centre) for number, centre in zip(numbers, centres))
@@ -226,8 +228,8 @@ def test_cells_keep_their_numbers_while_the_bounds_grow():
 
 
 def test_a_huge_cloud_has_no_more_cells_than_it_may():
-    centres, numbers = cells_of_the_air(np.array([[0.0, 0.0, 0.0], [200.0, 150.0, 4.0]]))
-    assert 1000 < len(numbers) <= 20_000 and len(centres) == len(numbers)
+    centres, numbers, edge = cells_of_the_air(np.array([[0.0] * 3, [200.0, 150.0, 4.0]]))
+    assert edge > 0.5 and 1000 < len(numbers) <= 20_000 and len(centres) == len(numbers)
 
 
 def test_what_was_covered_stays_covered(room):
@@ -239,6 +241,22 @@ def test_what_was_covered_stays_covered(room):
         left.append(memory.unseen(model))
     assert not (left[1] & ~left[0]).any() and (left[1] != left[0]).any()
     np.testing.assert_array_equal(left[2], left[1])
+
+
+def test_what_was_covered_stays_covered_when_cells_grow():
+    hall = box_room(40.0, 30.0, 4.0).points
+    corner, memory, here = hall[(hall[:, 0] < 20.0) & (hall[:, 1] < 20.0)], Memory(), (
+        np.array([[10.0, 10.0, 2.0]]))
+    small, large = (Observed(cloud, here, 8.0, 6000, 32) for cloud in (corner, hall))
+    assert (small.edge, large.edge) == (0.5, 1.0)
+    memory.visit(here)
+    memory.unseen(small)
+    fresh = Memory()
+    fresh.visit(here)
+    # Whoever saw the whole hall from the beginning remembers nearly the same.
+    one, other = (unpack(found.unseen(large), len(large.cells)) for found in (memory, fresh))
+    seen = ~other & (large.cells != NO_CELL)
+    assert seen.sum() > 300 and (one != other).sum() < 0.25 * seen.sum()
 
 
 def test_thinned_clouds_stay_where_they_were():

@@ -193,7 +193,7 @@ def frames_of(arguments):
 def check_frames(frames, placement):
     """Assert that transforms put bodies and pictures where the cameras are."""
     assert [(parent, child) for parent, child, *_ in frames] == [
-        pair for k in range(1, 5)
+        pair for k in range(4)
         for pair in (('map', f'camera_{k}'), (f'camera_{k}', f'camera_{k}_optical'))]
     for placed, body, optical in zip(placement.cameras, frames[::2], frames[1::2]):
         rotation = rotation_matrix(*np.deg2rad(placed.angles))
@@ -242,6 +242,8 @@ def test_the_table_has_a_row_for_each_camera(mixed):
     assert [row['name'] for row in rows] == ['azure_kinect_nfov', 'wide_1', 'wide_2', 'x']
     assert [row['mount'] for row in rows] == ['free', 'free', 'free', 'fixed']
     assert float(rows[2]['yaw']) == pytest.approx(np.rad2deg(-1.5), abs=1e-3)
+    # The nodes count from 0, and read clouds in these frames.
+    assert [row['link'] for row in rows] == [f'camera_{k}' for k in range(4)]
     assert float(rows[1]['horizontal_fov']) == 91.3 and rows[1]['sensor'] == ''
 
 
@@ -329,7 +331,7 @@ def test_rviz_shows_the_frame_that_the_launch_file_publishes_in():
                         frame='hall')
     manager = yaml.safe_load(rviz_of(placement))['Visualization Manager']
     assert manager['Global Options']['Fixed Frame'] == 'hall'
-    assert "('hall', 'camera_1'" in launch_of(placement)
+    assert "('hall', 'camera_0'" in launch_of(placement)
     shown = {display['Class'] for display in manager['Displays'] if display['Enabled']}
     assert 'rviz_default_plugins/TF' in shown
     assert manager['Views']['Current']['Focal Point'] == {'X': 2.0, 'Y': 3.0, 'Z': 2.0}

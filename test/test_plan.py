@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 
-from conftest import BAD_ROOMS, box_room, box_sides, ROOT
+from conftest import BAD_ROOMS, MOUNTS, ROOT
 from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
@@ -21,12 +21,11 @@ from ocp_ros.cli import main
 from ocp_ros.configuration import ConfigurationError
 from ocp_ros.geometry.blocks import count_bits
 from ocp_ros.planners.budget import Budget
-from ocp_ros.planners.pool import apart, best_addition, packed, Pool, random_sites
+from ocp_ros.planners.pool import best_addition, clear, packed, Pool, random_sites
 from ocp_ros.planners.rig_plan import RigPlanner
 from ocp_ros.planners.rig_search import search
 from ocp_ros.scenes.files import save_scene
 from ocp_ros.scenes.rooms import generate_room
-from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.config import EngineConfig
 from ocp_ros.simulation.constraints import Allowed
 from ocp_ros.simulation.objective import Objective, simulator_of
@@ -47,13 +46,6 @@ regions:
 """
 
 
-@pytest.fixture(scope='module')
-def furnished():
-    """Return a box of 6 x 4 x 2.8 m with a closed cabinet of 1 x 1 x 2 m in it."""
-    cabinet = box_sides(np.array([1.0, 1.0, 2.0]), np.array([4.0, 2.0, 1.0]))
-    return Scene(np.concatenate([box_room().points, cabinet]).astype(np.float32), 'furnished')
-
-
 def judges(scene, rig, engine=FAST):
     """Return what judges placements of a rig and holds them to its constraints."""
     return Objective(simulator_of(scene, rig, engine), rig), Allowed(scene, rig)
@@ -69,10 +61,6 @@ def found_by(scene, rig, evaluations=240, seed=0, start=()):
 
 HEIGHTS = {'plane': (1.9, 1.9), 'ceiling': (2.5, 2.75), 'rods': (2.0, 2.0), 'walls': (1.7, 2.3),
            'free': (1.2, 2.2)}
-MOUNTS = {'plane': {'on': 'plane', 'height': 1.9}, 'ceiling': {'on': 'ceiling'},
-          'rods': {'on': 'ceiling', 'height': 2.0},
-          'walls': {'on': 'walls', 'height': [1.7, 2.3]},
-          'free': {'on': 'free', 'height': [1.2, 2.2]}}
 
 
 @settings(deadline=None, max_examples=25)
@@ -182,7 +170,7 @@ def test_one_more_camera_is_the_best_of_all_candidates(furnished):
     first = pool.site(rig.models[0], 7)
     more = best_addition(objective, pool, [first])
     losses = np.array([objective.loss([first.view, view]) for view in kind.views])
-    far = apart(kind.poses, [first], 1.0)
+    far = clear(kind.poses, [first], 1.0)
     assert 0 < far.sum() < len(far)
     assert objective.loss([first.view, more.view]) == losses[far].min()
 

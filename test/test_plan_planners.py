@@ -4,7 +4,7 @@
 from dataclasses import replace
 import json
 
-from conftest import box_room, box_sides
+from conftest import MOUNTS
 from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
@@ -23,7 +23,6 @@ from ocp_ros.planners.rig_online import play_held
 from ocp_ros.planners.rig_plan import RigPlanner
 from ocp_ros.scenes.files import save_scene
 from ocp_ros.scenes.rooms import generate_room
-from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.source import make_room
 from ocp_ros.simulation.config import EngineConfig, EpisodeConfig
 from ocp_ros.simulation.constraints import Allowed
@@ -77,13 +76,6 @@ def planned(files):
     return plan
 
 
-@pytest.fixture(scope='module')
-def furnished():
-    """Return a box of 6 x 4 x 2.8 m with a closed cabinet of 1 x 1 x 2 m in it."""
-    cabinet = box_sides(np.array([1.0, 1.0, 2.0]), np.array([4.0, 2.0, 1.0]))
-    return Scene(np.concatenate([box_room().points, cabinet]).astype(np.float32), 'furnished')
-
-
 def decoder_of(scene, rig, candidates=120):
     """Return a decoder with few candidates."""
     objective, allowed = Objective(simulator_of(scene, rig, FAST), rig), Allowed(scene, rig)
@@ -126,12 +118,6 @@ def test_the_same_seed_gives_the_same_answer_within_the_budget(planned, name):
 @pytest.mark.parametrize('name', ['random', 'tdsa', 'cma_es', 'lookahead'])
 def test_another_seed_gives_another_answer(planned, name):
     assert not np.array_equal(planned(name).answer.poses, planned(name, seed=1).answer.poses)
-
-
-MOUNTS = {'plane': {'on': 'plane', 'height': 1.9}, 'ceiling': {'on': 'ceiling'},
-          'rods': {'on': 'ceiling', 'height': 2.0},
-          'walls': {'on': 'walls', 'height': [1.7, 2.3]},
-          'free': {'on': 'free', 'height': [1.2, 2.2]}}
 
 
 @settings(deadline=None, max_examples=15)
@@ -188,6 +174,18 @@ def test_cameras_with_a_view_are_turned_to_where_they_help(furnished):
         pose[3] = yaw
         losses.append(decode.objective.evaluate(pose[None]).loss)
     assert decode.objective.evaluate(site.pose[None]).loss < np.median(losses)
+
+
+def test_a_height_that_is_asked_for_and_allowed_is_kept(furnished):
+    rig = rig_of(1, 'd455', mount=MOUNTS['free'], pitch=[10, 40])
+    decode = decoder_of(furnished, rig)
+    heading = np.array([[0.5, 0.3, 0.0]])
+    for height in (1.3, 2.1):
+        (site,) = decode(np.array([[1.0, 1.5, height]]), heading)
+        assert np.allclose(site.pose, [1.0, 1.5, height, *heading[0]], atol=1e-3)
+    # The mount goes up to 2.2 m.
+    (site,) = decode(np.array([[1.0, 1.5, 2.6]]), heading)
+    assert site.pose[2] <= 2.2 + 1e-3
 
 
 def test_who_leaves_cameras_out_gets_them_hung_where_they_help(furnished):

@@ -6,7 +6,7 @@ from copy import deepcopy
 import subprocess
 import sys
 
-from conftest import l_shaped, random_checkpoint
+from conftest import l_shaped, random_checkpoint, SMALL
 import numpy as np
 import pytest
 import torch
@@ -14,7 +14,7 @@ import torch
 pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
 
 from geometry_msgs.msg import PoseArray
-from sensor_msgs.msg import PointCloud2, PointField
+from sensor_msgs.msg import PointField
 from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
 
 from ocp_ros.agent.checkpoint import CheckpointError
@@ -40,8 +40,6 @@ from ocp_ros.planners.online import play, REFINING
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.moves import bounded_moves
 
-SMALL = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
-         'engine__coverage_cell': 0.5}
 POSITIONS = np.array([[4.0, 4.0, 1.9], [5.0, 4.0, 1.9], [4.0, 5.0, 1.9]])
 
 
@@ -53,31 +51,18 @@ def model(checkpoint, tmp_path):
 
 
 @pytest.fixture
-def robot(graph, probe, model, room):
+def robot(probe, model, room):
     """Return the probe as a rig: it sends turns and hears commands."""
-    probe.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
     probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
 
     def start(**parameters):
-        probe.policy = graph.add(PolicyNode, model=model, **{
-            'planner': 'learned+lookahead', **parameters})
-        probe.clouds = probe.publisher(PointCloud2, topics.OBSERVATION, qos.LOOP)
-        probe.poses = probe.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
-        return probe.policy
+        return probe.start_policy(
+            model=model, **{'planner': 'learned+lookahead', **parameters})
 
     def send(stamp, cloud=room.points, positions=POSITIONS):
-        header = Header(stamp=ns_to_stamp(stamp), frame_id='map')
-        probe.poses.publish(positions_to_msg(positions, header))
-        probe.clouds.publish(cloud_to_msg(cloud, header))
+        probe.send_turn(stamp, cloud, positions_to_msg(positions, Header()))
 
-    def command(stamp):
-        def found():
-            return [m for m in probe.received[topics.CAMERA_COMMANDS]
-                    if stamp_to_ns(m.header.stamp) == stamp]
-        graph.until(found)
-        return found()[-1]
-
-    probe.start, probe.send, probe.command = start, send, command
+    probe.start, probe.send = start, send
     return probe
 
 
@@ -319,6 +304,36 @@ def test_a_new_episode_starts_the_turns_anew(robot):
     robot.graph.until(lambda: not policy._settled)
     robot.send(3)
     assert not np.allclose(msg_to_positions(robot.command(3)), POSITIONS)
+
+
+def test_a_turn_waits_for_its_reward_that_was_overtaken(robot, room):
+    policy, truncated = robot.start(turns=5), reward(1, step=5, truncated=True)
+    policy._turns.on_reward(truncated)
+    robot.send(1)
+    assert robot.command(1) and policy._settled
+    header = Header(stamp=ns_to_stamp(2), frame_id='map')
+    policy._turns.on_poses(positions_to_msg(POSITIONS, header))
+    policy._turns.on_cloud(cloud_to_msg(room.points, header))
+    assert policy._counts['turns_answered'] == 1
+    policy._turns.on_reward(reward(2, episode=2, step=0))
+    # At once: it is the first turn of an episode, and not one more of what is over.
+    assert policy._counts['turns_answered'] == 2 and not policy._settled
+    assert not np.allclose(msg_to_positions(robot.command(2)), POSITIONS)
+
+
+def test_a_turn_whose_reward_never_comes_is_answered_and_the_next_ones_at_once(robot):
+    policy = robot.start()
+    policy._turns.on_reward(reward(1))
+    for stamp in (1, 2):
+        robot.send(stamp)
+        assert robot.command(stamp)
+    assert policy._turns._late.is_canceled()
+    header = Header(stamp=ns_to_stamp(3), frame_id='map')
+    policy._turns.on_poses(positions_to_msg(POSITIONS, header))
+    cloud = policy._turns.cloud
+    cloud.header = header
+    policy._turns.on_cloud(cloud)
+    assert policy._counts['turns_answered'] == 3
 
 
 def test_a_restarted_simulation_is_a_new_episode_whatever_its_number(robot):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of nodes that run, changed by a client over real DDS."""
 
-from conftest import box_room, ROOT
+from conftest import box_room, ROOT, SMALL
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -11,7 +11,6 @@ pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
 from geometry_msgs.msg import PoseArray
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64MultiArray, Header, String
 
 from ocp_ros.configuration import ConfigurationError, leaves
@@ -30,8 +29,6 @@ from ocp_ros.nodes.policy_config import PolicyNodeConfig
 from ocp_ros.nodes.policy_node import PolicyNode
 from ocp_ros.nodes.sim_node import SimNode, SimNodeConfig
 
-SMALL = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
-         'engine__coverage_cell': 0.5}
 POSITIONS = np.array([[2.0, 2.0, 1.9], [3.0, 2.0, 1.9], [2.0, 3.0, 1.9]])
 
 
@@ -59,30 +56,17 @@ def change(graph, probe):
 
 
 @pytest.fixture
-def robot(graph, probe):
+def robot(probe):
     """Return the probe as a rig that sends turns and hears commands."""
-    probe.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
     probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
     probe.listen(String, topics.PLACEMENT_STATUS, qos.LATCHED)
 
-    def start(**parameters):
-        probe.policy = graph.add(PolicyNode, **parameters)
-        probe.clouds = probe.publisher(PointCloud2, topics.OBSERVATION, qos.LOOP)
-        probe.poses = probe.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
-        return probe.policy
-
     def turn(stamp, positions=POSITIONS, cloud=None):
-        header = Header(stamp=ns_to_stamp(stamp), frame_id='map')
-        probe.poses.publish(positions_to_msg(positions, header))
-        probe.clouds.publish(cloud_to_msg(box_room().points if cloud is None else cloud, header))
+        probe.send_turn(stamp, box_room().points if cloud is None else cloud,
+                        positions_to_msg(positions, Header()))
+        return msg_to_positions(probe.command(stamp))
 
-        def found():
-            return [message for message in probe.received[topics.CAMERA_COMMANDS]
-                    if stamp_to_ns(message.header.stamp) == stamp]
-        graph.until(found)
-        return msg_to_positions(found()[-1])
-
-    probe.start, probe.turn = start, turn
+    probe.start, probe.turn = probe.start_policy, turn
     return probe
 
 
@@ -134,11 +118,11 @@ def test_the_status_tells_why_cameras_that_stand_still_are_final(robot, capfd, m
 
 
 def test_the_end_of_a_simulation_is_a_reason(robot):
-    robot.start()
+    policy = robot.start()
     rewards = robot.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
     rewards.publish(fields_to_msg({'stamp_sec': 0, 'stamp_nanosec': 1, 'episode': 1, 'step': 5,
                                    'truncated': True}))
-    robot.graph.until(lambda: robot.policy._over)
+    robot.graph.until(lambda: policy._over)
     robot.turn(1)
     robot.graph.until(lambda: robot.last(topics.PLACEMENT_STATUS).data ==
                       'final after 5 turns: the simulation has played its last turn')

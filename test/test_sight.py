@@ -108,6 +108,15 @@ def rig(turns=True):
     return Sight(placement, (D455, NEAR, D455), 3, turns=turns)
 
 
+def test_a_camera_keeps_its_roll_and_its_kind_with_it():
+    upright = rig()
+    portrait = upright._replace(placement=upright.placement.copy())
+    portrait.placement[2, 5] = 0.5 * np.pi
+    assert (portrait.headings(2, 8, 2)[:, 2] == 0.5 * np.pi).all()
+    assert not portrait.headings(0, 8, 2)[:, 2].any()
+    np.testing.assert_array_equal(kinds_of(portrait)[0], [0, 1, 2])
+
+
 def test_cameras_take_places_of_their_kind_only():
     np.testing.assert_array_equal(kinds_of(rig())[0], [0, 1, 0])
     np.testing.assert_array_equal(kinds_of(rig(turns=False))[0], [0, 1, 2])

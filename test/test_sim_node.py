@@ -3,6 +3,7 @@
 
 from copy import deepcopy
 
+from conftest import SMALL
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -30,8 +31,6 @@ from ocp_ros.nodes.sim_node import SimNode
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import SceneError
 
-SMALL = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
-         'engine__coverage_cell': 0.5}
 TURN = ((PointCloud2, topics.OBSERVATION), (PoseArray, topics.CAMERA_POSES),
         (Float64MultiArray, topics.REWARD))
 

@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from stable_baselines3.common.buffers import DictReplayBuffer
-from stable_baselines3.common.vec_env import DummyVecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 import torch
 
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
@@ -20,7 +20,7 @@ from ocp_ros.agent.encoder import Encoder
 from ocp_ros.agent.policy import Policy
 from ocp_ros.agent.world import WAYS
 from ocp_ros.cli import main
-from ocp_ros.configuration import from_nested
+from ocp_ros.configuration import ConfigurationError, from_nested
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.simulation.config import EngineConfig, EpisodeConfig, RigConfig, SimulationConfig
 from ocp_ros.simulation.env import CameraPlacementEnv
@@ -43,7 +43,7 @@ from ocp_ros.training.encoded import (
 from ocp_ros.training.evaluation import evaluate, play_trial, Trial
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
 from ocp_ros.training.state import load_state, save_state
-from ocp_ros.training.train import read_config, train, trials_of
+from ocp_ros.training.train import _claim, read_config, train, trials_of
 
 SIMULATION = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=16, coverage_cell=1.0),
                               episode=EpisodeConfig(turns=6))
@@ -528,6 +528,40 @@ def test_a_run_reports_on_rooms_it_never_saw_and_goes_on_when_it_is_started_agai
     best = min(curve, key=lambda line: line['ratio'])
     assert longer.provenance['interactions'] == best['interactions']
     assert Checkpoint.load(tmp_path / 'best.safetensors').updates == best['updates']
+
+
+@pytest.mark.parametrize(('changes', 'words'), [
+    ({'seed': 1}, 'found a run with seed 0; expected one with the settings asked for, but for '),
+    ({'sac': {**TINY['sac'], 'gamma': 0.9}}, 'found a run with sac.gamma 0.95;'),
+    ({'rooms': {**TINY['rooms'], 'training': 2}}, 'rooms.training 1, other rooms; .* another')])
+def test_a_folder_of_another_run_is_left_as_it_is(tmp_path, changes, words):
+    _claim(tmp_path, from_nested(TrainingConfig, TINY))
+    _claim(tmp_path, from_nested(TrainingConfig, {**TINY, 'interactions': 90, 'workers': 2}))
+    before = (tmp_path / 'config.yaml').read_text()
+    assert 'interactions: 90' in before
+    with pytest.raises(ConfigurationError, match=words):
+        train(from_nested(TrainingConfig, {**TINY, **changes}), tmp_path)
+    assert (tmp_path / 'config.yaml').read_text() == before
+
+
+def test_cameras_that_look_one_way_are_no_rig_to_learn_with():
+    rig = {'cameras': 3, 'sensors': 'realsense_d455'}
+    with pytest.raises(ConfigurationError, match="sensors: found 'realsense_d455'; expected omni"):
+        from_nested(TrainingConfig, {**TINY, 'simulation': {'rig': rig}})
+
+
+def test_a_process_that_ends_while_it_plays_is_told_of(tmp_path, here, monkeypatch):
+    class Dying(DummyVecEnv):
+        def step_wait(self):
+            raise EOFError
+
+    def environments(config, rooms):
+        return VecMonitor(Dying([lambda: CameraByCamera(CameraPlacementEnv(
+            [generate_room(8, 1500)], config.simulation, fewest=2), config.agent)] * 2))
+
+    monkeypatch.setattr('ocp_ros.training.train.environments', environments)
+    with pytest.raises(ConfigurationError, match='one of the 2 processes that play has ended'):
+        train(from_nested(TrainingConfig, TINY), tmp_path)
 
 
 def test_ocp_train_writes_a_model_that_runs(tmp_path, capsys, room):

@@ -6,8 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ocp_ros.benchmark.rooms import rooms_in
 from ocp_ros.configuration import ConfigurationError, from_nested
-from ocp_ros.scenes.scene import SceneError
+from ocp_ros.scenes.files import save_scene
+from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.source import make_room
 from ocp_ros.scenes.splits import FRESH, SEEDS, TEST, TRAINING, VALIDATION
 from ocp_ros.training.config import RoomsConfig
@@ -70,6 +73,18 @@ def test_the_scans_of_a_folder_are_in_one_set_each(tmp_path, count):
     parts = parts_of(config)
     in_one_set_each(parts, tmp_path)
     assert len(parts['training']) == max(map(len, parts.values()))
+
+
+def test_meshes_beside_their_rooms_are_no_scans(tmp_path):
+    for seed in (8, 9, 10):
+        save_scene(generate_room(seed, 1500), tmp_path / f'room-{seed}.ply')
+    (tmp_path / '.draft.ply').write_text('')
+    save_scene(Scene(generate_room(11, 1500).points, 'attic'), tmp_path / 'attic_mesh.ply')
+    assert len(list(tmp_path.glob('*_mesh.ply'))) == 4
+    config = RoomsConfig(source='folder', folder=str(tmp_path))
+    names = sorted(Path(name).name for part in PARTS for name in room_names(config, part))
+    assert names == ['attic_mesh.ply', 'room-10.ply', 'room-8.ply', 'room-9.ply']
+    assert sorted(Path(name).name for name in rooms_in(tmp_path)) == names
 
 
 def test_another_name_moves_no_scan_to_another_set(tmp_path):

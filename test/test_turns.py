@@ -52,6 +52,17 @@ def played(turns):
     return turns
 
 
+def test_a_camera_is_waited_for_until_it_hangs_as_high_as_it_shall(clock):
+    turns = make(clock, topics=('a',))
+    turns.on_poses(10 * S, HERE)
+    raised = HERE + [[0.0, 0.0, 0.5], [0.0, 0.0, 0.0]]
+    turns.sent(raised)
+    turns.on_poses(11 * S, HERE)
+    assert not turns.standing
+    turns.on_poses(12 * S, raised - [0.0, 0.0, 0.03])
+    assert turns.standing
+
+
 def test_the_first_turn_is_due_when_every_topic_has_delivered(clock):
     turns = make(clock)
     turns.on_cloud('a', 9 * S, 'too old')
@@ -88,7 +99,7 @@ def test_a_turn_waits_until_every_camera_is_there(clock):
         for topic in 'ab':
             turns.on_cloud(topic, stamp * S, stamp)
         assert taken(turns) == [] and not turns.due()
-    # How high they are makes no difference.
+    # How high they are makes no difference to those that were not sent up or down.
     turns.on_poses(13 * S, THERE + [0.04, 0.0, 0.5])
     assert taken(turns) == [] and not turns.due()
     for topic in 'ab':

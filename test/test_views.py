@@ -3,7 +3,7 @@
 
 import json
 
-from conftest import ROOT
+from conftest import ROOT, SMALL
 import numpy as np
 import pytest
 import yaml
@@ -27,8 +27,6 @@ from ocp_ros.nodes.sim_node import SimNode
 from ocp_ros.nodes.trainer_node import TrainerNode
 from ocp_ros.simulation.maps import maps_of
 
-SMALL = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
-         'engine__coverage_cell': 0.5}
 POSITIONS = np.array([[4.0, 4.0, 1.9], [5.0, 4.0, 1.9], [4.0, 5.0, 1.9]])
 CLOUDS = (topics.COVERAGE_CLOUD, topics.ERROR_CLOUD)
 TRUE_CLOUDS = (topics.TRUE_COVERAGE_CLOUD, topics.TRUE_ERROR_CLOUD)

@@ -8,10 +8,8 @@ length scale), their version (updates so far) and their provenance.
 
 from dataclasses import dataclass, field
 import json
-import os
 from pathlib import Path
 import struct
-import tempfile
 from typing import Any
 
 from safetensors import SafetensorError
@@ -20,6 +18,7 @@ import torch
 
 from ocp_ros.agent.config import AgentConfig
 from ocp_ros.agent.networks import Actor
+from ocp_ros.atomic import write_atomically
 from ocp_ros.configuration import from_nested, to_nested
 
 FORMAT = 'ocp_ros-actor-2'
@@ -147,21 +146,3 @@ def read_metadata(blob: bytes) -> dict[str, str]:
     if length > len(blob) - 8:
         raise ValueError(f'{len(blob)} bytes are too few for a header of {length}')
     return json.loads(blob[8:8 + length])['__metadata__']
-
-
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file so that readers find the old content or the new, never a part."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')
-    try:
-        with os.fdopen(handle, 'wb') as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        # Temporary files are private; what people share is not.
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise

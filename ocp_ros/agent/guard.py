@@ -13,7 +13,7 @@ import numpy as np
 
 from ocp_ros.configuration import ConfigurationError
 from ocp_ros.scenes.scene import Scene, SceneError
-from ocp_ros.simulation.constraints import Allowed, LEEWAY
+from ocp_ros.simulation.constraints import Allowed, apart, LEEWAY
 from ocp_ros.simulation.moves import kept_inside
 from ocp_ros.simulation.rig_file import Rig
 from ocp_ros.simulation.surfaces import STAND_OFF
@@ -106,7 +106,7 @@ class Guard:
                 places = np.concatenate([best[None], places])
             places = self._raised(places, position[2])
             good = np.linalg.norm(places - position, axis=1) <= max_step + ROUNDING
-            places = places[good & self._apart(places, others)
+            places = places[good & apart(places, others, self.rig.spacing)
                             & self._inside(places, bounds)]
             places = places[self._allowed.allowed(places)] if len(places) else places
             if len(places) == 0:
@@ -136,13 +136,6 @@ class Guard:
             off = ~allowed.surface.at(places).on | (above <= places[:, 2])
             places[off, 2] = np.where(np.isfinite(above), above - STAND_OFF, height)[off]
         return places
-
-    def _apart(self, places: np.ndarray, others: np.ndarray) -> np.ndarray:
-        """Tell which places are far enough from all other cameras: (P,) bool."""
-        if len(others) == 0:
-            return np.ones(len(places), dtype=bool)
-        away = np.linalg.norm(places[:, None] - others[None], axis=2)
-        return (away >= self.rig.spacing).all(axis=1)
 
     def _inside(self, places: np.ndarray, bounds: np.ndarray) -> np.ndarray:
         """Tell which places are far enough inside the observed bounding box: (P,) bool."""

@@ -12,7 +12,7 @@ import numpy as np
 from ocp_ros.agent.rectangle import inset, smallest_rectangle, with_corners
 from ocp_ros.geometry.blocks import no_bits, pack, unpack
 from ocp_ros.geometry.cameras import CameraModel, Lens, OMNIDIRECTIONAL, Pose
-from ocp_ros.geometry.clouds import cell_numbers, fixed_size
+from ocp_ros.geometry.clouds import cell_numbers, cells_numbered, fixed_size
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.surfels import SurfelSettings
 from ocp_ros.geometry.visibility import FAST, SurfelVisibility
@@ -55,6 +55,7 @@ class Observed:
     :param around: cells that are no farther from a camera count as well, seen from above, metres:
         cameras that look one way know of no air behind them.
     :ivar cells: (C,) int64, the number of each cell, in the order of the bits of a view.
+    :ivar edge: of the cells, metres.
     :raises SceneError: if the points are too few or too flat to be a room.
     """
 
@@ -66,7 +67,7 @@ class Observed:
         if around:
             box = with_corners(box, positions[:, :2] - around)
             box = with_corners(box, positions[:, :2] + around)
-        centres, numbers = cells_of_the_air(box)
+        centres, numbers, self.edge = cells_of_the_air(box)
         self._lens = CameraModel(max_range=max_range).lens
         tests = np.column_stack([inset(corners), np.full(4, np.median(positions[:, 2]))])
         self.visibility = SurfelVisibility(
@@ -201,7 +202,7 @@ class Memory:
     """Which cells of the air some camera has covered since the episode began."""
 
     def __init__(self) -> None:
-        self._seen = np.empty(0, dtype=np.int64)
+        self._seen, self._edge = np.empty(0, dtype=np.int64), CELL
         self._visited: list[tuple[np.ndarray, Sequence[Lens | None] | None]] = []
 
     def visit(self, cameras: np.ndarray, lenses: Sequence[Lens | None] | None = None) -> None:
@@ -210,10 +211,20 @@ class Memory:
 
     def unseen(self, model: Observed) -> np.ndarray:
         """Return packed bits of a model's cells: those that no camera covered, as far as known."""
+        self._follow(model.edge)
         covered = [model.covered(*visited) for visited in self._visited]
         self._seen = np.unique(np.concatenate([self._seen, *covered]))
         self._visited.clear()
         return pack(~np.isin(model.cells, self._seen) & (model.cells != NO_CELL))
+
+    def _follow(self, edge: float) -> None:
+        """Go on with cells of another edge: larger ones count if half of their parts do."""
+        while self._edge < edge:
+            cells = cells_numbered(self._seen) // 2
+            numbers, parts = np.unique(cell_numbers(cells), return_counts=True)
+            self._seen, self._edge = numbers[parts >= 4], 2.0 * self._edge
+        if self._edge > edge:
+            self._seen, self._edge = np.empty(0, dtype=np.int64), edge
 
 
 def thinned(cloud: np.ndarray, most: int) -> np.ndarray:
@@ -225,13 +236,13 @@ def thinned(cloud: np.ndarray, most: int) -> np.ndarray:
     return voxel_downsample(cloud, voxel_size_for(cloud, most))
 
 
-def cells_of_the_air(bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def cells_of_the_air(bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """
     List the cells of a grid whose centres are inside a bounding box.
 
     :param bounds: (2, 3) metres.
-    :returns: centres (C, 3) float32, metres, and numbers (C,) int64 that name the cells in any
-        bounding box.
+    :returns: centres (C, 3) float32, metres, numbers (C,) int64 that name the cells of an edge in
+        any bounding box, and the edge, metres.
     """
     edge = CELL
     while np.prod(np.ptp(bounds, axis=0) / edge) > MOST_CELLS:
@@ -240,4 +251,4 @@ def cells_of_the_air(bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     last = np.floor(bounds[1] / edge - 0.5).astype(np.int64)
     axes = [np.arange(first[k], last[k] + 1) for k in range(3)]
     index = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 3)
-    return ((index + 0.5) * edge).astype(np.float32), cell_numbers(index)
+    return ((index + 0.5) * edge).astype(np.float32), cell_numbers(index), edge

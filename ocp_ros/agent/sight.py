@@ -54,12 +54,16 @@ class Sight(NamedTuple):
         """
         List how a camera may be turned: (H, 3) radians; as it is where it is not turned.
 
+        Its roll is that of its mount and stays.
+
         :param yaws: of :func:`directions`.
         :param pitches: of :func:`directions`.
         """
         if self.models[camera].omnidirectional or not self.turns:
             return self.placement[camera, None, 3:]
-        return directions(self.pitch, yaws, pitches)
+        listed = directions(self.pitch, yaws, pitches)
+        listed[:, 2] = self.placement[camera, 5]
+        return listed
 
 
 def fixed_views(model: Observed, sight: Sight | None) -> list[View]:

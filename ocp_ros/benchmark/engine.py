@@ -6,15 +6,11 @@ Truth is ray casting of generated rooms' meshes. All methods judge the same came
 pinned to one core; only the figures that say so use two threads.
 """
 
-import argparse
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime, timezone
 from functools import partial
-import json
 import os
-from pathlib import Path
-import sys
 import time
 from typing import Any, NamedTuple
 
@@ -22,7 +18,6 @@ import numpy as np
 import open3d as o3d
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 from ocp_ros.benchmark.truth import RayCaster
 from ocp_ros.benchmark.twin import Twin
@@ -35,10 +30,10 @@ from ocp_ros.simulation.config import EngineConfig, RigConfig, SimulationConfig
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.simulator import Simulator
 
-DENSITIES = (15000, 40000, 100000)
+#: Points of a room at which methods are compared by speed.
+MIDDLE = 40_000
 #: Radii of hidden point removal, metres; the best one counts.
 RADII = (200, 300, 500, 1000, 2000)
-SCALES = (40_000, 400_000, 5_000_000)
 SPEEDUPS = ('speedup_vs_hpr', 'speedup_vs_hpr_fine', 'speedup_vs_embree_fine',
             'numpy_twin_speedup')
 SPEEDS = ('env_steps_per_s', 'evaluations_per_s', 'evaluations_per_s_one_moved',
@@ -51,6 +46,24 @@ FIRST_ROOM = 200
 #: Metres from a camera to the nearest surface.
 CLEARANCE = 0.35
 
+
+class Extent(NamedTuple):
+    """
+    How much is measured.
+
+    :param densities: points per room, with :data:`MIDDLE` among them.
+    :param rooms: how many rooms per density.
+    :param positions: how many places of a camera in each room.
+    :param scales: points of the rooms for time and memory.
+    """
+
+    densities: tuple[int, ...] = (15_000, MIDDLE, 100_000)
+    rooms: int = 20
+    positions: int = 6
+    scales: tuple[int, ...] = (40_000, 400_000, 5_000_000)
+
+
+EXTENTS = {'smoke': Extent((MIDDLE,), 2, 2, (40_000, 400_000)), 'full': Extent()}
 
 #: (case) -> the points that are visible, (N,) bool or a subset.
 Method = Callable[['Case'], np.ndarray | Subset]
@@ -252,7 +265,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
                 if row['method'].startswith(method)}
 
     times = {name: of(name, 'ms') for name in ('fine', 'fast', 'hidden', 'embree', 'numpy')}
-    middle = str(DENSITIES[1])
+    middle = str(MIDDLE)
     return {
         'visibility_f1': of('fine', 'f1'), 'visibility_f1_fast': of('fast', 'f1'),
         'visibility_f1_paper': of('paper', 'f1'), 'hpr_f1': of('hidden', 'f1'),
@@ -264,90 +277,22 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         'ns_per_point_camera_fine': of('fine', 'ns_per_point_camera')[middle]}
 
 
-def show(result: dict[str, Any]) -> None:
-    """Print the figures."""
-    table = Table('points', 'method', 'precision', 'recall', 'F1', 'ms', 'ns per point',
-                  title='Visibility from one camera against ray casting, one thread')
-    for row in result['visibility']:
-        table.add_row(f'{row["density"]:,}', row['method'], f'{row["precision"]:.3f}',
-                      f'{row["recall"]:.3f}', f'{row["f1"]:.3f}', f'{row["ms"]:.2f}',
-                      f'{row["ns_per_point_camera"]:.1f}')
-    console = Console(width=110)
-    console.print(table)
-    for name in FIGURES:
-        console.print(f'{name}: {result[name]:.1f}')
+def measure_engine(extent: Extent) -> dict[str, Any]:
+    """
+    Measure how true the engine's visibility is and how fast it is, with progress on stderr.
 
-
-def page(result: dict[str, Any]) -> str:
-    """Write the figures as a page of the documentation."""
-    rows = '\n'.join(
-        f'| {row["density"]:,} | {row["method"].replace("_", " ")} | {row["precision"]:.3f} | '
-        f'{row["recall"]:.3f} | {row["f1"]:.3f} | {row["ms"]:.2f} | '
-        f'{row["ns_per_point_camera"]:.1f} |' for row in result['visibility'])
-    figures = '\n'.join(f'| `{name}` | {result[name]:,.1f} |' for name in FIGURES)
-    scales = '\n'.join(
-        f'| {row["points"]:,} | {row["ns_per_point_camera"]:.1f} | {row["bytes_per_point"]:.0f} | '
-        f'{row["seconds_to_build"]:.1f} |' for row in result['scale'])
-    return f"""# The engine, measured
-
-Made by `make bench` on {result["date"]}. {result["rooms"]} generated rooms, {result["positions"]}
-places of a camera in each with nothing within {CLEARANCE} m, range {result["range"]:.0f} m. Truth
-is ray casting of the rooms' meshes; every method judges the same cameras in the same process on
-one core. Hidden point removal is Open3D's, at the best of {len(RADII)} radii (named, metres).
-Embree casts one ray per point at the mesh, which the user of a point cloud does not have.
-
-| points | method | precision | recall | F1 | ms per camera | ns per point |
-|---|---|---|---|---|---|---|
-{rows}
-
-Speedups are at {DENSITIES[1]:,} points. The rest is for the `fast` preset, 4 cameras and a room of
-{result["points"]:,} points, in two threads on two cores: environment steps, placements judged, and
-placements judged of which one camera had moved. The twin is the same rules in plain NumPy.
-
-| figure | value |
-|---|---|
-{figures}
-
-What a camera's look costs and what is held per scene as rooms grow (`fast`, everything included:
-points, normals, coverage grid, lists of the depth error; built on one core). A camera's workspace
-takes 8 bytes per point more for each thread that looks at the same time.
-
-| points | ns per point and camera | bytes per point | seconds to build |
-|---|---|---|---|
-{scales}
-"""
-
-
-def main(args: list[str] | None = None) -> int:
-    """Measure and write the figures."""
-    parser = argparse.ArgumentParser(prog='bench', description=__doc__)
-    parser.add_argument('--out', type=Path, default=Path('out/bench.json'))
-    parser.add_argument('--rooms', type=int, default=20, help='rooms per density')
-    parser.add_argument('--positions', type=int, default=6, help='camera positions per room')
-    parser.add_argument('--largest', type=int, default=SCALES[-1],
-                        help='points of the largest room for time and memory')
-    parser.add_argument('--page', type=Path, help='write a page of documentation here as well')
-    options = parser.parse_args(args)
+    :returns: the figures of :func:`summary` and :func:`speed`, ``visibility`` (a row per density
+        and method), ``scale`` (a row per size of a room), and what was measured when.
+    """
     # One thread for everybody: Embree and hidden point removal would take them all.
-    cores = os.sched_getaffinity(0)
+    cores, rows = os.sched_getaffinity(0), []
     os.sched_setaffinity(0, {min(cores)})
-    rows = []
-    for density in track(DENSITIES, 'ray casting', console=Console(stderr=True)):
-        rows += measure(density, options.rooms, options.positions)
-    scales = [scale(points) for points in SCALES if points <= options.largest]
-    os.sched_setaffinity(0, cores)
-    result = {**summary(rows), **speed(), 'visibility': rows, 'scale': scales,
-              'rooms': options.rooms,
-              'positions': options.positions, 'range': RANGE,
-              'date': datetime.now(timezone.utc).isoformat(timespec='seconds')}
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps(result, indent=2) + '\n')
-    if options.page:
-        options.page.write_text(page(result))
-    show(result)
-    print(f'wrote {options.out}')
-    return 0
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+    try:
+        for density in track(extent.densities, 'ray casting', console=Console(stderr=True)):
+            rows += measure(density, extent.rooms, extent.positions)
+        scales = [scale(points) for points in extent.scales]
+    finally:
+        os.sched_setaffinity(0, cores)
+    return {**summary(rows), **speed(), 'visibility': rows, 'scale': scales,
+            'rooms': extent.rooms, 'positions': extent.positions, 'range': RANGE,
+            'date': datetime.now(timezone.utc).isoformat(timespec='seconds')}

@@ -15,7 +15,7 @@ import numpy as np
 from ocp_ros.planners.registry import OFFLINE
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
-from ocp_ros.scenes.files import READERS
+from ocp_ros.scenes.files import READERS, scans_in
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.s3dis import chosen_rooms, s3dis_folder, TEST_AREAS
 from ocp_ros.scenes.scene import Scene, SceneError
@@ -72,8 +72,7 @@ def rooms_in(folder: Path, scale: float = 1.0, up: str = 'z') -> list[str]:
     :param up: the axis of the scans that points up.
     :raises SceneError: if there are none, or one that cannot be used.
     """
-    found = sorted(str(path.resolve()) for path in Path(folder).glob('*')
-                   if path.suffix.lower() in READERS)
+    found = [str(path.resolve()) for path in scans_in(folder)]
     if not found:
         raise SceneError(f'{folder}: found no scans; expected files of {", ".join(READERS)}')
     for path in found:

@@ -7,13 +7,15 @@ from dataclasses import asdict
 import hashlib
 import json
 from multiprocessing import get_context
-import os
 from pathlib import Path
 from typing import Any
 
 from ocp_ros import __version__
+from ocp_ros.atomic import write_atomically
 from ocp_ros.benchmark.protocol import Protocol, run_task, Task
 from ocp_ros.configuration import ConfigurationError
+from ocp_ros.planners.registry import PAPER
+from ocp_ros.resources import find_model
 
 Rows = list[dict[str, Any]]
 #: Runs tasks, leaves the rows of each in its file, and yields those that are done.
@@ -59,30 +61,28 @@ def name_of(task: Task) -> str:
     return f'{stem}-{task.rotation:g}-{task.planner}'
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a file that is either whole or not there."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_suffix('.draft')
-    draft.write_text(text)
-    os.replace(draft, path)
-
-
 def _claim(folder: Path, protocol: Protocol) -> None:
     """Write down what all results here have in common, or check that it is the same."""
-    common = {'ocp_ros': __version__, **{
+    common = {'ocp_ros': __version__, 'weights': _weights(protocol.model), **{
         name: value for name, value in asdict(protocol).items()
         if name not in ('rooms', 'rotations', 'planners')}}
     path, text = folder / 'protocol.json', json.dumps(common, indent=2) + '\n'
     if path.exists() and path.read_text() != text:
         raise ConfigurationError(
             f'{folder}: found the results of another comparison; expected the same budgets, '
-            'seeds, rig and version; name another folder or remove this one')
-    write_whole(path, text)
+            'seeds, rig, weights and version; name another folder or remove this one')
+    write_atomically(path, text)
+
+
+def _weights(model: str) -> dict[str, str]:
+    """Return the SHA-256 of the weights that may play: under the same name there may be others."""
+    return {name: hashlib.sha256(find_model(name).read_bytes()).hexdigest()
+            for name in dict.fromkeys((model, PAPER))}
 
 
 def keep_task(protocol: Protocol, task: Task, path: Path) -> None:
     """Run a task and leave its rows in a file, whatever becomes of the other tasks."""
-    write_whole(path, json.dumps(run_task(protocol, task)))
+    write_atomically(path, json.dumps(run_task(protocol, task)))
 
 
 def _in_processes(workers: int) -> Execute:
@@ -118,6 +118,6 @@ def _on_ray(address: str) -> Execute:
             ready, _ = ray.wait(list(waiting))
             for reference in ready:
                 task = waiting.pop(reference)
-                write_whole(tasks[task], json.dumps(ray.get(reference)))
+                write_atomically(tasks[task], json.dumps(ray.get(reference)))
                 yield task
     return execute

@@ -39,3 +39,10 @@ def cell_numbers(cells: np.ndarray) -> np.ndarray:
     """
     shifted = cells + REACH
     return (shifted[:, 0] << 2 * BITS) | (shifted[:, 1] << BITS) | shifted[:, 2]
+
+
+def cells_numbered(numbers: np.ndarray) -> np.ndarray:
+    """Return the cells (N, 3) int64 that have some numbers; see :func:`cell_numbers`."""
+    mask = (1 << BITS) - 1
+    return np.stack([numbers >> 2 * BITS & mask, numbers >> BITS & mask, numbers & mask],
+                    axis=1) - REACH

@@ -8,6 +8,18 @@ from ocp_ros.geometry.blocks import count_bits
 MOST_CELLS = 20_000_000
 
 
+def _counts(bounds: np.ndarray, cell: float) -> np.ndarray:
+    """Return how many cells there are along each axis: (3,) int64."""
+    return np.maximum(np.round((bounds[1] - bounds[0]) / cell).astype(np.int64), 1)
+
+
+def coverable_cell(bounds: np.ndarray, cell: float) -> float:
+    """Return the edge of a cell, metres, doubled until there are few enough in a box (2, 3)."""
+    while _counts(bounds, cell).prod(dtype=np.float64) > MOST_CELLS:
+        cell *= 2.0
+    return cell
+
+
 def coverage_grid(bounds: np.ndarray, cell: float) -> tuple[np.ndarray, float]:
     """
     Divide a bounding box into equal cells.
@@ -19,8 +31,7 @@ def coverage_grid(bounds: np.ndarray, cell: float) -> tuple[np.ndarray, float]:
     """
     if not cell > 0.0:
         raise ValueError(f'coverage cell: found {cell}; expected metres above 0')
-    size = bounds[1] - bounds[0]
-    counts = np.maximum(np.round(size / cell).astype(int), 1)
+    size, counts = bounds[1] - bounds[0], _counts(bounds, cell)
     if counts.prod(dtype=np.float64) > MOST_CELLS:
         raise ValueError(f'coverage cell: found {cell} m, which makes {counts.prod():,} cells; '
                          f'expected at most {MOST_CELLS:,}; use larger cells')

@@ -76,7 +76,7 @@ class _Trees(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def _grow(pixels, starts, indices, depths, far):
+def _grow(pixels, starts, indices, depths, far, longest):
     """
     Build the tree of the lists of pixels.
 
@@ -85,12 +85,13 @@ def _grow(pixels, starts, indices, depths, far):
     :param indices: (L,) int32, points.
     :param depths: (L,) float32, their distances, metres.
     :param far: metres.
+    :param longest: points of the longest list.
     :returns: the fields of :class:`_Trees`.
     """
     most = indices.shape[0]
     point, end = np.empty(most, dtype=np.uint32), np.empty(most, dtype=np.uint32)
     gap, rest = np.zeros(most), np.zeros(most)
-    path = np.empty(np.diff(starts).max() + 1, dtype=np.int64)
+    path = np.empty(longest, dtype=np.int64)
     nodes = depth = last = 0
     for pixel in pixels:
         first, length = starts[pixel], starts[pixel + 1] - starts[pixel]
@@ -197,7 +198,7 @@ class DepthError:
         depth = np.full(rows * columns, self.far, dtype=np.float32)
         depth[pixels] = depths[starts[pixels]]
         depth.setflags(write=False)
-        trees = _Trees(*_grow(pixels, starts, indices, depths, self.far))
+        trees = _Trees(*_grow(pixels, starts, indices, depths, self.far, int(counts.max())))
         return trees, depth.reshape(self.shape)
 
     def depth_map(self, viewpoint: int) -> np.ndarray:

@@ -12,6 +12,11 @@ _helpers: ThreadPoolExecutor | None = None
 _count = 1
 
 
+def cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
 def set_threads(count: int) -> None:
     """
     Say how many threads this process may use for one answer; it begins with one.
@@ -19,7 +24,7 @@ def set_threads(count: int) -> None:
     :param count: 0 for as many as there are cores that it may use.
     """
     global _helpers, _count
-    count = count or len(os.sched_getaffinity(0))
+    count = count or cores()
     if count != _count:
         if _helpers is not None:
             _helpers.shutdown()

@@ -27,6 +27,7 @@ from rich.console import Console
 from rich.progress import track
 from std_msgs.msg import Float64MultiArray, Header
 
+from ocp_ros.geometry.threads import cores
 from ocp_ros.nodes import topics
 from ocp_ros.nodes.conversions import (
     cloud_to_msg,
@@ -222,7 +223,7 @@ def main(args: list[str] | None = None) -> int:
                 Console(stderr=True).print(rows[-1])
     result = {'policy_latency_ms': rows,
               'training': training(options.seconds, options.pairs) if options.seconds else [],
-              'load_average': os.getloadavg()[1], 'cores': len(os.sched_getaffinity(0)),
+              'load_average': os.getloadavg()[1], 'cores': cores(),
               'date': datetime.now(timezone.utc).isoformat(timespec='seconds')}
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text(json.dumps(result, indent=2) + '\n')

@@ -3,14 +3,19 @@
 One policy commands a rig: of several, the one that was there first, and the others hold still.
 
 Each says twice a second since when it has been there, and all of them go by the same rule, so they
-agree without asking anybody. Where the first one falls silent, the next one takes over.
+agree without asking anybody. Where the first one falls silent, the next one takes over. Words come
+from a thread of their own: a node that thinks for long, as while kernels are compiled, is there.
 """
 
+from contextlib import suppress
+import threading
 import time
 import uuid
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.exceptions import InvalidHandle
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from std_msgs.msg import String
 
@@ -20,6 +25,8 @@ from ocp_ros.nodes.qos import LOOP
 #: Seconds between two words of a commander, how long one counts that says nothing more, and how
 #: long a new node waits for the words of others whose commands could be meant.
 PERIOD, EXPIRY, SETTLING = 0.5, 2.5, 1.5
+#: Seconds after which a node that does nothing but think counts as stuck, and says no more.
+STUCK = 180.0
 #: The most others that are taken note of.
 MOST = 100
 
@@ -39,14 +46,29 @@ class Commander:
         self._began = time.monotonic()
         self._publisher = node.create_publisher(String, topics.COMMANDERS, LOOP)
         node.create_subscription(String, topics.COMMANDERS, self._on_word, LOOP)
-        node.create_timer(PERIOD, self._say, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._say()
+        node.create_timer(PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._word = String(data=f'{self._name} {node.get_fully_qualified_name()}')
+        self._looked, self._end = self._began, threading.Event()
+        self._thread = threading.Thread(target=self._talk, name='commander', daemon=True)
+        self._publisher.publish(self._word)
+        self._thread.start()
 
-    def _say(self) -> None:
-        """Say that this node is here, and forget those that are not."""
-        name = self._node.get_fully_qualified_name()
-        self._publisher.publish(String(data=f'{self._name} {name}'))
-        now = time.monotonic()
+    def close(self) -> None:
+        """Say no more; for good."""
+        self._end.set()
+        self._thread.join()
+
+    def _talk(self) -> None:
+        """Say again and again that this node is here."""
+        # Where the ROS context is shut down nobody can be told anything.
+        with suppress(InvalidHandle, rclpy_implementation.RCLError):
+            while not self._end.wait(PERIOD):
+                if time.monotonic() - self._looked < STUCK:
+                    self._publisher.publish(self._word)
+
+    def _look(self) -> None:
+        """Forget those that are not here any more."""
+        now = self._looked = time.monotonic()
         self._others = {other: (node, heard) for other, (node, heard) in self._others.items()
                         if now - heard < EXPIRY}
 

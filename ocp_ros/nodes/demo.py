@@ -7,8 +7,6 @@ Writes ``demo.json`` and ``demo.png`` to the output folder and prints a small ta
 
 import argparse
 from datetime import datetime, timezone
-import json
-import os
 from pathlib import Path
 import sys
 from typing import Any
@@ -20,15 +18,9 @@ from rich.table import Table
 
 from ocp_ros.configuration import from_flat, to_nested
 from ocp_ros.nodes.policy_config import PLANNERS, PolicyNodeConfig
-from ocp_ros.nodes.processes import (
-    end_on_signals,
-    free_domain,
-    LOCALHOST,
-    NodeProcess,
-    stopped_at_the_end,
-)
+from ocp_ros.nodes.processes import NodeProcess, stopped_at_the_end
 from ocp_ros.nodes.sim_node import SimNodeConfig
-from ocp_ros.nodes.watcher import Watch, Watcher
+from ocp_ros.nodes.watcher import run_watched, Watch, Watcher
 from ocp_ros.report.picture import draw_placement
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.config import RigConfig, SimulationConfig
@@ -147,32 +139,31 @@ def table(result: dict[str, Any]) -> Table:
     return rows
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the demo; bad input gets one sentence and exit code 2."""
-    options = parser().parse_args(args)
-    end_on_signals()
-    os.environ.update(LOCALHOST)
-    domain, holder = free_domain()
-    try:
-        with holder, Watch(domain) as watch:
-            run_episode(options, domain, watch)
-            result = result_of(options, watch.node)
-            picture(options, watch.node, result, options.out / 'demo.png')
-    except (RuntimeError, OSError) as error:
-        print(f'demo: {error}', file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
+def play(options: argparse.Namespace, domain: int, watch: Watch) -> dict[str, Any]:
+    """Play an episode and draw its end; return the figures."""
+    run_episode(options, domain, watch)
+    result = result_of(options, watch.node)
+    picture(options, watch.node, result, options.out / 'demo.png')
     result['config'] = {
         'sim_node': to_nested(from_flat(SimNodeConfig, sim_parameters(options))),
         'policy_node': to_nested(from_flat(PolicyNodeConfig, policy_parameters(options)))}
-    (options.out / 'demo.json').write_text(json.dumps(result, indent=2) + '\n')
+    return result
+
+
+def show(options: argparse.Namespace, result: dict[str, Any]) -> None:
+    """Print the figures as a table, and what was written."""
     Console().print(table(result))
     if result['depth_error_end'] > result['depth_error_start']:
         print(f'{result["planner"]} left the cameras worse than it found them: a policy may when '
               'the room or the number of cameras is unlike those it was trained with.')
     print(f'wrote {options.out / "demo.json"} and {options.out / "demo.png"}')
-    return 0
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the demo; bad input gets one sentence and exit code 2."""
+    options = parser().parse_args(args)
+    return run_watched('demo', options.out, lambda domain, watch: play(options, domain, watch),
+                       lambda result: show(options, result), (RuntimeError, OSError))
 
 
 if __name__ == '__main__':

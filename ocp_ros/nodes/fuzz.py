@@ -8,8 +8,6 @@ what they hold in memory is measured before and after.
 
 import argparse
 from collections.abc import Callable, Iterator
-import json
-import os
 from pathlib import Path
 import sys
 import time
@@ -19,15 +17,8 @@ from rich.progress import Progress
 
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.nodes.fuzz_targets import Fuzzer, LiveTarget, PolicyTarget, shell, SimTarget
-from ocp_ros.nodes.processes import (
-    end_on_signals,
-    free_domain,
-    LOCALHOST,
-    NodeProcess,
-    rss_of,
-    stopped_at_the_end,
-)
-from ocp_ros.nodes.watcher import Watch
+from ocp_ros.nodes.processes import NodeProcess, rss_of, stopped_at_the_end
+from ocp_ros.nodes.watcher import run_watched, show_json, Watch
 from ocp_ros.resources import find_model
 
 #: Seconds to wait for an answer.
@@ -100,20 +91,8 @@ def fuzz(options: argparse.Namespace, domain: int, watch: Watch) -> dict:
 def main(args: list[str] | None = None) -> int:
     """Run; 2 if a node did what it must not."""
     options = parser().parse_args(args)
-    end_on_signals()
-    os.environ.update(LOCALHOST)
-    domain, holder = free_domain()
-    try:
-        with holder, Watch(domain) as watch:
-            result = fuzz(options, domain, watch)
-    except RuntimeError as error:
-        print(f'fuzz: {error}', file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
-    (options.out / 'fuzz.json').write_text(json.dumps(result, indent=2) + '\n')
-    print(json.dumps(result, indent=2))
-    return 0
+    return run_watched('fuzz', options.out, lambda domain, watch: fuzz(options, domain, watch),
+                       show_json)
 
 
 if __name__ == '__main__':

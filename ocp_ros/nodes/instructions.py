@@ -12,11 +12,11 @@ def moving(positions: np.ndarray, targets: np.ndarray, least: float) -> np.ndarr
     Tell which cameras have to be moved.
 
     :param positions: (K, 3) metres, where they are.
-    :param targets: (K, 3) metres, where they shall go, at the same height.
+    :param targets: (K, 3) metres, where they shall go.
     :param least: shorter moves are not worth it, metres.
     :returns: (K,) bool.
     """
-    return np.linalg.norm((targets - positions)[:, :2], axis=1) > least
+    return np.linalg.norm(targets - positions, axis=1) > least
 
 
 def instructions(positions: np.ndarray, targets: np.ndarray, least: float,
@@ -33,7 +33,7 @@ def instructions(positions: np.ndarray, targets: np.ndarray, least: float,
     moved, turned = moving(positions, targets, least), np.linalg.norm(turns, axis=1) > least_turn
     lines = []
     for camera in np.flatnonzero(moved | turned):
-        parts = [_move(positions[camera, :2], targets[camera, :2])] if moved[camera] else []
+        parts = [_move(positions[camera], targets[camera])] if moved[camera] else []
         parts += [_turn(*np.rad2deg(turns[camera]))] if turned[camera] else []
         lines.append(f'camera {camera}: {"; ".join(parts)}')
     return '\n'.join(lines) or STAY
@@ -49,8 +49,10 @@ def _turn(yaw: float, pitch: float) -> str:
 
 def _move(position: np.ndarray, target: np.ndarray) -> str:
     """Write where one camera goes."""
-    ways = [f'{abs(way):.2f} m towards {"-" if way < 0.0 else "+"}{axis}'
-            for axis, way in zip('xy', target - position, strict=True) if abs(way) >= 0.005]
+    way = target - position
+    ways = [f'{abs(length):.2f} m {words[int(length < 0.0)]}' for length, words in zip(way, (
+        ('towards +x', 'towards -x'), ('towards +y', 'towards -y'), ('up', 'down')), strict=True)
+        if abs(length) >= 0.005]
     # Adding 0 makes -0 a 0.
-    x, y = np.round(target, 2) + 0.0
-    return f'{" and ".join(ways)}, to ({x:.2f}, {y:.2f})'
+    ends = [f'{end + 0.0:.2f}' for end in np.round(target, 2)[:3 if abs(way[2]) >= 0.005 else 2]]
+    return f'{" and ".join(ways)}, to ({", ".join(ends)})'

@@ -3,6 +3,7 @@
 
 from dataclasses import dataclass
 
+from ocp_ros.agent.aim import MAX_TURN
 from ocp_ros.configuration import ConfigurationError, setting
 
 LEARNED, LOOKAHEAD, BOTH = PLANNERS = 'learned', 'lookahead', 'learned+lookahead'
@@ -24,8 +25,8 @@ class PolicyNodeConfig:
     max_step: float = setting(
         0.5, 'farthest a camera moves in one turn, metres', 0.001, 10.0, running=True)
     max_turn: float = setting(
-        0.5, 'how far a camera of a rig file that does not see all around is turned in one turn, '
-        'radians; 0 leaves cameras turned as they are', 0.0, 3.1416, running=True)
+        MAX_TURN, 'how far a camera of a rig file that does not see all around is turned in one '
+        'turn, radians; 0 leaves cameras turned as they are', 0.0, 3.1416, running=True)
     max_range: float = setting(
         4.0, 'effective range of the cameras, metres', 0.1, 100.0, running=True)
     wall_margin: float = setting(
@@ -44,6 +45,9 @@ class PolicyNodeConfig:
         0, 'threads that try places at once; 0 for one on each core', 0, 1024)
     rig_file: str = setting(
         '', 'YAML of docs/rig.md that every command is held to; empty for none')
+    placement_file: str = setting(
+        '', 'the final placement is written here as well, .yaml or .json of docs/placement.md; '
+        'empty for nowhere')
     cloud_topics: str = setting(
         '', 'live cameras: the topics of their clouds with commas between; empty to answer the '
         'turns of a simulation')

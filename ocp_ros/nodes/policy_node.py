@@ -25,6 +25,7 @@ from ocp_ros.nodes.conversions import MessageError, msg_to_bytes, msg_to_positio
 from ocp_ros.nodes.decider import Decider
 from ocp_ros.nodes.experiences import Experiences
 from ocp_ros.nodes.finality import Finality
+from ocp_ros.nodes.kept import placement_from
 from ocp_ros.nodes.live import LiveTurns
 from ocp_ros.nodes.parameters import declare, follow
 from ocp_ros.nodes.policy_config import PolicyNodeConfig
@@ -34,6 +35,7 @@ from ocp_ros.nodes.runner import run
 from ocp_ros.nodes.simulated_turns import SimulatedTurns, Told
 from ocp_ros.planners.online import Online
 from ocp_ros.resources import find_model
+from ocp_ros.simulation.placement_file import save_placement
 
 
 class PolicyNode(Node):
@@ -59,7 +61,6 @@ class PolicyNode(Node):
         self._start_episode(episode=0)
         self._commands = self.create_publisher(PoseArray, topics.CAMERA_COMMANDS, LOOP)
         self._placement = self.create_publisher(PoseArray, topics.PLACEMENT, LATCHED)
-        self._commander = Commander(self)
         self._turns: SimulatedTurns | None = None
         self._live: LiveTurns | None = None
         self._experiences = Experiences(self, lambda: self.policy, self._go_on) \
@@ -74,9 +75,12 @@ class PolicyNode(Node):
         if self.policy is not None:
             self.create_subscription(
                 UInt8MultiArray, topics.POLICY_WEIGHTS, self._on_weights, LATCHED)
-        self._views = PolicyViews(self, self._decider.models, self._live is not None)
+        self._views = PolicyViews(self, self._decider.models, self._live is not None,
+                                  self._decider.sight if self._decider.guard else None)
         follow(self, self._change)
         self._health = health.Health(self, self._status)
+        # Last: from now on it speaks, and nothing that follows can fail.
+        self._commander = Commander(self)
         weights = 'no weights' if path is None else \
             f'weights of {path.name}: {self.policy.checkpoint.updates} updates'
         planner = 'exploring' if self.config.explore else self.config.planner
@@ -157,6 +161,11 @@ class PolicyNode(Node):
         self._finality.say(self._step, self.config)
         return answer
 
+    def destroy_node(self) -> None:
+        """Stop commanding before the node goes."""
+        self._commander.close()
+        super().destroy_node()
+
     def _why(self) -> str:
         """Say why the cameras shall stay where they are; nothing while they shall not."""
         return self._finality.reason(self._step, self._over, self._decider.alone, self.config)
@@ -168,6 +177,19 @@ class PolicyNode(Node):
             self._placement.publish(poses)
             self.get_logger().info(
                 f'placement is {self._finality.say(self._step, self.config)}')
+            if self.config.placement_file:
+                self._keep(self.config.placement_file, poses)
+
+    def _keep(self, path: str, poses: PoseArray) -> None:
+        """Write the placement to a file; where that fails it is on its topic alone."""
+        try:
+            save_placement(path, placement_from(poses, self._decider.guard,
+                                                self._decider.models[0], self._finality.why))
+        except OSError as error:
+            self.get_logger().error(f'placement_file: found {path}, which cannot be written '
+                                    f'({error.strerror}); expected a file in a folder that can')
+        else:
+            self.get_logger().info(f'wrote {path}')
 
     def _on_weights(self, message: UInt8MultiArray) -> None:
         """Check new weights and swap them in whole, or keep those that run."""

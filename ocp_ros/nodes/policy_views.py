@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """What ``policy_node`` has to show: what it knows, judged on what has been seen so far."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from geometry_msgs.msg import PoseArray
 import numpy as np
 from rclpy.node import Node
 
 from ocp_ros.agent.observed import thinned
+from ocp_ros.agent.sight import Sight
 from ocp_ros.geometry.cameras import CameraModel, Pose
 from ocp_ros.nodes import topics
 from ocp_ros.nodes.conversions import MessageError, msg_to_poses
@@ -28,13 +29,16 @@ class PolicyViews:
     :param node: publishes.
     :param models: what each camera sees, or one model for all.
     :param live: whether nobody else shows the rig, as a simulation does.
+    :param sight: tells of a turn's poses how the cameras of a rig file stand, those in place
+        included; None where there is no rig file.
     """
 
-    def __init__(self, node: Node, models: Sequence[CameraModel], live: bool) -> None:
-        self._models = models
+    def __init__(self, node: Node, models: Sequence[CameraModel], live: bool,
+                 sight: Callable[[PoseArray], Sight] | None) -> None:
+        self._models, self._sight = models, sight
         self._turn: tuple[np.ndarray, PoseArray] | None = None
         self._clouds = CloudView(node, topics.COVERAGE_CLOUD, topics.ERROR_CLOUD, self._judge)
-        known = len(models) if len(models) > 1 else 0
+        known = 0 if sight is None else len(models)
         self._rig = RigView(node, topics.RIG_MARKERS, models, known) if live else None
 
     def change(self, models: Sequence[CameraModel]) -> None:
@@ -47,19 +51,21 @@ class PolicyViews:
         """Show a turn: the points (N, 3) seen so far, metres, and where the cameras are."""
         self._turn = cloud, poses
         self._clouds.turn(poses.header)
-        if self._rig is not None and self._fits(len(poses.poses)):
-            self._rig.turn(poses.header, msg_to_poses(poses))
+        if self._rig is not None:
+            self._rig.turn(poses.header, self._standing(poses))
 
-    def _fits(self, cameras: int) -> bool:
-        """Tell whether it is known what so many cameras see."""
-        return len(self._models) == 1 or cameras <= len(self._models)
+    def _standing(self, poses: PoseArray) -> list[Pose]:
+        """Return where the cameras of a turn are and how they are turned, all that are known."""
+        if self._sight is None:
+            return msg_to_poses(poses)
+        return [Pose.of(row) for row in self._sight(poses).placement]
 
     def _judge(self) -> Maps | None:
         """Judge the latest turn; None where there is none, or nothing that can be judged."""
-        if self._turn is None or not self._fits(len(self._turn[1].poses)):
+        if self._turn is None:
             return None
         try:
-            return observed_maps(self._turn[0], msg_to_poses(self._turn[1]), self._models)
+            return observed_maps(self._turn[0], self._standing(self._turn[1]), self._models)
         except (MessageError, SceneError):
             return None
 

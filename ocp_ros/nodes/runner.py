@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every node's ``main`` does: start, spin, and end with code 0 on SIGINT and SIGTERM."""
+"""What every node's ``main`` does: start, spin, and end with code 0 when they are told to."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import logging
+import os
 import signal
 import sys
 
@@ -63,6 +64,9 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
 
     # Before rclpy sets its own handler, which calls this one.
     signal.signal(signal.SIGINT, interrupt)
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
+        # A terminal that is closed ends a node like any other who tells it to; nohup does not.
+        signal.signal(signal.SIGHUP, lambda *_: os.kill(os.getpid(), signal.SIGTERM))
     try:
         left = remove_ros_args(sys.argv if args is None else ['', *args])[1:]
         rclpy.init(args=args)

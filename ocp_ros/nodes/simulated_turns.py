@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 from geometry_msgs.msg import PoseArray
 import numpy as np
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
@@ -24,6 +26,9 @@ from ocp_ros.nodes.qos import LOOP
 #: Poses that are remembered: those of a turn and its observation need not be heard side by side,
 #: where others publish as well and this node is slow.
 REMEMBERED = 16
+#: Seconds that a turn waits for its reward at most, where the turn before had one: messages of
+#: several topics overtake each other, and only the reward says that an episode begins.
+PATIENCE = 0.25
 
 
 class Told(NamedTuple):
@@ -67,6 +72,11 @@ class SimulatedTurns:
         self.answer: PoseArray | None = None
         #: Stamp of the latest reward, nanoseconds.
         self.told: int | None = None
+        #: Whether the reward of the turn at hand may still come.
+        self._patient = True
+        self._late = node.create_timer(PATIENCE, self._give_up,
+                                       clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._late.cancel()
         # First, so that a new episode is known before its first turn is answered.
         node.create_subscription(Float64MultiArray, topics.REWARD, self.on_reward, LOOP)
         node.create_subscription(PoseArray, topics.CAMERA_POSES, self.on_poses, LOOP)
@@ -88,6 +98,9 @@ class SimulatedTurns:
         answered = self.answer is not None and stamp_to_ns(self.answer.header.stamp) == stamp
         self._tell(Told(int(fields['episode']), int(fields['step']), bool(fields['truncated']),
                         self.poses[stamp] if answered else None))
+        if not answered and self.cloud is not None \
+                and stamp_to_ns(self.cloud.header.stamp) == stamp:
+            self.act()
 
     def on_cloud(self, message: PointCloud2) -> None:
         """Keep the observation; act when its poses are here."""
@@ -111,6 +124,8 @@ class SimulatedTurns:
             return
         poses = self.poses[stamp]
         if self.answer is None or self.answer.header.stamp != poses.header.stamp:
+            if self._untold(stamp):
+                return
             try:
                 if cloud.header.frame_id != poses.header.frame_id:
                     raise MessageError(f'cloud: found the frame {cloud.header.frame_id!r}; '
@@ -122,3 +137,20 @@ class SimulatedTurns:
                 self._refuse(error)
                 return
         self._commands.publish(self.answer)
+
+    def _untold(self, stamp: int) -> bool:
+        """Tell whether the reward of a turn may still come, as that of the turn before did."""
+        before = None if self.answer is None else stamp_to_ns(self.answer.header.stamp)
+        if self.told in (None, stamp) or self.told != before or not self._patient:
+            self._late.cancel()
+            self._patient = True
+            return False
+        if self._late.is_canceled():
+            self._late.reset()
+        return True
+
+    def _give_up(self) -> None:
+        """Answer a turn without its reward."""
+        self._late.cancel()
+        self._patient = False
+        self.act()

@@ -10,7 +10,6 @@ whenever it has been killed. Writes ``soak.json``.
 
 import argparse
 from collections.abc import Callable
-import json
 import os
 from pathlib import Path
 import signal
@@ -25,17 +24,12 @@ from rich.progress import Progress
 from rosgraph_msgs.msg import Clock
 
 from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.geometry.threads import cores
 from ocp_ros.nodes.conversions import ns_to_stamp
-from ocp_ros.nodes.processes import (
-    end_on_signals,
-    free_domain,
-    LOCALHOST,
-    NodeProcess,
-    stopped_at_the_end,
-)
+from ocp_ros.nodes.processes import local_udp, NodeProcess, stopped_at_the_end
 from ocp_ros.nodes.soak_watch import check_files, Latency, Lies, Memory
 from ocp_ros.nodes.train_demo import pair_of
-from ocp_ros.nodes.watcher import Watch
+from ocp_ros.nodes.watcher import run_watched, show_json, Watch
 from ocp_ros.resources import find_model
 
 #: Which pair is killed, and which has a clock that jumps.
@@ -176,7 +170,9 @@ class Soak:
         process.process.send_signal(signal.SIGKILL)
         process.process.wait()
         self.kills[name] += 1
-        check_files(self.trainer)
+        if name == 'trainer_node':
+            # One that lives removes old files while they are read.
+            check_files(self.trainer)
         began = time.monotonic()
         self.start(name, sum(self.kills.values()))
         self.until(self.recovered(name), f'recovery after {name} was killed')
@@ -220,7 +216,7 @@ class Soak:
             'rss_growth_mb_by_node': self.memory.growth,
             'turn_latency_p50_ms': 1e3 * float(np.percentile(seconds, 50)),
             'turn_latency_p99_ms': 1e3 * float(np.percentile(seconds, 99)),
-            'load_average': os.getloadavg()[1], 'cores': len(os.sched_getaffinity(0)),
+            'load_average': os.getloadavg()[1], 'cores': cores(),
             'seed': self.options.seed}
 
 
@@ -237,25 +233,18 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
+def soak(options: argparse.Namespace, domain: int, watch: Watch) -> dict[str, Any]:
+    """Play to the end; return the figures."""
+    everything = Soak(options, domain, watch)
+    everything.run()
+    return everything.result()
+
+
 def main(args: list[str] | None = None) -> int:
     """Run; 2 if the loop did not go on or a file was torn."""
     options = parser().parse_args(args)
-    end_on_signals()
-    os.environ.update(LOCALHOST)
-    domain, holder = free_domain()
-    try:
-        with holder, Watch(domain) as watch:
-            soak = Soak(options, domain, watch)
-            soak.run()
-    except RuntimeError as error:
-        print(f'soak: {error}', file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
-    result = soak.result()
-    (options.out / 'soak.json').write_text(json.dumps(result, indent=2) + '\n')
-    print(json.dumps(result, indent=2))
-    return 0
+    return run_watched('soak', options.out, lambda domain, watch: soak(options, domain, watch),
+                       show_json, network=local_udp())
 
 
 if __name__ == '__main__':

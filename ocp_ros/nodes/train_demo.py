@@ -7,8 +7,6 @@ Shows that weights trained from the topics arrive in every ``policy_node``; writ
 """
 
 import argparse
-import json
-import os
 from pathlib import Path
 import sys
 import time
@@ -19,14 +17,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
 from ocp_ros.nodes.demo import START_TIMEOUT
-from ocp_ros.nodes.processes import (
-    end_on_signals,
-    free_domain,
-    LOCALHOST,
-    NodeProcess,
-    stopped_at_the_end,
-)
-from ocp_ros.nodes.watcher import Watch
+from ocp_ros.nodes.processes import NodeProcess, stopped_at_the_end
+from ocp_ros.nodes.watcher import run_watched, Watch
 
 
 def parser() -> argparse.ArgumentParser:
@@ -120,28 +112,23 @@ def result_of(options: argparse.Namespace, watch: Watch, speed: float) -> dict[s
             'run': trainer['run']}
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the demo."""
-    options = parser().parse_args(args)
-    end_on_signals()
-    os.environ.update(LOCALHOST)
-    domain, holder = free_domain()
-    try:
-        with holder, Watch(domain) as watch:
-            result = result_of(options, watch, play(options, domain, watch))
-    except RuntimeError as error:
-        print(f'train_demo: {error}', file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
-    (options.out / 'train_demo.json').write_text(json.dumps(result, indent=2) + '\n')
+def show(options: argparse.Namespace, result: dict[str, Any]) -> None:
+    """Print the figures as a table."""
     table = Table('what', 'count', title='Training over ROS')
     for name, value in result.items():
         table.add_row(name.replace('_', ' '), f'{value:.1f}' if isinstance(value, float) else
                       str(value))
     Console().print(table)
     print(f'wrote {options.out / "train_demo.json"}')
-    return 0
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the demo."""
+    options = parser().parse_args(args)
+    return run_watched(
+        'train_demo', options.out,
+        lambda domain, watch: result_of(options, watch, play(options, domain, watch)),
+        lambda result: show(options, result))
 
 
 if __name__ == '__main__':

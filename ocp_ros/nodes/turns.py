@@ -30,8 +30,8 @@ class Turns(Generic[T]):
     Wait for cameras and clouds; of each topic only the newest cloud is kept.
 
     :param topics: the names of those that send clouds.
-    :param arrival_distance: a camera this near to where it was sent, seen from above, is there,
-        metres.
+    :param arrival_distance: a camera this near to where it was sent is there, metres; how high it
+        is counts if it was sent up or down.
     :param arrival_timeout: cameras are waited for so long, seconds.
     :param cloud_timeout: clouds are waited for so long since the cameras stand, seconds; at least
         one has to be there in any case.
@@ -64,6 +64,8 @@ class Turns(Generic[T]):
         self.positions: np.ndarray | None = None
         #: Where the cameras were sent, if anywhere, and when.
         self._targets: np.ndarray | None = None
+        #: (K,) bool, which of them were sent up or down.
+        self._raised = np.zeros(0, dtype=bool)
         #: How they are turned, and how those shall be that were to be turned.
         self._rotations: Sequence[np.ndarray] = ()
         self._turned: Mapping[int, np.ndarray] = {}
@@ -89,6 +91,7 @@ class Turns(Generic[T]):
         :param turned: the rotations, (3, 3), of the cameras that were to be turned.
         """
         self._targets, self._sent_at, self.overdue = targets, self._clock(), False
+        self._raised = targets[:, 2] != self.positions[:, 2]
         self._turned = turned or {}
         self._stand = (self._posed, self._sent_at) if self._arrived() else None
         if self._stand is None:
@@ -124,7 +127,9 @@ class Turns(Generic[T]):
         """Tell whether every camera is where it was sent, and turned so."""
         if self._targets is None:
             return True
-        away = np.linalg.norm((self.positions - self._targets)[:, :2], axis=1)
+        away = self.positions - self._targets
+        away[~self._raised, 2] = 0.0
+        away = np.linalg.norm(away, axis=1)
         return bool((away <= self._arrival_distance).all()) and all(
             angle_between(self._rotations[camera], rotation) <= self._arrival_angle
             for camera, rotation in self._turned.items())

@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node that watches a loop of sim and policy, for the demos."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+import json
+import os
+from pathlib import Path
+import sys
 import time
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray
@@ -21,7 +26,7 @@ from ocp_ros.nodes.conversions import (
     ns_of,
     stamp_to_ns,
 )
-from ocp_ros.nodes.processes import NodeProcess
+from ocp_ros.nodes.processes import end_on_signals, free_domain, LOCALHOST, NodeProcess
 from ocp_ros.nodes.qos import LATCHED, RECORDER
 
 
@@ -125,3 +130,43 @@ class Watch:
                 raise RuntimeError(
                     f'found no {what} within {timeout:.0f} s; last words: {words}')
             self.executor.spin_once(timeout_sec=step)
+
+
+def run_watched(name: str, out: Path, play: Callable[[int, Watch], dict[str, Any]],
+                show: Callable[[dict[str, Any]], None],
+                errors: tuple[type[Exception], ...] = (RuntimeError,),
+                network: Mapping[str, str] = LOCALHOST) -> int:
+    """
+    Play with node processes in a ROS domain of their own, and write what was found.
+
+    :param name: of what is played, and of its JSON file.
+    :param out: folder for the file.
+    :param play: gets the domain id and who watches; returns plain data.
+    :param show: prints them.
+    :param errors: what is told in one sentence.
+    :param network: variables of the environment that keep the nodes to this machine.
+    :returns: exit code: 2 after such an error, 130 after an interrupt.
+    """
+    end_on_signals()
+    before = dict(os.environ)
+    os.environ.update(network)
+    domain, holder = free_domain()
+    try:
+        with holder, Watch(domain) as watch:
+            result = play(domain, watch)
+    except errors as error:
+        print(f'{name}: {error}', file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+    (out / f'{name}.json').write_text(json.dumps(result, indent=2) + '\n')
+    show(result)
+    return 0
+
+
+def show_json(result: dict[str, Any]) -> None:
+    """Print what was found as it is."""
+    print(json.dumps(result, indent=2))

@@ -11,7 +11,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from ocp_ros.planners.pool import apart, best_addition, packed, Pool, quick_of, Site
+from ocp_ros.planners.pool import best_addition, clear, packed, Pool, quick_of, Site
 from ocp_ros.planners.scorer import REMEMBERED
 from ocp_ros.simulation.constraints import Allowed
 from ocp_ros.simulation.objective import Objective
@@ -53,7 +53,8 @@ class Decoder:
         """
         Hang up cameras.
 
-        :param positions: (n, 2) metres, n at most the number of cameras to be placed.
+        :param positions: (n, 2) metres, n at most the number of cameras to be placed; (n, 3) where
+            the height is asked for as well.
         :param headings: (n, 3) yaw, pitch and roll in radians; None to turn each where it helps.
         :returns: n sites, all of them allowed together.
         """
@@ -82,18 +83,23 @@ class Decoder:
 
     def _near(self, place: np.ndarray, sites: Sequence[Site], heading: np.ndarray | None
               ) -> Site | None:
-        """Hang the next camera near a place (2,); None where no candidate is left."""
+        """Hang the next camera near a place (2,) or (3,); None where no candidate is left."""
         model = self.rig.cameras[len(sites)].model
         poses = self.pool.kind(model).poses
-        far = np.flatnonzero(apart(poses, sites, self.rig.spacing))
-        away = np.linalg.norm(poses[far, :2] - place, axis=1)
+        far = np.flatnonzero(clear(poses, sites, self.rig.spacing))
+        away = np.linalg.norm(poses[far, :2] - place[:2], axis=1)
         near = far[np.argsort(away, kind='stable')[:self._count(len(sites))]]
         site = best_addition(self._quick, self.pool, sites, near)
         if site is None:
             return None
-        asked = None if heading is None else self._there(
-            place, np.concatenate([site.pose[:3], heading]), sites)
-        return asked or self._there(place, site.pose, sites) or site
+        asked = site.pose.copy()
+        asked[:len(place)] = place
+        if heading is not None:
+            asked[3:] = heading
+        found = self._there(asked, sites)
+        if found is None and heading is not None:
+            found = self._there(np.concatenate([place[:2], site.pose[2:]]), sites)
+        return found or site
 
     def _count(self, camera: int) -> int:
         """Return how many candidates are compared: one where they differ in place alone."""
@@ -101,14 +107,13 @@ class Decoder:
         level = on in ('plane', 'ceiling')
         return 1 if level and self.rig.cameras[camera].model.omnidirectional else NEAREST
 
-    def _there(self, place: np.ndarray, like: np.ndarray, sites: Sequence[Site]) -> Site | None:
-        """Hang the next camera at a place (2,), else as in a pose (6,); None if it must not."""
-        camera, pose = len(sites), like.copy()
-        pose[:2] = place
+    def _there(self, pose: np.ndarray, sites: Sequence[Site]) -> Site | None:
+        """Hang the next camera in a pose (6,), at its mount's height; None if it must not."""
+        camera, pose = len(sites), pose.copy()
         pose[:3] = self.allowed.onto_mount(pose[None, :3])[0]
         poses = as_written(pose[None])
         model = self.rig.cameras[camera].model
-        if not (apart(poses, sites, self.rig.spacing) & self.allowed.allowed(poses, model))[0]:
+        if not (clear(poses, sites, self.rig.spacing) & self.allowed.allowed(poses, model))[0]:
             return None
         kind = self.objective.simulator.kind(camera)
         return Site(poses[0], self._look(kind, poses[0].tobytes()))

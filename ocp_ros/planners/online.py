@@ -101,7 +101,8 @@ class Online(ABC):
 
     def space(self, cloud: np.ndarray, positions: np.ndarray) -> Space:
         """Return where the cameras may be as far as is known; the cloud is not empty."""
-        return Space.of(cloud, float(positions[0, 2]), len(positions), self.wall_margin)
+        return Space.of(cloud, float(np.median(positions[:, 2])), len(positions),
+                        self.wall_margin)
 
     def towards(self, positions: np.ndarray, targets: np.ndarray, steps: int = 1) -> np.ndarray:
         """

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ocp_ros.geometry.cameras import CameraModel
-from ocp_ros.simulation.constraints import Allowed
+from ocp_ros.simulation.constraints import Allowed, apart
 from ocp_ros.simulation.objective import Objective, simulator_of
 from ocp_ros.simulation.placement_file import as_written
 from ocp_ros.simulation.rig_file import Rig
@@ -148,7 +148,7 @@ def quick_of(objective: Objective) -> Objective:
     return Objective(simulator_of(simulator.scene, objective.rig, engine), objective.rig)
 
 
-def apart(poses: np.ndarray, sites: Sequence[Site], spacing: float) -> np.ndarray:
+def clear(poses: np.ndarray, sites: Sequence[Site], spacing: float) -> np.ndarray:
     """
     Tell which poses are far enough from all cameras.
 
@@ -156,10 +156,8 @@ def apart(poses: np.ndarray, sites: Sequence[Site], spacing: float) -> np.ndarra
     :param spacing: metres.
     :returns: (M,) bool.
     """
-    if spacing <= 0.0 or not sites:
-        return np.ones(len(poses), dtype=bool)
-    others = np.array([site.pose[:3] for site in sites])
-    return np.linalg.norm(poses[:, None, :3] - others, axis=2).min(axis=1) >= spacing
+    others = np.array([site.pose[:3] for site in sites]).reshape(-1, 3)
+    return apart(poses[:, :3], others, spacing)
 
 
 def best_addition(objective: Objective, pool: Pool, sites: Sequence[Site],
@@ -175,7 +173,7 @@ def best_addition(objective: Objective, pool: Pool, sites: Sequence[Site],
     model, views = rig.cameras[len(sites)].model, [site.view for site in sites]
     kind = pool.kind(model)
     among = np.arange(len(kind.poses)) if among is None else among
-    among = among[apart(kind.poses[among], sites, rig.spacing)]
+    among = among[clear(kind.poses[among], sites, rig.spacing)]
     if len(among) == 0:
         return None
     worth = [objective.promise([*views, kind.views[number]]) for number in among]
@@ -194,7 +192,7 @@ def packed(rig: Rig, pool: Pool) -> list[Site]:
         sites = [pool.site(rig.cameras[0].model, start)]
         for camera in rig.cameras[1:]:
             poses = pool.kind(camera.model).poses
-            left = np.flatnonzero(apart(poses, sites, rig.spacing))
+            left = np.flatnonzero(clear(poses, sites, rig.spacing))
             if len(left) == 0:
                 break
             others = np.array([site.pose[:3] for site in sites])
@@ -224,7 +222,7 @@ def random_sites(rig: Rig, pool: Pool, rng: np.random.Generator) -> tuple[Site, 
     """Draw a placement of a rig among the candidates; () where the last camera finds no room."""
     sites: list[Site] = []
     for camera in rig.cameras:
-        left = np.flatnonzero(apart(pool.kind(camera.model).poses, sites, rig.spacing))
+        left = np.flatnonzero(clear(pool.kind(camera.model).poses, sites, rig.spacing))
         if len(left) == 0:
             return ()
         sites.append(pool.site(camera.model, rng.choice(left)))

@@ -23,6 +23,9 @@ from ocp_ros.resources import find_model
 from ocp_ros.simulation.config import SimulationConfig
 from ocp_ros.simulation.space import Space
 
+#: The weights of ``learned_paper``.
+PAPER = 'paper'
+
 
 def settings_of(config: SimulationConfig, rng: np.random.Generator) -> tuple:
     """Return what every online planner is told of its rig."""
@@ -50,7 +53,7 @@ def _learned(config: SimulationConfig, rng: np.random.Generator, model: str = 'd
 
 def _learned_paper(config: SimulationConfig, rng: np.random.Generator, model: str = '') -> Learned:
     """Return the policy that learned as the paper's did, whatever other weights are named."""
-    return _learned(config, rng, 'paper')
+    return _learned(config, rng, PAPER)
 
 
 def _lookahead(config: SimulationConfig, rng: np.random.Generator, model: str = '') -> Lookahead:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ocp_ros.agent.aim import Aim
+from ocp_ros.agent.aim import Aim, MAX_TURN
 from ocp_ros.agent.guard import Guard
 from ocp_ros.agent.sight import Sight
 from ocp_ros.geometry.blocks import Subset
@@ -23,13 +23,12 @@ from ocp_ros.planners.registry import ONLINE
 from ocp_ros.planners.rig_search import Answer, Progress, views_of
 from ocp_ros.simulation.config import EpisodeConfig, RigConfig, SimulationConfig
 from ocp_ros.simulation.constraints import Allowed
+from ocp_ros.simulation.moves import drawn_near
 from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.rig_file import Rig
 
 #: Metres: farther than this no planner is told that cameras see.
 FARTHEST = 100.0
-#: Radians: the most that a camera is turned in a turn.
-MAX_TURN = 0.5
 
 
 def play_online(name: str, objective: Objective, allowed: Allowed, pool: Pool, budget: Budget,
@@ -63,7 +62,7 @@ def play_online(name: str, objective: Objective, allowed: Allowed, pool: Pool, b
 
     start = _start(decoder, config.episode, np.random.default_rng([seed, 0]))
     poses = play_held(online, objective, start, config.episode, turns, over)
-    sites = decoder(poses[:, :2], poses[:, 3:])
+    sites = decoder(poses[:, :3], poses[:, 3:])
     loss = objective.loss(views_of(sites))
     return Answer(sites, loss, (loss,), played)
 
@@ -76,10 +75,7 @@ def config_of(rig: Rig) -> SimulationConfig:
 
 def _start(decoder: Decoder, config: EpisodeConfig, rng: np.random.Generator) -> np.ndarray:
     """Draw where cameras begin, as near the room's middle as they may hang: (K, 3) metres."""
-    count = len(decoder.rig.cameras)
-    radius = config.start_radius * np.sqrt(rng.random(count))
-    angle = rng.uniform(-np.pi, np.pi, count)
-    near = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    near = drawn_near(rng, len(decoder.rig.cameras), config.start_radius)
     middle = decoder.objective.simulator.scene.bounds.mean(axis=0)[:2]
     return np.array([site.pose[:3] for site in decoder(middle + near)])
 

@@ -17,9 +17,9 @@ from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.planners.annealing import annealed, between
 from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.pool import (
-    apart,
     best_addition,
     check_room,
+    clear,
     packed,
     Pool,
     quick_of,
@@ -137,7 +137,7 @@ class Search:
 
     def _any(self, sites: Sequence[Site], model: CameraModel) -> Site | None:
         """Return any candidate of a model that is far enough from others."""
-        far = np.flatnonzero(apart(self.pool.kind(model).poses, sites, self.rig.spacing))
+        far = np.flatnonzero(clear(self.pool.kind(model).poses, sites, self.rig.spacing))
         return self.pool.site(model, self.rng.choice(far)) if len(far) else None
 
     def judge(self, sites: Sequence[Site]) -> float:
@@ -169,7 +169,7 @@ class Search:
             number = int(self.rng.choice(kind.near(sites[camera].pose, NEIGHBOURS + 1)))
         others = (*sites[:camera], *sites[camera + 1:])
         site = self.pool.site(model, number)
-        if not apart(site.pose[None], others, self.rig.spacing)[0]:
+        if not clear(site.pose[None], others, self.rig.spacing)[0]:
             return None
         return (*sites[:camera], site, *sites[camera + 1:])
 
@@ -181,7 +181,7 @@ class Search:
         others = (*sites[:camera], *sites[camera + 1:])
         model = self.rig.cameras[camera].model
         poses = self._around(sites[camera].pose, model)
-        good = self.allowed.allowed(poses, model) & apart(poses, others, self.rig.spacing)
+        good = self.allowed.allowed(poses, model) & clear(poses, others, self.rig.spacing)
         if not good.any():
             return None
         pose = poses[int(np.argmax(good))]

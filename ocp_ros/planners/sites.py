@@ -174,7 +174,7 @@ def kinds_of(sight: Sight) -> tuple[np.ndarray, list[int]]:
 
     :returns: (K,) the kind of each camera, and the first camera of each kind.
     """
-    keys = [(model, () if sight.turns or model.omnidirectional else tuple(row[3:]))
+    keys = [(model, () if model.omnidirectional else tuple(row[5:] if sight.turns else row[3:]))
             for model, row in zip(sight.models[:sight.movable], sight.placement)]
     kinds = list(dict.fromkeys(keys))
     return np.array([kinds.index(key) for key in keys]), [keys.index(kind) for kind in kinds]

@@ -50,6 +50,11 @@ def budgets_of(summary: dict[str, Any]) -> list[str]:
     return sorted({budget for runs in summary['planners'].values() for budget in runs}, key=int)
 
 
+def budget_named(budget: str) -> str:
+    """Write a budget as titles have it."""
+    return f'{int(budget):,} evaluations' if int(budget) else 'the turns of online planners'
+
+
 def last_runs(summary: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """Return each planner's figures at the largest budget, those of online planners as well."""
     last = budgets_of(summary)[-1]
@@ -79,7 +84,7 @@ def draw_rooms(path: Path, summary: dict[str, Any]) -> None:
     axes.set_ylabel('depth error (m)', color=PALE_INK)
     axes.set_yscale('log')
     _quiet(axes)
-    figure.text(0.07, 0.95, f'Depth error of the final placement, {int(budget):,} evaluations',
+    figure.text(0.07, 0.95, f'Depth error of the final placement, {budget_named(budget)}',
                 fontsize=14, fontweight='bold', color=INK, va='center')
     figure.legend(loc='upper left', bbox_to_anchor=(0.06, 0.92), ncols=6, frameon=False,
                   fontsize=9)
@@ -107,7 +112,7 @@ def draw_anytime(path: Path, summary: dict[str, Any], rows: Rows) -> None:
         axes.set_xscale('log')
         axes.set_yscale('log')
         axes.set_xlabel(title, color=PALE_INK)
-        axes.set_ylabel('mean depth error of the best so far (m)', color=PALE_INK)
+        axes.set_ylabel('mean depth error of what would be answered (m)', color=PALE_INK)
         _quiet(axes)
     figure.text(0.06, 0.95, 'How fast planners get better', fontsize=14, fontweight='bold',
                 color=INK, va='center')

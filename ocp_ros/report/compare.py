@@ -18,13 +18,21 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from ocp_ros.atomic import write_atomically
 from ocp_ros.benchmark.protocol import PRESETS, Protocol
 from ocp_ros.benchmark.rooms import POINTS, rooms_in, rooms_of_s3dis
-from ocp_ros.benchmark.runner import run, write_whole
+from ocp_ros.benchmark.runner import run
 from ocp_ros.benchmark.summary import summarise
 from ocp_ros.configuration import ConfigurationError
 from ocp_ros.planners.registry import OFFLINE, ONLINE
-from ocp_ros.report.benchmark import budgets_of, last_runs, shown, spaced, write_report
+from ocp_ros.report.benchmark import (
+    budget_named,
+    budgets_of,
+    last_runs,
+    shown,
+    spaced,
+    write_report,
+)
 from ocp_ros.report.page import write_page
 from ocp_ros.report.picture import draw_examples, Example
 from ocp_ros.scenes.source import make_room
@@ -90,7 +98,7 @@ def compare(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
                                for planner, row in best.items()})
             for name, (simulator, best) in chosen.items()})
         _draw(arguments.report / 'placements.png', summary, chosen)
-        write_whole(arguments.report / 'summary.json', json.dumps(summary, indent=1) + '\n')
+        write_atomically(arguments.report / 'summary.json', json.dumps(summary, indent=1) + '\n')
     show(summary)
     print(f'wrote {arguments.out / "summary.json"}'
           + (f' and {arguments.report / "README.md"}' if arguments.report else ''))
@@ -149,15 +157,15 @@ def _write(folder: Path, rows: Rows, summary: dict[str, Any]) -> None:
         table = csv.DictWriter(file, names, extrasaction='ignore')
         table.writeheader()
         table.writerows(rows)
-    write_whole(folder / 'results.json', json.dumps(rows))
-    write_whole(folder / 'summary.json', json.dumps(summary, indent=1) + '\n')
+    write_atomically(folder / 'results.json', json.dumps(rows))
+    write_atomically(folder / 'summary.json', json.dumps(summary, indent=1) + '\n')
 
 
 def show(summary: dict[str, Any]) -> None:
     """Print the sums, ratios and times of the largest budget and of online planners."""
     budget = budgets_of(summary)[-1]
     table = Table('planner', 'sum (m)', 'ratio to best known', 'gap closed', 'wins', 'seconds',
-                  title=f'{len(summary["rooms"])} rooms, {int(budget):,} evaluations')
+                  title=f'{len(summary["rooms"])} rooms, {budget_named(budget)}')
     for name, run_ in sorted(last_runs(summary).items(), key=lambda item: item[1]['sum']):
         table.add_row(name, f'{run_["sum"]:.2f}', shown(run_['ratio_to_best_known'], 2),
                       shown(run_['gap_closed'], 4), str(run_['wins']), f'{run_["seconds"]:.2f}')

@@ -2,6 +2,7 @@
 """``ocp evaluate``: a policy against other planners, room by room."""
 
 import argparse
+from collections import Counter
 from dataclasses import replace
 from datetime import datetime, timezone
 import json
@@ -13,9 +14,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from ocp_ros.atomic import write_atomically
 from ocp_ros.benchmark.paired import pairs
 from ocp_ros.benchmark.protocol import Protocol
-from ocp_ros.benchmark.runner import run, write_whole
+from ocp_ros.benchmark.runner import run
 from ocp_ros.benchmark.summary import per_room
 from ocp_ros.configuration import ConfigurationError
 from ocp_ros.scenes.splits import FRESH, TEST, TRAINING, VALIDATION
@@ -63,9 +65,12 @@ def evaluate(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
         compared = pairs(rows, arguments.planners[0])
         _show(compared, arguments.planners[0], cameras)
         names = dict.fromkeys((row['planner'], row['budget']) for row in rows)
+        stems = Counter(Path(room).stem for room in protocol.rooms)
+        short = {room: Path(room).stem if stems[Path(room).stem] == 1 else room
+                 for room in protocol.rooms}
         found['cameras'][str(cameras)] = {'pairs': compared, 'rooms': {
             f'{planner}, {budget}': {
-                Path(room).stem: error
+                short[room]: error
                 for room, error in per_room(rows, planner, budget, 'depth_error').items()}
             for planner, budget in names},
             'slowest_turn': {planner: max(row['seconds_at_most'] for row in rows
@@ -74,7 +79,7 @@ def evaluate(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
                              if any('seconds_at_most' in row for row in rows
                                     if row['planner'] == planner)}}
     path = arguments.out / 'evaluation.json'
-    write_whole(path, json.dumps(found, indent=1) + '\n')
+    write_atomically(path, json.dumps(found, indent=1) + '\n')
     print(f'wrote {path}')
     return found
 

@@ -9,6 +9,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import yaml
 
+from ocp_ros.atomic import write_atomically
 from ocp_ros.report.floor_plan import draw_plan
 from ocp_ros.report.installer import instructions
 from ocp_ros.scenes.scene import Scene
@@ -17,8 +18,8 @@ from ocp_ros.simulation.placement_file import numbers_of, Placed, Placement, sav
 #: From a camera's body (x forward, y left, z up) to its picture (z forward, x right, y down):
 #: roll, pitch, yaw in radians, REP-103.
 OPTICAL = (-0.5 * np.pi, 0.0, -0.5 * np.pi)
-COLUMNS = ('number', 'name', 'sensor', 'frame', 'x', 'y', 'z', 'yaw', 'pitch', 'roll', 'mount',
-           'horizontal_fov', 'vertical_fov', 'min_range', 'max_range')
+COLUMNS = ('number', 'name', 'sensor', 'frame', 'link', 'x', 'y', 'z', 'yaw', 'pitch', 'roll',
+           'mount', 'horizontal_fov', 'vertical_fov', 'min_range', 'max_range')
 LAUNCH = '''"""Where the cameras hang, as static transforms: ros2 launch ./cameras.launch.py."""
 
 from launch import LaunchDescription
@@ -68,9 +69,14 @@ def export(folder: Path, scene: Scene, placement: Placement) -> list[Path]:
     for name in ('placement.yaml', 'placement.json'):
         save_placement(folder / name, placement)
     for name, text in texts.items():
-        (folder / name).write_text(text)
+        write_atomically(folder / name, text)
     draw_plan(folder / 'plan.png', scene, placement)
     return [folder / name for name in ('placement.yaml', 'placement.json', *texts, 'plan.png')]
+
+
+def link_of(number: int) -> str:
+    """Name the frame of a camera's body, as the nodes do: the first camera is number 0."""
+    return f'camera_{number}'
 
 
 def table_of(placement: Placement) -> str:
@@ -81,7 +87,7 @@ def table_of(placement: Placement) -> str:
     for number, placed in enumerate(placement.cameras, start=1):
         rows.writerow({
             'number': number, 'name': placed.camera.name, 'frame': placement.frame,
-            'mount': placed.mount, **numbers_of(placed.camera),
+            'link': link_of(number - 1), 'mount': placed.mount, **numbers_of(placed.camera),
             **dict(zip('xyz', placed.position)),
             **dict(zip(('yaw', 'pitch', 'roll'), placed.angles))})
     return file.getvalue()
@@ -94,10 +100,10 @@ def _angles(placed: Placed) -> tuple[float, float, float]:
 
 
 def launch_of(placement: Placement) -> str:
-    """Return a ROS 2 launch file that publishes camera_<i> and camera_<i>_optical."""
+    """Return a ROS 2 launch file that publishes camera_<i> and camera_<i>_optical, i from 0."""
     lines = []
-    for number, placed in enumerate(placement.cameras, start=1):
-        body = f'camera_{number}'
+    for number, placed in enumerate(placement.cameras):
+        body = link_of(number)
         position, angles = map(float, placed.position), _angles(placed)
         lines += [(placement.frame, body, *position, *(round(angle, 9) for angle in angles)),
                   (body, f'{body}_optical', 0.0, 0.0, 0.0,
@@ -106,10 +112,10 @@ def launch_of(placement: Placement) -> str:
 
 
 def xacro_of(placement: Placement) -> str:
-    """Return a xacro macro with a link and a joint for camera_<i> and camera_<i>_optical."""
+    """Return a xacro macro with links and joints for the same frames as :func:`launch_of`."""
     joints = []
-    for number, placed in enumerate(placement.cameras, start=1):
-        body = f'camera_{number}'
+    for number, placed in enumerate(placement.cameras):
+        body = link_of(number)
         for parent, child, position, angles in (
                 ('${parent}', body, placed.position, _angles(placed)),
                 (body, f'{body}_optical', (0.0, 0.0, 0.0), OPTICAL)):

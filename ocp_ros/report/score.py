@@ -25,6 +25,8 @@ from ocp_ros.simulation.rig_file import load_rig
 
 #: Points of a room where the placement does not say.
 POINTS = 25000
+#: How a scan is read, as command lines and placement files say it.
+READING = ('scale', 'up', 'drop_nonfinite')
 #: Scores that differ by more than this are not the same.
 SAME = 1e-6
 
@@ -36,20 +38,22 @@ def created_by(command: str, planner: str = '') -> dict[str, str]:
             **({'planner': planner} if planner else {})}
 
 
-def room_named(name: str, points: int = POINTS, scale: float = 1.0, up: str = 'z'
-               ) -> tuple[Scene, dict[str, Any]]:
+def room_named(name: str, points: int = POINTS, **reading: Any) -> tuple[Scene, dict[str, Any]]:
     """
     Read or generate a room, and say which it is as placement files do.
 
     :param name: path of a scan, or seed of a generated room.
+    :param reading: of a scan: scale, up, drop_nonfinite; see
+        :func:`~ocp_ros.scenes.source.make_room`.
     :raises SceneError: if the scan cannot be used.
     """
-    scene = make_room(name, 0.0, points, scale, up)
+    scene = make_room(name, 0.0, points, **reading)
     if name.isdecimal():
         return scene, {'seed': int(name), 'points': points,
                        'sha256': hashlib.sha256(scene.points.tobytes()).hexdigest()}
     content = hashlib.sha256(Path(name).read_bytes()).hexdigest()
-    return scene, {'file': name, 'sha256': content, 'points': points, 'scale': scale, 'up': up}
+    return scene, {'file': name, 'sha256': content, 'points': points, 'scale': 1.0, 'up': 'z',
+                   **reading}
 
 
 def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str) -> Judged:
@@ -135,13 +139,14 @@ def room_asked(arguments: argparse.Namespace, known: dict[str, Any]
     :param known: how it was read before, as placement files have it; what the command line says
         comes first.
     """
-    given = {key: value for key in ('scale', 'up')
-             if (value := getattr(arguments, key)) is not None}
+    given = {key: value for key in READING
+             if (value := getattr(arguments, key)) is not None and value is not False}
     if given and arguments.room.isdecimal():
         raise ConfigurationError(
-            f'--{next(iter(given))}: found it with the generated room {arguments.room}; expected '
-            'a scan, since generated rooms are in metres, z up; leave it out')
-    known = {key: known[key] for key in ('points', 'scale', 'up') if key in known}
+            f'--{next(iter(given)).replace("_", "-")}: found it with the generated room '
+            f'{arguments.room}; expected a scan, since generated rooms are in metres, z up; leave '
+            'it out')
+    known = {key: known[key] for key in ('points', *READING) if key in known}
     if arguments.room.isdecimal():
         known = {key: value for key, value in known.items() if key == 'points'}
     return room_named(arguments.room, **{**known, **given})

@@ -8,7 +8,7 @@ import numpy as np
 
 from ocp_ros.configuration import ConfigurationError
 from ocp_ros.geometry.blocks import Subset
-from ocp_ros.simulation.constraints import Allowed
+from ocp_ros.simulation.constraints import Allowed, apart
 from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.rig_file import Camera
 from ocp_ros.simulation.simulator import View
@@ -88,8 +88,7 @@ def improvements(objective: Objective, allowed: Allowed, poses: np.ndarray,
             offered = allowed.candidates(rig.models[camera], CANDIDATES // len(models))
         except ConfigurationError:
             continue
-        apart = np.linalg.norm(offered[:, None, :3] - poses[None, :, :3], axis=2)
-        offered = offered[(apart >= rig.spacing).all(axis=1)]
+        offered = offered[apart(offered[:, :3], poses[:, :3], rig.spacing)]
         more = simulator.look_many(offered, camera)
         for view in more:
             reachable |= view.seen

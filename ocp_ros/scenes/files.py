@@ -86,6 +86,18 @@ def save_scene(scene: Scene, path: str | Path) -> None:
                          'expected a folder that may be; name another one') from error
 
 
+def scans_in(folder: str | Path) -> list[Path]:
+    """
+    List the scans of a folder by name.
+
+    Meshes that :func:`save_scene` has put beside their rooms are none, nor are hidden files.
+    """
+    found = sorted(path for path in Path(folder).glob('*')
+                   if path.suffix.lower() in READERS and not path.name.startswith('.'))
+    meshes = {path.with_name(f'{path.stem}_mesh.ply') for path in found}
+    return [path for path in found if path not in meshes]
+
+
 def _rows(values: np.ndarray, named: list[tuple[str, str]]) -> np.ndarray:
     """Return an array (N, C) as records."""
     return np.rec.fromarrays(values.T, dtype=named)

@@ -141,7 +141,7 @@ def check_points(points: np.ndarray, name: str) -> None:
     if broken:
         raise SceneError(
             f'{name}: found {broken:,} of {len(points):,} points with NaN or inf; expected finite '
-            'metres; remove them first or load with drop_nonfinite=True')
+            'metres; remove them first or leave them out (drop_nonfinite)')
     if len(points) < MIN_POINTS:
         raise SceneError(f'{name}: found {len(points)} points; expected at least {MIN_POINTS} to '
                          'describe a room; use a denser scan')

@@ -37,8 +37,8 @@ def make_scene(config: SceneConfig) -> Scene:
                       scale=config.scale, up=config.up, drop_nonfinite=config.drop_nonfinite)
 
 
-def make_room(name: str, rotation: float, points: int = 15000, scale: float = 1.0, up: str = 'z'
-              ) -> Scene:
+def make_room(name: str, rotation: float, points: int = 15000, scale: float = 1.0, up: str = 'z',
+              drop_nonfinite: bool = False) -> Scene:
     """
     Make one of many rooms.
 
@@ -47,10 +47,12 @@ def make_room(name: str, rotation: float, points: int = 15000, scale: float = 1.
     :param points: of a generated room; a larger scan is thinned to as many.
     :param scale: metres per unit of a scan.
     :param up: the axis of a scan that points up.
+    :param drop_nonfinite: leave out points with NaN or inf rather than refuse the scan.
     :raises SceneError: if the scan cannot be used.
     """
     if name.isdecimal():
         scene = generate_room(int(name), points)
     else:
-        scene = load_cached(name, max_points=points, scale=scale, up=up)
+        scene = load_cached(name, max_points=points, scale=scale, up=up,
+                            drop_nonfinite=drop_nonfinite)
     return turned(scene, rotation) if rotation else scene

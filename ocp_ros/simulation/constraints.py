@@ -306,3 +306,18 @@ def _checked(poses: np.ndarray) -> np.ndarray:
         raise ValueError(f'poses: found shape {poses.shape}; expected (M, 6): x, y, z, yaw, '
                          'pitch, roll, or (M, 3), all finite')
     return poses
+
+
+def apart(places: np.ndarray, others: np.ndarray, spacing: float) -> np.ndarray:
+    """
+    Tell which places are far enough from all cameras.
+
+    :param places: (M, 3) metres.
+    :param others: (C, 3) metres, where the cameras are.
+    :param spacing: metres.
+    :returns: (M,) bool.
+    """
+    if spacing <= 0.0 or len(others) == 0:
+        return np.ones(len(places), dtype=bool)
+    away = np.linalg.norm(places[:, None] - others[None], axis=2)
+    return (away >= spacing).all(axis=1)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ocp_ros.simulation.moves import kept_inside
+from ocp_ros.simulation.moves import drawn_near, kept_inside
 from ocp_ros.simulation.reward import NO_REWARD, reward, RewardTerms
 from ocp_ros.simulation.simulator import Simulator, View
 
@@ -57,12 +57,9 @@ class Episode:
 
     def _start(self, rng: np.random.Generator) -> np.ndarray:
         """Draw the cameras' positions around the centre: (K, 3) metres."""
-        cameras = self.rig.cameras
-        radius = self.config.start_radius * np.sqrt(rng.random(cameras))
-        angle = rng.uniform(-np.pi, np.pi, cameras)
-        positions = np.empty((cameras, 3))
+        positions = np.empty((self.rig.cameras, 3))
         positions[:, :2] = self.scene.bounds.mean(axis=0)[:2]
-        positions[:, :2] += radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        positions[:, :2] += drawn_near(rng, len(positions), self.config.start_radius)
         positions[:, 2] = self.simulator.height
         return kept_inside(positions, self.scene.bounds, self.config.wall_margin)[0]
 

@@ -17,6 +17,12 @@ def bounded_moves(actions: np.ndarray, max_step: float) -> np.ndarray:
     return actions / np.maximum(length, 1.0) * max_step
 
 
+def drawn_near(rng: np.random.Generator, count: int, radius: float) -> np.ndarray:
+    """Draw ways (count, 2), metres, evenly from a disc."""
+    length, angle = radius * np.sqrt(rng.random(count)), rng.uniform(-np.pi, np.pi, count)
+    return length[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
 def towards(positions: np.ndarray, targets: np.ndarray, reach: float) -> np.ndarray:
     """
     Go from positions (K, 2) to targets (K, 2), metres, but no farther than some reach, metres.

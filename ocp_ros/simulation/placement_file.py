@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ocp_ros.atomic import write_atomically
 from ocp_ros.documents import Document, read_document, Way, written
 from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
 from ocp_ros.scenes.scene import Scene
@@ -282,4 +283,4 @@ def save_placement(path: str | Path, placement: Placement) -> None:
     :raises OSError: if it cannot be written.
     """
     path = Path(path)
-    path.write_text(written(data_of(placement), path.suffix.lower()))
+    write_atomically(path, written(data_of(placement), path.suffix.lower()))

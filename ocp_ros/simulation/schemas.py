@@ -131,7 +131,8 @@ ROOM = mapping(
     points={'description': 'the most points that are kept of the scan, 1000 or more',
             'type': 'integer', 'minimum': 1000, 'maximum': 5_000_000, 'examples': [25000]},
     scale=number('metres per unit of the file, above 0', 1.0, exclusiveMinimum=0),
-    up={'description': 'x, y or z', 'enum': ['x', 'y', 'z'], 'examples': ['z']})
+    up={'description': 'x, y or z', 'enum': ['x', 'y', 'z'], 'examples': ['z']},
+    drop_nonfinite={'description': 'true or false', 'type': 'boolean', 'examples': [True]})
 ENGINE = mapping(
     'settings of the engine', {'preset': 'fine'}, (),
     preset={'description': f'one of {", ".join(PRESETS)}', 'enum': list(PRESETS),

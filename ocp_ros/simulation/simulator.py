@@ -3,18 +3,20 @@
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+import logging
 from typing import NamedTuple
 
 import numpy as np
 
 from ocp_ros.geometry.blocks import no_bits, Subset
 from ocp_ros.geometry.cameras import CameraModel, OMNIDIRECTIONAL, Pose
-from ocp_ros.geometry.coverage import coverage_grid, space_coverage
+from ocp_ros.geometry.coverage import coverable_cell, coverage_grid, space_coverage
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.visibility import CubeVisibility, PRESETS, SurfelVisibility
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.config import SimulationConfig
 
+_log = logging.getLogger(__name__)
 #: Half the side of a point's cube in the depth maps of the error, in multiples of its spacing:
 #: the paper's. With less, the maps of a whole room have holes.
 ERROR_CUBE = 1.0
@@ -77,7 +79,12 @@ class Simulator:
                 f"cameras' height of {config.rig.height:.2f} m; lower rig.height")
         self._lenses = [model.lens for model in self.models]
         self._kinds = [self.models.index(model) for model in self.models]
-        self.grid, self.cell_volume = coverage_grid(scene.bounds, config.engine.coverage_cell)
+        wanted = config.engine.coverage_cell
+        cell = coverable_cell(scene.bounds, wanted)
+        if cell > wanted:
+            _log.warning('%s: found a room of %.0f x %.0f x %.0f m, too large for coverage cells '
+                         'of %g m; going on with %g m', scene.name, *scene.size, wanted, cell)
+        self.grid, self.cell_volume = coverage_grid(scene.bounds, cell)
         self.visibility = self._make_visibility()
         order = self.visibility.order
         self.depth_error = DepthError(scene.points[order], scene.spacing[order], scene.bounds,

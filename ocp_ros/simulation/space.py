@@ -64,7 +64,7 @@ def floor_of(points: np.ndarray, height: float) -> Floor | None:
     :returns: the largest connected part; None if there is hardly any floor to be seen, only scraps
         of it, or points so far apart that they are no room.
     """
-    below = points[points[:, 2] < height - BELOW, :2]
+    below = points[np.flatnonzero(points[:, 2] < height - BELOW), :2]
     if len(below) == 0:
         return None
     lowest, highest = corners_of(below)
@@ -74,7 +74,7 @@ def floor_of(points: np.ndarray, height: float) -> Floor | None:
     cell = np.floor((below - low) / EDGE).astype(np.int64)
     # Cells at the edge of the grid would not be closed.
     cell, low = cell + max(RADII), low - max(RADII) * EDGE
-    seen = np.zeros(cell.max(axis=0) + max(RADII) + 5, dtype=bool)
+    seen = np.zeros(corners_of(cell)[1] + max(RADII) + 5, dtype=bool)
     seen[cell[:, 0], cell[:, 1]] = True
     widest = _largest_part(seen, RADII[-1])
     enough = max(LEAST_SHARE * np.count_nonzero(widest), LEAST / EDGE ** 2)

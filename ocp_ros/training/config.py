@@ -115,6 +115,12 @@ class TrainingConfig:
             raise ConfigurationError(
                 f'fewest_cameras: found {self.fewest_cameras} with simulation.rig.cameras '
                 f'{self.simulation.rig.cameras}; expected no more than these')
+        if set(self.simulation.rig.models) != {self.simulation.rig.models[0]} or not (
+                self.simulation.rig.models[0].omnidirectional):
+            raise ConfigurationError(
+                f'simulation.rig.sensors: found {self.simulation.rig.sensors!r}; expected '
+                'omnidirectional: a policy learns where cameras are, and policy_node turns those '
+                'that look one way')
         if not self.demonstrations.rounds and not self.interactions:
             raise ConfigurationError('interactions: found 0 and no demonstrations.rounds; '
                                      'expected something to learn from')

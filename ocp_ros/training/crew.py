@@ -8,12 +8,9 @@ import os
 import threading
 from typing import TypeVar
 
+from ocp_ros.geometry.threads import cores
+
 T, U = TypeVar('T'), TypeVar('U')
-
-
-def cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0))
 
 
 class Crew:

@@ -18,8 +18,8 @@ import numpy as np
 from stable_baselines3 import SAC
 import torch
 
-from ocp_ros.agent.checkpoint import write_atomically
 from ocp_ros.agent.world import CHOICES, greedy
+from ocp_ros.atomic import write_atomically
 from ocp_ros.planners.online import Online, shared_out
 from ocp_ros.planners.registry import OFFLINE, ONLINE, settings_of
 from ocp_ros.planners.scorer import Scorer

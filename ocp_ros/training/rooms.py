@@ -10,10 +10,9 @@ enough for all three sets.
 
 from collections.abc import Sequence
 import hashlib
-from pathlib import Path
 
 from ocp_ros.configuration import ConfigurationError
-from ocp_ros.scenes.files import READERS
+from ocp_ros.scenes.files import READERS, scans_in
 from ocp_ros.scenes.s3dis import chosen_rooms, s3dis_folder, TEST_AREAS
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.source import make_room
@@ -85,7 +84,7 @@ def _of_folder(folder: str, part: str) -> list[str]:
 
     Where a set would get none, the scans are dealt out in the order of their content.
     """
-    scans = [path for path in Path(folder).glob('*') if path.suffix.lower() in READERS]
+    scans = scans_in(folder)
     if len(scans) < len(PARTS):
         raise SceneError(f'{folder}: found {len(scans)} scans; expected at least {len(PARTS)}, '
                          f'one for each set, of {", ".join(READERS)}')

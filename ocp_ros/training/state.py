@@ -8,7 +8,8 @@ import safetensors.torch
 from stable_baselines3 import SAC
 import torch
 
-from ocp_ros.agent.checkpoint import CheckpointError, read_metadata, write_atomically
+from ocp_ros.agent.checkpoint import CheckpointError, read_metadata
+from ocp_ros.atomic import write_atomically
 
 COUNTERS = ('_n_updates', 'num_timesteps', 'own_updates')
 

@@ -9,6 +9,7 @@ from, ``demonstrations/`` with the episodes of each round, and TensorBoard's fil
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import date
 import json
@@ -26,8 +27,10 @@ import torch
 import yaml
 
 from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.atomic import write_atomically
 from ocp_ros.configuration import ConfigurationError, from_nested, to_nested
 from ocp_ros.geometry.blocks import no_bits
+from ocp_ros.geometry.threads import cores
 from ocp_ros.resources import find_model
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.source import make_room
@@ -35,14 +38,16 @@ from ocp_ros.simulation.config import EngineConfig
 from ocp_ros.simulation.env import CameraPlacementEnv
 from ocp_ros.training import demonstrations
 from ocp_ros.training.config import TrainingConfig
-from ocp_ros.training.crew import cores, Crew
+from ocp_ros.training.crew import Crew
 from ocp_ros.training.encoded import CameraByCamera, EncodedObservation
 from ocp_ros.training.evaluation import evaluate, RANDOM_MOVES, Trial
 from ocp_ros.training.replay import Rebuild, TurnReplay
-from ocp_ros.training.rooms import room_names, Rooms
+from ocp_ros.training.rooms import PARTS, room_names, Rooms
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
 from ocp_ros.training.state import load_state, new_run, save_state
 
+#: Settings with which a run may go on though it was begun with others.
+MAY_CHANGE = ('interactions', 'workers', 'evaluate_every', 'demonstrations.rounds')
 #: Terms of the reward that are logged one by one.
 TERMS = ('delta_space_coverage', 'delta_depth_error', 'penalty')
 
@@ -121,10 +126,11 @@ class Run:
         result = evaluate(self.crew, [replace(trial, weights=blob) for trial in self.trials])
         for name, value in result.items():
             self.model.logger.record(f'validation/{name}', value)
-        self.note(phase, **result)
+        # First: weights that are noted as the best are there, whenever the process ends.
         if result['ratio'] < self.best:
             self.best = result['ratio']
             checkpoint.save(self.folder / 'best.safetensors')
+        self.note(phase, **result)
         self.save()
         return result['ratio']
 
@@ -240,7 +246,7 @@ def learn(run: Run) -> None:
         0 if shown is None else demonstrations.turns_played(shown))
     if model.num_timesteps >= last:
         return
-    model.warm = shown is not None or bool(config.model)
+    model.warm = shown is not None or bool(config.model) or model.num_timesteps > 0
     # The replay buffer starts empty, also when the run goes on: fill it before learning from it.
     if shown is None:
         model.learning_starts += model.num_timesteps
@@ -249,9 +255,18 @@ def learn(run: Run) -> None:
         imitation = demonstrations.Imitation(shown, model.device)
         model.imitation_loss = lambda size: imitation.loss_of(model.actor, size)
     model.set_env(environments(config, run.rooms))
-    model.learn(last - model.num_timesteps, callback=Watch(run, last), reset_num_timesteps=False,
-                tb_log_name='sac')
-    model.env.close()
+    try:
+        model.learn(last - model.num_timesteps, callback=Watch(run, last),
+                    reset_num_timesteps=False, tb_log_name='sac')
+    except (EOFError, ConnectionError) as error:
+        raise ConfigurationError(
+            f'environments: found that one of the {config.environments} processes that play has '
+            'ended; expected them to live; its last words are above, or there was no memory left '
+            'for it: play fewer at once, and start again: what was saved goes on') from error
+    finally:
+        # One that has ended cannot be asked to.
+        with suppress(EOFError, OSError):
+            model.env.close()
 
 
 def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint:
@@ -264,8 +279,7 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
     :returns: the best checkpoint; its provenance has the curve and the test's figures, those of
         random moves beside them.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / 'config.yaml').write_text(yaml.safe_dump(to_nested(config), sort_keys=False))
+    _claim(folder, config)
     columns = (TextColumn('{task.description}'), MofNCompleteColumn(), TimeRemainingColumn(),
                TextColumn('{task.fields[error]}'))
     with Crew(config.workers) as crew, Progress(*columns) as progress:
@@ -275,6 +289,38 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
         imitate(run)
         learn(run)
         return report(run, command)
+
+
+def _claim(folder: Path, config: TrainingConfig) -> None:
+    """
+    Write down the settings of a run and its rooms, or check that a run in the folder has the same.
+
+    :raises ConfigurationError: if another run lives there.
+    """
+    path, rooms = folder / 'config.yaml', folder / 'rooms.json'
+    sets = {part: [Path(name).name for name in room_names(config.rooms, part)] for part in PARTS}
+    if path.exists():
+        asked, before = (_flat(to_nested(one)) for one in (config, read_config(path)))
+        wrong = [f'{name} {before[name]!r}' for name in asked
+                 if name not in MAY_CHANGE and asked[name] != before[name]]
+        if rooms.exists() and json.loads(rooms.read_text()) != sets:
+            wrong.append('other rooms')
+        if wrong:
+            raise ConfigurationError(
+                f'{folder}: found a run with {", ".join(wrong)}; expected one with the settings '
+                f'asked for, but for {", ".join(MAY_CHANGE)}; name another folder, or remove '
+                'this one to begin anew')
+    write_atomically(rooms, json.dumps(sets) + '\n')
+    write_atomically(path, yaml.safe_dump(to_nested(config), sort_keys=False))
+
+
+def _flat(nested: dict[str, Any], prefix: str = '') -> dict[str, Any]:
+    """Return settings by their dotted names."""
+    found = {}
+    for name, value in nested.items():
+        found |= _flat(value, f'{prefix}{name}.') if isinstance(value, dict) else {
+            prefix + name: value}
+    return found
 
 
 def _model(config: TrainingConfig, folder: Path) -> SAC:
