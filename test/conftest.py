@@ -88,7 +88,8 @@ def batch(*encoded):
 def domain(tmp_path_factory):
     """Hold a ROS domain that no other test process uses."""
     pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
-    from ocp_ros.nodes.processes import free_domain, LOCALHOST
+    from ocp_ros.nodes.network import LOCALHOST
+    from ocp_ros.nodes.processes import free_domain
     os.environ.update(LOCALHOST)
     os.environ['ROS_LOG_DIR'] = str(tmp_path_factory.mktemp('ros'))
     number, holder = free_domain()

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every node's ``main`` does when its end comes at an awkward moment."""
 
+import os
 import subprocess
 import sys
 
@@ -12,6 +13,7 @@ import rclpy
 from rclpy.node import Node
 from std_msgs.msg import Float64
 
+from ocp_ros.nodes.network import ASKED, LOCALHOST, stay_local
 from ocp_ros.nodes.runner import run, undisturbed
 from ocp_ros.scenes.scene import SceneError
 
@@ -37,6 +39,7 @@ def test_a_signal_while_a_node_publishes_ends_it_with_0():
 
 INTERRUPTED = """
 import signal, sys
+from ocp_ros.nodes.network import ASKED, LOCALHOST, stay_local
 from ocp_ros.nodes.runner import run
 
 def make_node():
@@ -73,6 +76,34 @@ def test_any_other_error_of_the_middleware_is_not_hidden():
 def test_arguments_that_ros_would_ignore_or_choke_on_are_refused(capsys, arguments, words):
     assert run(Node, arguments) == 2
     assert words in capsys.readouterr().err
+
+
+def test_a_node_that_cannot_be_kept_safe_is_not_started(tmp_path, monkeypatch, capsys):
+    for name, value in (('ENABLE', 'true'), ('STRATEGY', 'Enforce'), ('KEYSTORE', str(tmp_path))):
+        monkeypatch.setenv(f'ROS_SECURITY_{name}', value)
+    assert run(lambda: Node('open'), []) == 2
+    # A keystore with an enclave, but without its keys.
+    (tmp_path / 'enclaves' / 'ocp').mkdir(parents=True)
+    assert run(lambda: Node('keyless'), ['--ros-args', '--enclave', '/ocp']) == 2
+    assert not rclpy.ok()
+    lines = capsys.readouterr().err.splitlines()
+    assert len([line for line in lines if 'ROS cannot keep it safe' in line]) == 2
+    assert 'Traceback' not in ''.join(lines)
+
+
+@pytest.mark.parametrize(('said', 'value', 'alone'), [
+    (None, '', True), ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET', False),
+    ('FASTRTPS_DEFAULT_PROFILES_FILE', 'mine.xml', False)])
+def test_nobody_outside_this_machine_is_heard_unless_asked(monkeypatch, said, value, alone):
+    for name in ASKED:
+        monkeypatch.delenv(name, raising=False)
+    # Set and taken away again, for what is looked at here is not put back otherwise.
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', '')
+    if said:
+        monkeypatch.setenv(said, value)
+    assert stay_local() is alone
+    wanted = 'LOCALHOST' if alone else value if said in LOCALHOST else ''
+    assert os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] == wanted
 
 
 def test_what_a_user_can_put_right_is_told_in_one_sentence(capsys):

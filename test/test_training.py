@@ -517,6 +517,8 @@ def test_a_run_reports_on_rooms_it_never_saw_and_goes_on_when_it_is_started_agai
     lines = [json.loads(line) for line in (tmp_path / 'progress.jsonl').read_text().splitlines()]
     assert [line['interactions'] for line in lines] == [24, 48]
     assert {line['phase'] for line in lines} == {'sac'}
+    again = train(config, tmp_path / 'again').provenance['curve']
+    assert [{**line, 'seconds': 0} for line in again] == [{**line, 'seconds': 0} for line in lines]
     longer = train(from_nested(TrainingConfig, {**TINY, 'interactions': 80}), tmp_path)
     assert longer.run == first.run
     curve = longer.provenance['curve']

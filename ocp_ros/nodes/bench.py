@@ -36,15 +36,10 @@ from ocp_ros.nodes.conversions import (
     ns_to_stamp,
     positions_to_msg,
 )
+from ocp_ros.nodes.network import LOCALHOST
 from ocp_ros.nodes.policy_config import LEARNED, PLANNERS
 from ocp_ros.nodes.policy_node import PolicyNode
-from ocp_ros.nodes.processes import (
-    end_on_signals,
-    free_domain,
-    LOCALHOST,
-    NodeProcess,
-    stopped_at_the_end,
-)
+from ocp_ros.nodes.processes import end_on_signals, free_domain, NodeProcess, stopped_at_the_end
 from ocp_ros.nodes.train_demo import start_all
 from ocp_ros.nodes.watcher import Watch
 from ocp_ros.scenes.rooms import generate_room

@@ -12,24 +12,11 @@ import socket
 import subprocess
 import sys
 
+from ocp_ros.nodes.network import LOCALHOST
 from ocp_ros.nodes.runner import ENDING, undisturbed
-from ocp_ros.resources import find_config
 
 #: Seconds that a node has to end when it is told to: plenty, but for a machine with other work.
 PATIENCE = 60.0
-#: What keeps nodes to this machine.
-LOCALHOST = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
-
-
-def local_udp() -> dict[str, str]:
-    """
-    Return what keeps nodes to this machine and lets one be killed without harm to the others.
-
-    Messages go by UDP: of Fast DDS's shared memory a killed node keeps what it was reading, until
-    those who live have none left to send clouds in.
-    """
-    return {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SYSTEM_DEFAULT',
-            'FASTRTPS_DEFAULT_PROFILES_FILE': str(find_config('fastdds_local.xml'))}
 
 
 def free_domain() -> tuple[int, socket.socket]:

@@ -14,6 +14,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from ocp_ros.configuration import ConfigurationError
 from ocp_ros.nodes.bags import Bag
+from ocp_ros.nodes.network import stay_local
 from ocp_ros.nodes.replay import Replay
 from ocp_ros.nodes.replay_options import chosen_topics, ReplayOptions
 from ocp_ros.nodes.runner import ENDING
@@ -99,6 +100,7 @@ def replay(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _publish(bag: Bag, options: ReplayOptions) -> dict[str, Any]:
     """Publish a bag to its end, and return what it was."""
+    stay_local()
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     executor, node = SingleThreadedExecutor(), None
     try:

@@ -17,6 +17,7 @@ from rclpy.utilities import remove_ros_args
 
 from ocp_ros.agent.checkpoint import CheckpointError
 from ocp_ros.configuration import ConfigurationError
+from ocp_ros.nodes.network import stay_local
 from ocp_ros.scenes.scene import SceneError
 
 #: Ctrl-C, a polite kill, and a terminal that is closed.
@@ -44,6 +45,22 @@ def undisturbed() -> Iterator[None]:
             signal.signal(number, handler)
 
 
+def about_security(error: Exception) -> bool:
+    """Tell whether ROS has refused to start a node that was to be kept safe."""
+    return isinstance(error, rclpy_implementation.RCLError) and 'security' in str(error).lower()
+
+
+def refusal(error: Exception) -> str:
+    """Return in one sentence why ROS has refused to start a node."""
+    words = ' '.join(str(error).split())
+    if about_security(error):
+        return (f'found that ROS cannot keep it safe, as ROS_SECURITY_ENABLE asks ({words}); '
+                'expected a ROS 2 with SROS 2 (the one from apt, not that from PyPI) and its keys '
+                'in a keystore; see docs/ros.md, Security')
+    return (f'found ROS arguments that cannot be read ({words}); '
+            'expected -p name:=value or --params-file FILE')
+
+
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     """
     Run one node until it is told to stop.
@@ -56,7 +73,7 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     logging.basicConfig(format='[%(levelname)s] [%(name)s]: %(message)s')
     logging.getLogger('ocp_ros').setLevel(logging.INFO)
     logging.captureWarnings(True)
-    node, interrupts = None, []
+    name, node, interrupts, alone = make_node.__name__, None, [], stay_local()
 
     def interrupt(number, frame):
         interrupts.append(number)
@@ -72,26 +89,30 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         rclpy.init(args=args)
     except (rclpy_implementation.RCLError,
             rclpy_implementation.RCLInvalidROSArgsError) as error:
-        print(f'{make_node.__name__}: found ROS arguments that cannot be read '
-              f'({" ".join(str(error).split())}); expected -p name:=value or --params-file FILE',
-              file=sys.stderr)
+        print(f'{name}: {refusal(error)}', file=sys.stderr)
         return 2
     if left:
-        print(f'{make_node.__name__}: found the arguments {" ".join(left)}; expected parameters '
+        print(f'{name}: found the arguments {" ".join(left)}; expected parameters '
               'after --ros-args, such as --ros-args -p name:=value', file=sys.stderr)
         rclpy.try_shutdown()
         return 2
     executor = SingleThreadedExecutor()
     try:
         node = make_node()
+        if alone:
+            node.get_logger().info('nodes of this machine are heard, and no others; '
+                                   'ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET reaches farther')
         executor.add_node(node)
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except USER_ERRORS as error:
-        print(f'{make_node.__name__}: {error}', file=sys.stderr)
+        print(f'{name}: {error}', file=sys.stderr)
         return 2
-    except Exception:
+    except Exception as error:
+        if about_security(error):
+            print(f'{name}: {refusal(error)}', file=sys.stderr)
+            return 2
         # A signal comes at any moment: in the middle of a callback, where the context is gone from
         # one line to the next, or of a conversion, which turns the interrupt into another error.
         if rclpy.ok() and not interrupts:

@@ -26,7 +26,8 @@ from rosgraph_msgs.msg import Clock
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.geometry.threads import cores
 from ocp_ros.nodes.conversions import ns_to_stamp
-from ocp_ros.nodes.processes import local_udp, NodeProcess, stopped_at_the_end
+from ocp_ros.nodes.network import local_udp
+from ocp_ros.nodes.processes import NodeProcess, stopped_at_the_end
 from ocp_ros.nodes.soak_watch import check_files, Latency, Lies, Memory
 from ocp_ros.nodes.train_demo import pair_of
 from ocp_ros.nodes.watcher import run_watched, show_json, Watch
@@ -63,8 +64,8 @@ class Soak:
                                    0)
         self.recovery: list[float] = []
         self.refused, self._counted = 0, {}
-        #: What each node had said last when it was started.
-        self._said: dict[str, dict[str, str] | None] = {}
+        #: When each node was started, nanoseconds; 0 for its first life.
+        self._started: dict[str, int] = {}
         #: Gradient steps that a trainer began a life with, by process.
         self._updates: dict[int, int] = {}
         self.memory = Memory()
@@ -91,11 +92,16 @@ class Soak:
             if kind == 'sim_node':
                 parameters |= {'scene.points': 3000, 'engine.preset': 'fast',
                                'use_sim_time': namespace == STEADY, 'resend_period': 0.2}
-        self._said[name] = self.watch.node.health.get(name)
+        self._started[name] = time.time_ns() if number else 0
         log = self.options.out / 'logs' / 'soak' / f'{name.replace("/", "_")}_{number}.log'
         process = NodeProcess(kind, self.domain, log, parameters, namespace)
         self.processes.append(process)
         return process
+
+    def says(self, name: str) -> dict[str, str] | None:
+        """Return what a node has said last in this life, None before it has said anything."""
+        node = self.watch.node
+        return node.health[name] if node.said.get(name, -1) >= self._started[name] else None
 
     def ready(self, process: NodeProcess) -> bool:
         """
@@ -103,8 +109,8 @@ class Soak:
 
         A policy has played as many turns as an episode has, a trainer has learned.
         """
-        values = self.watch.node.health.get(process.name)
-        if values is self._said[process.name]:
+        values = self.says(process.name)
+        if values is None:
             return False
         if 'updates' not in values:
             return int(values.get('turns_answered', EPISODE)) >= EPISODE
@@ -145,30 +151,30 @@ class Soak:
 
     def recovered(self, name: str) -> Callable[[], bool]:
         """Return what tells whether the loop goes on without, or with, a node of this name."""
-        turns = {one: latency.turns for one, latency in self.latency.items()}
-        if name != 'trainer_node':
-            return lambda: self.latency[KILLED].turns >= turns[KILLED] + RECOVERED
-        heard = self.watch.node.health.get(name)
+        if name == 'trainer_node':
+            return lambda: int((self.says(name) or {'turns': 0})['turns']) >= RECOVERED
+        return lambda: self.latency[KILLED].recovered >= RECOVERED
 
-        def lives() -> bool:
-            now = self.watch.node.health.get(name)
-            return now is not heard and int(now['turns']) >= RECOVERED
+    def next(self, share: float) -> str:
+        """
+        Return who is killed next: all of them in turn, in a random order.
 
-        return lives
-
-    def next(self) -> str:
-        """Return who is killed next: all of them in turn, in a random order."""
-        fewest = min(self.kills.values())
-        return str(self.rng.choice([one for one, count in self.kills.items() if count == fewest]))
+        :param share: of the time that is over. In the second half the trainer is left to live, so
+            that its memory is seen to stay flat.
+        """
+        kills = {name: count for name, count in self.kills.items()
+                 if name != 'trainer_node' or self.options.kills or share < 0.5}
+        fewest = min(kills.values())
+        return str(self.rng.choice([name for name, count in kills.items() if count == fewest]))
 
     def kill(self, name: str) -> None:
         """Kill a node, read what a trainer has left, start it again and wait until it plays."""
-        for latency in self.latency.values():
-            latency.interrupt()
         process = next(one for one in self.processes if one.name == name)
         self.processes.remove(process)
         process.process.send_signal(signal.SIGKILL)
         process.process.wait()
+        for latency in self.latency.values():
+            latency.interrupt()
         self.kills[name] += 1
         if name == 'trainer_node':
             # One that lives removes old files while they are read.
@@ -187,16 +193,17 @@ class Soak:
             self.until(lambda: all(one.turns > RECOVERED for one in self.latency.values())
                        and 'trainer_node' in self.watch.node.health, 'first turns')
             began = time.monotonic()
-            task = bar.add_task('soak', total=self.options.kills or 60.0 * self.options.minutes)
+            most = self.options.kills or 60.0 * self.options.minutes
+            task = bar.add_task('soak', total=most)
             while True:
                 seconds = time.monotonic() - began
                 done = sum(self.kills.values()) if self.options.kills else seconds
                 bar.update(task, completed=done)
-                if done >= (self.options.kills or 60.0 * self.options.minutes):
+                if done >= most:
                     break
                 pause = time.monotonic() + self.rng.uniform(0.0, LONGEST)
                 self.until(lambda at=pause: time.monotonic() >= at, 'time to pass')
-                self.kill(self.next())
+                self.kill(self.next(done / most))
             self.seconds = time.monotonic() - began
             self.until(lambda: self.latency[STEADY].turns > 0, 'end')
         check_files(self.trainer)

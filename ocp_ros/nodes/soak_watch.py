@@ -40,12 +40,13 @@ class Latency:
     :param namespace: of the pair.
     :ivar turns: that were answered.
     :ivar seconds: from a turn to its answer, for those in which nothing was killed.
+    :ivar recovered: turns since the interrupt that were sent and answered after it.
     """
 
     def __init__(self, node: Node, namespace: str) -> None:
-        self.turns, self.seconds = 0, []
+        self.turns, self.recovered, self.seconds = 0, 0, []
         self._open: tuple[int, float] | None = None
-        self._newest = 0
+        self._newest, self._interrupted = 0, 0
         node.create_subscription(PoseArray, topic_of(namespace, topics.CAMERA_POSES),
                                  self._on_poses, RECORDER)
         node.create_subscription(PoseArray, topic_of(namespace, topics.CAMERA_COMMANDS),
@@ -61,12 +62,14 @@ class Latency:
         """Note when it was answered."""
         if self._open and stamp_to_ns(message.header.stamp) == self._open[0]:
             self.turns += 1
+            # What a node that is dead has said may still be on its way.
+            self.recovered += self._open[0] > self._interrupted
             self.seconds.append(time.monotonic() - self._open[1])
             self._open = None
 
     def interrupt(self) -> None:
-        """Leave out the turn in which something is killed."""
-        self._open = None
+        """Leave out the turn in which something is killed; count those after it."""
+        self._open, self.recovered, self._interrupted = None, 0, time.time_ns()
 
 
 class Lies:

@@ -26,7 +26,8 @@ from ocp_ros.nodes.conversions import (
     ns_of,
     stamp_to_ns,
 )
-from ocp_ros.nodes.processes import end_on_signals, free_domain, LOCALHOST, NodeProcess
+from ocp_ros.nodes.network import LOCALHOST
+from ocp_ros.nodes.processes import end_on_signals, free_domain, NodeProcess
 from ocp_ros.nodes.qos import LATCHED, RECORDER
 
 
@@ -43,6 +44,8 @@ class Watcher(Node):
         self.rewards: dict[int, dict[str, float]] = {}
         #: Node to its diagnostic values.
         self.health: dict[str, dict[str, str]] = {}
+        #: Node to when it said so, nanoseconds of its clock.
+        self.said: dict[str, int] = {}
         self.create_subscription(PointCloud2, topics.SCENE, self._on_scene, LATCHED)
         self.create_subscription(PoseArray, topics.PLACEMENT, self._on_placement, LATCHED)
         self.create_subscription(PoseArray, topics.CAMERA_POSES, self._on_poses, RECORDER)
@@ -72,7 +75,9 @@ class Watcher(Node):
     def _on_health(self, message: DiagnosticArray) -> None:
         """Keep each node's values."""
         for status in message.status:
-            self.health[status.name.lstrip('/')] = {v.key: v.value for v in status.values}
+            name = status.name.lstrip('/')
+            self.health[name] = {v.key: v.value for v in status.values}
+            self.said[name] = stamp_to_ns(message.header.stamp)
 
     def turns(self) -> list[tuple[np.ndarray, dict[str, float]]]:
         """Return every turn whose two messages are here, oldest first: positions and fields."""

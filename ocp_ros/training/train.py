@@ -47,7 +47,9 @@ from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
 from ocp_ros.training.state import load_state, new_run, save_state
 
 #: Settings with which a run may go on though it was begun with others.
-MAY_CHANGE = ('interactions', 'workers', 'evaluate_every', 'demonstrations.rounds')
+MAY_CHANGE = ('interactions', 'workers', 'evaluate_every')
+#: The same for one that has not begun with soft actor-critic.
+MAY_STILL_CHANGE = (*MAY_CHANGE, 'demonstrations.rounds')
 #: Terms of the reward that are logged one by one.
 TERMS = ('delta_space_coverage', 'delta_depth_error', 'penalty')
 
@@ -242,19 +244,22 @@ def learn(run: Run) -> None:
     config, model = run.config, run.model
     folder, rounds = run.folder / 'demonstrations', config.demonstrations.rounds
     shown = demonstrations.load_rounds(folder, rounds) if rounds else None
-    last = config.interactions + (
-        0 if shown is None else demonstrations.turns_played(shown))
+    first = 0 if shown is None else demonstrations.turns_played(shown)
+    last = first + config.interactions
     if model.num_timesteps >= last:
         return
     model.warm = shown is not None or bool(config.model) or model.num_timesteps > 0
-    # The replay buffer starts empty, also when the run goes on: fill it before learning from it.
-    if shown is None:
+    # Moves are not kept when a run is interrupted: play some before learning from them.
+    if shown is None or model.num_timesteps > first:
         model.learning_starts += model.num_timesteps
-    else:
+    if shown is not None:
         demonstrations.fill(model, shown)
         imitation = demonstrations.Imitation(shown, model.device)
         model.imitation_loss = lambda size: imitation.loss_of(model.actor, size)
     model.set_env(environments(config, run.rooms))
+    # Of the number of moves as well: a run that goes on sees other episodes than at first.
+    sequence = np.random.SeedSequence([config.seed, model.num_timesteps])
+    model.env.seed(int(sequence.generate_state(1)[0]) >> 1)
     try:
         model.learn(last - model.num_timesteps, callback=Watch(run, last),
                     reset_num_timesteps=False, tb_log_name='sac')
@@ -301,14 +306,15 @@ def _claim(folder: Path, config: TrainingConfig) -> None:
     sets = {part: [Path(name).name for name in room_names(config.rooms, part)] for part in PARTS}
     if path.exists():
         asked, before = (_flat(to_nested(one)) for one in (config, read_config(path)))
+        free = MAY_CHANGE if before['interactions'] else MAY_STILL_CHANGE
         wrong = [f'{name} {before[name]!r}' for name in asked
-                 if name not in MAY_CHANGE and asked[name] != before[name]]
+                 if name not in free and asked[name] != before[name]]
         if rooms.exists() and json.loads(rooms.read_text()) != sets:
             wrong.append('other rooms')
         if wrong:
             raise ConfigurationError(
                 f'{folder}: found a run with {", ".join(wrong)}; expected one with the settings '
-                f'asked for, but for {", ".join(MAY_CHANGE)}; name another folder, or remove '
+                f'asked for, but for {", ".join(free)}; name another folder, or remove '
                 'this one to begin anew')
     write_atomically(rooms, json.dumps(sets) + '\n')
     write_atomically(path, yaml.safe_dump(to_nested(config), sort_keys=False))
