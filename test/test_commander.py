@@ -11,7 +11,12 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header, String
 
 from ocp_ros.nodes import commander, health, qos, topics
-from ocp_ros.nodes.conversions import cloud_to_msg, ns_to_stamp, positions_to_msg
+from ocp_ros.nodes.conversions import (
+    cloud_to_msg,
+    ns_to_stamp,
+    positions_to_msg,
+    stamp_to_ns,
+)
 from ocp_ros.nodes.policy_node import PolicyNode
 from ocp_ros.nodes.sim_node import SimNode
 
@@ -61,9 +66,14 @@ def test_a_live_policy_that_is_not_the_first_sends_nothing(graph, probe, room, h
         send(stamp)
         graph.until(lambda at=stamp: second._live._turns._heard.get('points') == at)
     assert not second._counts['turns_answered'] and not probe.received[topics.CAMERA_COMMANDS]
+    # What it has seen while it waited is long ago when it takes over.
+    graph.until(lambda: not second._live._turns.due())
     graph.remove(first)
+    graph.until(lambda: not second._commander.first)
+    send(1000)
     graph.until(lambda: second._counts['turns_answered'] == 1)
-    assert len(probe.last(topics.CAMERA_COMMANDS).poses) == 2
+    command = probe.last(topics.CAMERA_COMMANDS)
+    assert len(command.poses) == 2 and stamp_to_ns(command.header.stamp) == 1000
 
 
 def test_words_that_are_none_are_nobody(graph, probe):

@@ -34,9 +34,10 @@ def points(*rows):
 
 
 def test_a_cloud_in_the_frame_of_the_poses_stays_as_it_is(no_tf2):
-    cloud = points([0, 0, 0], [1, 2, 3])
+    cloud = points([1, 2, 3], [0, 0, 0], [0, 0, 1])
     found, seen_from = placed(cloud, 'map', RIG, no_tf2)
-    np.testing.assert_array_equal(found, cloud)
+    # But for what is a sensor's word for nothing.
+    np.testing.assert_array_equal(found, cloud[[0, 2]])
     np.testing.assert_allclose(seen_from, [pose.position for pose in POSES])
 
 
@@ -90,6 +91,9 @@ def tf2(monkeypatch):
             assert target == 'map' and time.nanoseconds == 0
             return known[source]
 
+        def clear(self):
+            known.clear()
+
     module.Buffer, module.TransformException = Buffer, Unknown
     module.TransformListener = lambda buffer, node: (buffer, node)
     monkeypatch.setitem(sys.modules, 'tf2_ros', module)
@@ -112,6 +116,13 @@ def test_tf2_is_asked_for_other_frames(tf2, stamp):
     np.testing.assert_allclose(found, [[5, 1, 1], [3, 0, 4]], atol=1e-6)
     # Which of the cameras it is, nobody knows.
     assert len(seen_from) == 2
+    # Near a camera it is that camera's.
+    known['lidar'] = transform(stamp, xyz=(4.0, 2.0, 1.7))
+    _, seen_from = placed(points([1, 0, 0]), 'lidar', RIG, transforms)
+    np.testing.assert_allclose(seen_from, [[4.0, 2.0, 1.7]])
+    transforms.forget()
+    with pytest.raises(MessageError, match='lidar does not exist'):
+        placed(points([1, 0, 0]), 'lidar', RIG, transforms)
 
 
 @pytest.mark.parametrize(('spoilt', 'words'), [

@@ -11,6 +11,7 @@ pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray, Quaternion
+from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.qos import qos_check_compatible, QoSCompatibility
 from sensor_msgs.msg import PointCloud2
@@ -29,7 +30,9 @@ from ocp_ros.nodes.conversions import (
     positions_to_msg,
     stamp_to_ns,
 )
+from ocp_ros.nodes.decider import Decider
 from ocp_ros.nodes.instructions import FINAL, instructions, STAY
+from ocp_ros.nodes.policy_config import PolicyNodeConfig
 from ocp_ros.nodes.policy_node import PolicyNode
 from ocp_ros.simulation.config import EngineConfig, RigConfig, SimulationConfig
 from ocp_ros.simulation.episode import Episode
@@ -352,6 +355,45 @@ def test_a_person_is_told_what_to_do_and_has_time(live):
     assert {arrow.action for arrow in drawn[-1].markers} == {Marker.DELETE}
     np.testing.assert_allclose(
         msg_to_positions(live.last(topics.PLACEMENT)), rig.positions, atol=1e-6)
+
+
+def test_a_person_who_has_hung_a_camera_a_little_off_is_told_what_is_left(live):
+    rig, policy = live.start(manual=True, turns=2)
+    rig.obeys = False
+    live.wait_for_turns(1)
+    live.graph.until(lambda: rig.target is not None)
+    goal = rig.target.copy()
+    rig.target[0, 0] += 0.07
+    off, rig.target = rig.target, goal
+    rig.episode.move((off - rig.positions)[:, :2])
+    expected = instructions(rig.positions, goal, 0.05)
+    assert expected.count('camera') == 1
+    live.last(topics.INSTRUCTIONS)
+    live.graph.until(lambda: live.received[topics.INSTRUCTIONS][-1].data == expected)
+    assert policy._status()[0] == health.OK
+    rig.go()
+    live.wait_for_turns(2)
+
+
+def test_poses_without_a_stamp_are_refused(live, capfd):
+    rig, policy = live.start()
+    poses = live.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
+    poses.publish(positions_to_msg(rig.positions, Header(frame_id='map')))
+    live.graph.until(lambda: policy._counts['refused_messages'] == 1)
+    assert 'poses: found the stamp 0; expected when' in capfd.readouterr().err
+
+
+@pytest.mark.parametrize('settled', [False, True])
+def test_a_camera_outside_of_what_it_sees_comes_no_faster_than_it_may(settled):
+    # Two cameras look at a wall 3.5 m ahead and see nothing else.
+    wall = np.stack([axis.ravel() for axis in np.meshgrid(
+        np.linspace(2.5, 3.5, 30), np.linspace(-1.5, 1.5, 30), [0.5, 1.5, 2.5])], axis=1)
+    poses = positions_to_msg(np.array([[0.0, 0.0, 1.5], [0.0, 1.0, 1.5]]), Header(frame_id='map'))
+    decider = Decider(PolicyNodeConfig(max_step=0.05), None, get_logger('decider'))
+    answer = decider.decide(wall.astype(np.float32), poses, 0, settled)
+    away = msg_to_positions(answer) - msg_to_positions(poses)
+    longest = np.linalg.norm(away, axis=1).max()
+    assert longest <= 1e-9 if settled else 0.0 < longest <= 0.05 + 1e-9
 
 
 def test_instructions_are_plain_words():

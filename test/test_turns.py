@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from ocp_ros.nodes.turns import Turns
+from ocp_ros.geometry.cameras import rotation_matrix
+from ocp_ros.nodes.turns import HOLD, QUIET, TOLD, Turns
 
 S = 1_000_000_000
 HERE = np.array([[1.0, 1.0, 1.9], [3.0, 1.0, 1.9]])
@@ -37,6 +38,12 @@ def make(clock, topics=('a', 'b'), arrival_timeout=20.0):
     return Turns(list(topics), 0.05, arrival_timeout, 2.0, clock)
 
 
+def stands(turns, stamp, positions):
+    """Say of cameras for long enough that they stand somewhere, from some stamp in seconds on."""
+    turns.on_poses(int(stamp * S), positions)
+    turns.on_poses(int(stamp * S) + HOLD, positions)
+
+
 def taken(turns):
     """Take all clouds that can be taken."""
     return list(iter(turns.take, None))
@@ -44,7 +51,7 @@ def taken(turns):
 
 def played(turns):
     """Play the first turn, at 10 s by the stamps: the cameras are sent from HERE to THERE."""
-    turns.on_poses(10 * S, HERE)
+    stands(turns, 10, HERE)
     for topic in 'ab':
         turns.on_cloud(topic, 10 * S, topic)
     assert taken(turns) == [('a', 'a'), ('b', 'b')] and turns.due()
@@ -54,20 +61,105 @@ def played(turns):
 
 def test_a_camera_is_waited_for_until_it_hangs_as_high_as_it_shall(clock):
     turns = make(clock, topics=('a',))
-    turns.on_poses(10 * S, HERE)
+    stands(turns, 10, HERE)
     raised = HERE + [[0.0, 0.0, 0.5], [0.0, 0.0, 0.0]]
     turns.sent(raised)
-    turns.on_poses(11 * S, HERE)
+    stands(turns, 11, HERE)
     assert not turns.standing
-    turns.on_poses(12 * S, raised - [0.0, 0.0, 0.03])
+    stands(turns, 12, raised - [0.0, 0.0, 0.03])
     assert turns.standing
+
+
+def test_cameras_on_their_last_centimetres_do_not_stand_yet(clock):
+    turns = played(make(clock))
+    # 0.3 m/s, seen 20 times a second, from 4.5 cm before the target to 4.5 cm behind it.
+    for tick in range(7):
+        turns.on_poses(11 * S + tick * S // 20, THERE + [0.045 - 0.015 * tick, 0.0, 0.0])
+        turns.on_cloud('a', 11 * S + tick * S // 20, tick)
+        assert taken(turns) == []
+    # They stand from the first of those that are alike on.
+    rest = THERE + [0.01, 0.0, 0.0]
+    for tick in range(20, 24):
+        turns.on_poses(11 * S + tick * S // 20, rest)
+        turns.on_cloud('a', 11 * S + tick * S // 20, tick)
+    assert not turns.standing
+    turns.on_poses(12 * S + HOLD, rest)
+    assert turns.standing and turns.since == 12 * S and taken(turns) == [('a', 23)]
+
+
+def test_a_camera_that_still_turns_does_not_stand_yet(clock):
+    turns = make(clock, topics=('a',))
+    for tick in range(8):
+        turned = [rotation_matrix(0.04 * tick, 0.0, 0.0)] * 2
+        turns.on_poses(10 * S + tick * S // 20, HERE, turned)
+    assert not turns.standing
+    turns.on_poses(11 * S, HERE, [rotation_matrix(0.35, 0.0, 0.0)] * 2)
+    turns.on_poses(11 * S + HOLD, HERE, [rotation_matrix(0.35, 0.0, 0.0)] * 2)
+    assert turns.standing and turns.since == 11 * S
+
+
+def test_a_rig_that_says_once_where_it_is_stands_there(clock):
+    turns = played(make(clock))
+    turns.on_poses(11 * S, THERE)
+    turns.on_cloud('a', 11 * S, 1)
+    assert taken(turns) == []
+    clock.now = QUIET
+    assert taken(turns) == [('a', 1)] and turns.since == 11 * S
+
+
+def test_poses_that_are_never_still_stop_nothing(clock):
+    turns = played(make(clock))
+    for tick in range(50):
+        clock.now += 0.05
+        stamp = 11 * S + tick * S // 20
+        turns.on_poses(stamp, THERE + [0.03 * (-1) ** tick, 0.0, 0.0])
+        for topic in 'ab':
+            turns.on_cloud(topic, stamp, tick)
+        taken(turns)
+        assert turns.due() == (clock.now >= 2.05)
+        if turns.due():
+            break
+    assert turns.due()
+
+
+def test_who_did_not_send_the_cameras_waits_until_they_stand(clock):
+    turns = make(clock, topics=('a',))
+    stands(turns, 10, HERE)
+    turns.on_cloud('a', 10 * S, 'here')
+    assert taken(turns) == [('a', 'here')] and turns.due()
+    # Somebody else sends them elsewhere.
+    turns.on_poses(11 * S, THERE)
+    turns.on_cloud('a', 11 * S, 'on the way')
+    assert taken(turns) == [] and not turns.due()
+    turns.on_poses(11 * S + HOLD, THERE)
+    assert taken(turns) == [('a', 'on the way')] and turns.due() and turns.stamp == 11 * S
+
+
+def test_a_topic_with_two_clocks_does_not_stop_the_others(clock):
+    turns = make(clock, topics=('a', 'b', 'c'))
+    stands(turns, 100, HERE)
+    played = 0
+    for tick in range(200):
+        clock.now += 0.1
+        stamp = 101 * S + tick * S // 10
+        turns.on_poses(stamp, HERE)
+        # Every other cloud of a is 5 s old, b is as it should be, c is silent.
+        turns.on_cloud('a', stamp - 5 * S * (tick % 2), tick)
+        turns.on_cloud('b', stamp, tick)
+        taken(turns)
+        if turns.due():
+            played += 1
+            turns.sent(HERE)
+    assert played >= 5 and turns.backward()
+    clock.now += TOLD + 0.1
+    assert not turns.backward()
 
 
 def test_the_first_turn_is_due_when_every_topic_has_delivered(clock):
     turns = make(clock)
     turns.on_cloud('a', 9 * S, 'too old')
     assert not turns.due()
-    turns.on_poses(10 * S, HERE)
+    stands(turns, 10, HERE)
     assert taken(turns) == [] and not turns.due()
     turns.on_cloud('a', 10 * S, 1)
     assert taken(turns) == [('a', 1)] and not turns.due()
@@ -80,7 +172,7 @@ def test_a_turn_lasts_as_long_as_it_has_to(clock):
     turns = make(clock)
     turns.change(0.05, 20.0, 2.0, 5.0)
     played(turns)
-    turns.on_poses(12 * S, THERE)
+    stands(turns, 12, THERE)
     for topic in 'ab':
         turns.on_cloud(topic, 12 * S, topic)
     assert len(taken(turns)) == 2
@@ -95,12 +187,12 @@ def test_a_turn_lasts_as_long_as_it_has_to(clock):
 def test_a_turn_waits_until_every_camera_is_there(clock):
     turns = played(make(clock))
     for stamp, positions in ((11, HERE), (12, THERE + [[0.0] * 3, [0.06, 0.0, 0.0]])):
-        turns.on_poses(stamp * S, positions)
+        stands(turns, stamp, positions)
         for topic in 'ab':
             turns.on_cloud(topic, stamp * S, stamp)
         assert taken(turns) == [] and not turns.due()
     # How high they are makes no difference to those that were not sent up or down.
-    turns.on_poses(13 * S, THERE + [0.04, 0.0, 0.5])
+    stands(turns, 13, THERE + [0.04, 0.0, 0.5])
     assert taken(turns) == [] and not turns.due()
     for topic in 'ab':
         turns.on_cloud(topic, 13 * S, 13)
@@ -112,7 +204,7 @@ def test_only_the_newest_cloud_of_a_topic_waits(clock):
     turns = played(make(clock))
     for stamp in (14, 16, 15.5):
         turns.on_cloud('a', int(stamp * S), stamp)
-    turns.on_poses(14 * S, THERE)
+    stands(turns, 14, THERE)
     assert taken(turns) == [('a', 16)]
     turns.on_cloud('a', 17 * S, 17)
     assert taken(turns) == []
@@ -120,13 +212,13 @@ def test_only_the_newest_cloud_of_a_topic_waits(clock):
 
 def test_cameras_that_leave_again_are_waited_for_again(clock):
     turns = played(make(clock))
-    turns.on_poses(11 * S, THERE)
+    stands(turns, 11, THERE)
     turns.on_cloud('a', 11 * S, 1)
     assert taken(turns) == [('a', 1)]
-    turns.on_poses(12 * S, HERE)
+    stands(turns, 12, HERE)
     turns.on_cloud('b', 12 * S, 2)
     assert taken(turns) == [] and not turns.due()
-    turns.on_poses(13 * S, THERE)
+    stands(turns, 13, THERE)
     for topic in 'ab':
         turns.on_cloud(topic, 13 * S, 3)
     assert taken(turns) == [('a', 3), ('b', 3)] and turns.due()
@@ -134,7 +226,7 @@ def test_cameras_that_leave_again_are_waited_for_again(clock):
 
 def test_a_silent_topic_is_not_waited_for_without_end(clock):
     turns = played(make(clock))
-    turns.on_poses(11 * S, THERE)
+    stands(turns, 11, THERE)
     turns.on_cloud('a', 11 * S, 1)
     taken(turns)
     clock.now = 1.9
@@ -144,7 +236,7 @@ def test_a_silent_topic_is_not_waited_for_without_end(clock):
     assert turns.silent() == {'b': 'stamps 1.0 s before the poses'}
     # It stays among the silent ones until it delivers something that can be used.
     turns.sent(HERE)
-    turns.on_poses(12 * S, HERE)
+    stands(turns, 12, HERE)
     assert not turns.due() and turns.silent() == {'b': 'stamps 2.0 s before the poses'}
     turns.on_cloud('b', 12 * S, 2)
     taken(turns)
@@ -153,7 +245,7 @@ def test_a_silent_topic_is_not_waited_for_without_end(clock):
 
 def test_no_turn_without_a_cloud(clock):
     turns = played(make(clock))
-    turns.on_poses(11 * S, THERE)
+    stands(turns, 11, THERE)
     clock.now = 1000.0
     assert not turns.due() and list(turns.silent()) == ['a', 'b']
     turns.on_cloud('b', 11 * S, 1)
@@ -163,7 +255,7 @@ def test_no_turn_without_a_cloud(clock):
 
 def test_a_cloud_that_is_refused_is_as_good_as_none(clock):
     turns = make(clock)
-    turns.on_poses(10 * S, HERE)
+    stands(turns, 10, HERE)
     for topic in 'ab':
         turns.on_cloud(topic, 10 * S, topic)
     taken(turns)
@@ -185,7 +277,7 @@ def test_a_turn_goes_on_though_the_cameras_do_not_arrive(clock):
     clock.now = 20.0
     assert taken(turns) == [('a', 1)] and turns.overdue and turns.late == 1
     # It stays so, whatever they do now.
-    turns.on_poses(12 * S, half + 0.1)
+    stands(turns, 12, half + 0.1)
     turns.on_cloud('b', 12 * S, 2)
     assert taken(turns) == [('b', 2)] and turns.due()
     np.testing.assert_allclose(turns.positions, half + 0.1)
@@ -202,7 +294,7 @@ def test_without_poses_nobody_knows_where_the_cameras_are(clock):
 
 def test_cameras_that_need_not_move_are_there_whether_or_not_they_say_so(clock):
     turns = played(make(clock))
-    turns.on_poses(11 * S, THERE)
+    stands(turns, 11, THERE)
     for topic in 'ab':
         turns.on_cloud(topic, 12 * S, topic)
     taken(turns)
@@ -219,7 +311,7 @@ def test_cameras_that_need_not_move_are_there_whether_or_not_they_say_so(clock):
 def test_a_person_may_take_as_long_as_they_like(clock):
     turns = played(make(clock, arrival_timeout=math.inf))
     clock.now = 1e6
-    turns.on_poses(11 * S, HERE)
+    stands(turns, 11, HERE)
     turns.on_cloud('a', 12 * S, 1)
     assert taken(turns) == [] and not turns.due()
 
@@ -227,13 +319,13 @@ def test_a_person_may_take_as_long_as_they_like(clock):
 @pytest.mark.parametrize('first', ['poses', 'a'])
 def test_stamps_that_go_back_are_noticed_and_stop_nothing(clock, first):
     turns = played(make(clock))
-    turns.on_poses(100 * S, THERE)
+    stands(turns, 100, THERE)
     turns.on_cloud('a', 101 * S, 'from before')
     order = ['poses', 'a'] if first == 'poses' else ['a', 'poses']
     for number, source in enumerate(order):
         stamp = 5 * S + number
         if source == 'poses':
-            turns.on_poses(stamp, THERE)
+            stands(turns, stamp / S, THERE)
         else:
             turns.on_cloud('a', stamp, 'anew')
     turns.on_cloud('b', 5 * S + 2, 'anew')
@@ -244,7 +336,7 @@ def test_stamps_that_go_back_are_noticed_and_stop_nothing(clock, first):
 
 def test_stamps_that_go_back_while_the_cameras_are_on_their_way(clock):
     turns = played(make(clock))
-    turns.on_poses(100 * S, HERE)
+    stands(turns, 100, HERE)
     turns.on_cloud('a', 5 * S, 'anew')
     clock.now = 20.0
     assert taken(turns) == [('a', 'anew')] and turns.overdue and turns.jumps == 1
@@ -252,7 +344,7 @@ def test_stamps_that_go_back_while_the_cameras_are_on_their_way(clock):
 
 def test_a_little_disorder_is_no_jump(clock):
     turns = played(make(clock))
-    turns.on_poses(11 * S, THERE)
+    stands(turns, 11, THERE)
     assert not turns.on_poses(11 * S - S // 2, HERE)
     np.testing.assert_allclose(turns.positions, THERE)
     turns.on_cloud('a', 11 * S, 1)
@@ -262,7 +354,7 @@ def test_a_little_disorder_is_no_jump(clock):
 
 def test_a_camera_whose_clock_is_wrong_is_named(clock):
     turns = make(clock)
-    turns.on_poses(1000 * S, HERE)
+    stands(turns, 1000, HERE)
     for stamp in range(1000, 1003):
         turns.on_cloud('a', stamp * S, 1)
         turns.on_cloud('b', (stamp - 900) * S, 2)

@@ -15,7 +15,7 @@ from ocp_ros.nodes.policy_config import PolicyNodeConfig
 from ocp_ros.nodes.policy_planners import make_planner, planned_alike
 from ocp_ros.nodes.rig_guard import RigGuard
 from ocp_ros.scenes.scene import LARGEST
-from ocp_ros.simulation.moves import kept_inside, way_between
+from ocp_ros.simulation.moves import kept_inside, towards, way_between
 from ocp_ros.simulation.space import Space
 
 
@@ -155,12 +155,14 @@ class Decider:
     def _held(self, cloud: np.ndarray, positions: np.ndarray, target: np.ndarray,
               settled: bool) -> np.ndarray:
         """Bring targets (K, 3) to where cameras may be."""
-        bounds = corners_of(cloud).astype(np.float64)
-        if self.guard is None:
-            return kept_inside(target, bounds, self._config.wall_margin)[0]
         if settled:
             return positions.copy()
-        target, _ = kept_inside(target, bounds, self._config.wall_margin)
+        target, _ = kept_inside(target, corners_of(cloud).astype(np.float64),
+                                self._config.wall_margin)
+        if self.guard is None:
+            # A camera that looks one way may stand far outside what it has seen.
+            target[:, :2] = towards(positions[:, :2], target[:, :2], self._config.max_step)
+            return target
         target = self.guard.hold(cloud, positions, target, self._config.max_step)
         if self.guard.held:
             self._log.warning('; '.join(self.guard.held), throttle_duration_sec=5.0)

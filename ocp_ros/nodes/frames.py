@@ -14,6 +14,8 @@ from ocp_ros.nodes.conversions import MessageError, rotation_of, stamp_to_ns
 #: Frames of the cameras by their place among the poses: body (x forward, y left, z up) and
 #: optical (z forward, x right, y down), as REP-103 has them.
 SENSOR = re.compile(r'camera_([0-9]{1,4})(_optical)?')
+#: Metres from a camera within which a frame that tf2 knows is taken to be that camera's own.
+OWN = 0.3
 #: Optical to body frame.
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
@@ -53,6 +55,11 @@ class Transforms:
         self._error, self._buffer = tf2_ros.TransformException, tf2_ros.Buffer()
         self._listener = tf2_ros.TransformListener(self._buffer, node)
 
+    def forget(self) -> None:
+        """Forget what is not static: its stamps are those of a clock that has been set."""
+        if self._buffer is not None:
+            self._buffer.clear()
+
     def pose(self, frame: str, rig: Rig) -> Pose:
         """
         Look up where a frame is in that of the rig.
@@ -91,24 +98,27 @@ def placed(points: np.ndarray, frame: str, rig: Rig, transforms: Transforms
     """
     Take a cloud into the frame of the poses.
 
-    In the frame of a sensor, points in its very origin are its word for "no return".
+    Points in the very origin of their frame are a sensor's word for "no return". A frame of tf2 that
+    is at a camera is that camera's; who has seen the points of any other, nobody knows.
 
     :param points: (N, 3) float32, metres, in ``frame``.
     :returns: (M, 3) float32, metres, in the frame of the poses, M <= N, and (C, 3) metres, where
         the cameras are that may have seen them.
     :raises MessageError: if nobody knows where the frame is.
     """
+    points = points[points.any(axis=1)]
     if frame == rig.frame:
         return points, rig.positions
     found, seen_from = SENSOR.fullmatch(frame), rig.positions
     if found is None or int(found[1]) >= len(rig.poses):
         pose = transforms.pose(frame, rig)
+        if np.linalg.norm(rig.positions - pose.position, axis=1).min() <= OWN:
+            seen_from = pose.position[None]
     else:
         pose = rig.poses[int(found[1])]
         seen_from = pose.position[None]
         if found[2]:
             pose = Pose(pose.position, pose.rotation @ OPTICAL)
-    points = points[points.any(axis=1)]
     # What is too far out for float32 is out of range in any case.
     with np.errstate(over='ignore', invalid='ignore'):
         moved = points @ pose.rotation.T.astype(np.float32) + pose.position.astype(np.float32)

@@ -6,7 +6,8 @@ Messages wait unread, the newest of each topic; each turn reads one of each. So 
 busy for one cloud or for one answer at a time, however fast the cameras are.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 import math
 
@@ -79,6 +80,8 @@ class LiveTurns:
         #: How many cameras there are and the frame of their poses, once a turn was answered.
         self._known: tuple[int, str] | None = None
         self._command: PoseArray | None = None
+        #: Where it sends the cameras, (K, 3) metres, and the rotations of those that it turns.
+        self._sent: tuple[np.ndarray, dict[int, np.ndarray]] = np.empty((0, 3)), {}
         self._instruction = ''
         self._observation = node.create_publisher(PointCloud2, topics.OBSERVATION, LOOP)
         if config.manual:
@@ -96,7 +99,8 @@ class LiveTurns:
         config = self._config
         return (config.arrival_distance,
                 math.inf if config.manual else config.arrival_timeout, config.cloud_timeout,
-                config.turn_seconds, config.arrival_angle)
+                # Cameras that shall stay need not be told so as often as clouds come.
+                max(config.turn_seconds, AGAIN if self._final() else 0.0), config.arrival_angle)
 
     def change(self, config: PolicyNodeConfig) -> None:
         """Go on with other parameters."""
@@ -120,7 +124,8 @@ class LiveTurns:
 
     def _on_cloud(self, topic: str, message: PointCloud2) -> None:
         """Keep a cloud; act if it was the last one that was waited for."""
-        self._turns.on_cloud(topic, stamp_to_ns(message.header.stamp), message)
+        with self._jumps():
+            self._turns.on_cloud(topic, stamp_to_ns(message.header.stamp), message)
         self._act()
 
     def _on_poses(self, message: PoseArray) -> None:
@@ -128,13 +133,25 @@ class LiveTurns:
         try:
             rig = Rig(message.header.frame_id, msg_to_poses(message))
             self._check_known(rig)
+            if not stamp_to_ns(message.header.stamp):
+                raise MessageError('poses: found the stamp 0; expected when the cameras were there, '
+                                   'by the clock of the clouds')
         except MessageError as error:
             self._refuse(error)
             return
-        if self._turns.on_poses(stamp_to_ns(message.header.stamp), rig.positions,
-                                [pose.rotation for pose in rig.poses]):
-            self._poses, self._rig = message, rig
+        with self._jumps():
+            if self._turns.on_poses(stamp_to_ns(message.header.stamp), rig.positions,
+                                    [pose.rotation for pose in rig.poses]):
+                self._poses, self._rig = message, rig
         self._act()
+
+    @contextmanager
+    def _jumps(self) -> Iterator[None]:
+        """Forget what has stamps of a clock that has been set, if a message says so."""
+        before = self._turns.jumps
+        yield
+        if self._turns.jumps > before:
+            self._transforms.forget()
 
     def _check_known(self, rig: Rig) -> None:
         """Refuse poses of another rig than that which has been commanded."""
@@ -190,6 +207,9 @@ class LiveTurns:
         if self._config.manual:
             self._instruct(self._turns.positions, targets, turned, header)
         self._turns.sent(targets, turned)
+        self._sent = targets, turned
+        if self._final():
+            self._turns.change(*self._patience())
 
     def _turned(self, poses: PoseArray) -> dict[int, np.ndarray]:
         """Return the rotations, (3, 3), of the cameras that the command turns."""
@@ -198,10 +218,14 @@ class LiveTurns:
                 if goal.orientation != now.orientation}
 
     def _command_again(self) -> None:
-        """Send the command again to cameras that have not arrived."""
-        standing = self._turns.standing
-        if self._command is not None and not standing and not self._waits():
+        """Send the command again to cameras that have not arrived; tell a person what is left."""
+        if self._waits():
+            # What was seen is old when others stop commanding: see it again.
+            self._turns.again()
+        elif self._command is not None and not self._turns.standing:
             self._commands.publish(self._command)
+            if self._config.manual and self._turns.positions is not None:
+                self._instruct(self._turns.positions, *self._sent, self._poses.header)
 
     def _instruct(self, positions: np.ndarray, targets: np.ndarray,
                   turned: dict[int, np.ndarray], header: Header) -> None:
@@ -240,8 +264,12 @@ class LiveTurns:
     def status(self) -> tuple[str, dict[str, object]]:
         """Return what is wrong, if anything, and values to show."""
         silent, wrong = self._turns.silent(), ''
-        if self._turns.lost:
+        if self._turns.lost and not (
+                self._config.manual and self._command is not None):
             wrong = f'nothing on {topics.CAMERA_POSES}'
+        elif self._turns.backward():
+            wrong = (f'stamps of {self._turns.backward()} go back: found two clocks, or one that '
+                     'was set')
         elif silent:
             wrong = self._silence()
         elif self._turns.overdue:

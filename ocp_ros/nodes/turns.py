@@ -2,13 +2,14 @@
 """
 When a turn of real cameras is due.
 
-A turn begins when a command is sent and is due when every camera stands where it was sent and
-every topic has delivered a cloud since. Nobody is waited for without end: neither for cameras that
+A turn begins when a command is sent and is due when every camera stands still where it was sent
+and every topic has delivered a cloud since. Nobody is waited for without end: neither for cameras that
 do not arrive nor for topics that are silent. Only stamps are compared with stamps; how long
 something takes is measured on this machine's own clock, which nobody sets.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+import math
 import time
 from typing import Generic, TypeVar
 
@@ -21,6 +22,13 @@ T = TypeVar('T')
 #: Nanoseconds: a stamp that goes back by more is that of a clock that was set, or of a recording
 #: that began anew.
 JUMP = 1_000_000_000
+#: Metres, and radians, within which cameras that stand seem to move.
+STILL, STEADY = 0.02, 0.02
+#: Nanoseconds that they have to be seen within these, and seconds after which it is enough that
+#: nobody says any more where they are.
+HOLD, QUIET = 200_000_000, 0.5
+#: Seconds for which it is told that stamps went back.
+TOLD = 10.0
 #: Who sends the poses, among the topics, which have names.
 POSES = ''
 
@@ -70,8 +78,17 @@ class Turns(Generic[T]):
         self._rotations: Sequence[np.ndarray] = ()
         self._turned: Mapping[int, np.ndarray] = {}
         self._sent_at = clock()
-        #: The first poses that show all cameras in place: stamp in nanoseconds, and when that was.
+        #: The first poses that show all cameras standing in place: stamp in nanoseconds, and when
+        #: that was known.
         self._stand: tuple[int, float] | None = None
+        #: When they were first seen in place.
+        self._near: float | None = None
+        #: Of the first poses that all since are about the same as: stamp, positions, rotations.
+        self._anchor: tuple[int, np.ndarray, Sequence[np.ndarray]] | None = None
+        #: When the newest poses came.
+        self._posed_at = clock()
+        #: Whose stamps went back last, and when.
+        self._jumped = '', -math.inf
 
     def change(self, arrival_distance: float, arrival_timeout: float, cloud_timeout: float,
                shortest: float, arrival_angle: float = np.pi) -> None:
@@ -94,6 +111,7 @@ class Turns(Generic[T]):
         self._raised = targets[:, 2] != self.positions[:, 2]
         self._turned = turned or {}
         self._stand = (self._posed, self._sent_at) if self._arrived() else None
+        self._near = None
         if self._stand is None:
             self.positions = None
         self.again()
@@ -116,12 +134,33 @@ class Turns(Generic[T]):
         if not self._is_news(POSES, stamp):
             return False
         self.positions, self._rotations, self._posed = positions, rotations, stamp
+        self._posed_at = self._clock()
+        if self._targets is None and self._anchor and self._far(
+                self._arrival_distance, self._arrival_angle):
+            # Somebody else moves them.
+            self._leave()
+        if self._far(STILL, STEADY):
+            self._anchor = stamp, positions, rotations
         if self._arrived():
-            self._stand = self._stand or (stamp, self._clock())
+            self._near = self._posed_at if self._near is None else self._near
+            self._settle()
         elif not self.overdue:
-            self._stand = None
-            self._used.clear()
+            self._leave()
         return True
+
+    def _leave(self) -> None:
+        """Wait anew for cameras that do not stand any more."""
+        self._stand = self._near = None
+        self._used.clear()
+
+    def _far(self, distance: float, angle: float) -> bool:
+        """Tell whether a camera is no longer where all poses had it for a while."""
+        if self._anchor is None or len(self._anchor[1]) != len(self.positions):
+            return True
+        _, positions, rotations = self._anchor
+        away = np.linalg.norm(self.positions - positions, axis=1)
+        return bool((away > distance).any()) or any(
+            angle_between(*pair) > angle for pair in zip(rotations, self._rotations))
 
     def _arrived(self) -> bool:
         """Tell whether every camera is where it was sent, and turned so."""
@@ -148,9 +187,13 @@ class Turns(Generic[T]):
             self.jumps += 1
             self._heard.clear()
             self.again()
-            self._posed = stamp
+            self._posed, self._anchor = stamp, None
+            now, before = self._clock(), self._jumped[1]
+            self._jumped = source, now
             if self._stand is not None:
-                self._stand = stamp, self._clock()
+                # Who sends stamps of two clocks does not keep the others waiting for ever.
+                again = now - before <= 2.0 * self._cloud_timeout
+                self._stand = stamp, self._stand[1] if again else now
         self._heard[source] = stamp
         return True
 
@@ -180,12 +223,26 @@ class Turns(Generic[T]):
 
     def _standing(self) -> bool:
         """Tell whether the cameras stand, or have been waited for long enough."""
+        self._settle()
+        now = self._clock()
         if self._stand is None and self.positions is not None and (
-                self._clock() - self._sent_at >= self._arrival_timeout):
-            self._stand = self._posed, self._clock()
+                now - self._sent_at >= self._arrival_timeout):
+            self._stand = self._posed, now
             self.overdue = True
             self.late += 1
         return self._stand is not None
+
+    def _settle(self) -> None:
+        """Let the cameras count as standing if they have been still, where they were sent."""
+        if self._stand is not None or self._near is None:
+            return
+        now = self._clock()
+        if self._anchor and (self._posed - self._anchor[0] >= HOLD
+                             or now - self._posed_at >= QUIET):
+            self._stand = self._anchor[0], now
+        elif now - self._near >= self._cloud_timeout:
+            # They never seem to be still.
+            self._stand = self._posed, now
 
     def silent(self) -> dict[str, str]:
         """Return the topics that were not waited for any longer, and what is known of each."""
@@ -197,6 +254,11 @@ class Turns(Generic[T]):
             return 'nothing came'
         behind = 0 if self._stand is None else self._stand[0] - self._heard[topic]
         return f'stamps {behind * 1e-9:.1f} s before the poses' if behind > 0 else 'nothing usable'
+
+    def backward(self) -> str:
+        """Return whose stamps went back a short while ago, if anybody's."""
+        source, when = self._jumped
+        return '' if self._clock() - when > TOLD else source or 'the poses'
 
     @property
     def standing(self) -> bool:
