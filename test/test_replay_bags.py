@@ -2,12 +2,11 @@
 """``ocp replay``: recorded clouds reach a real ``policy_node`` on real DDS."""
 
 import os
-from pathlib import Path
 import signal
 import subprocess
 import sys
 
-from conftest import refused_in_one_sentence
+from conftest import refused_in_one_sentence, ROOT
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -54,8 +53,8 @@ FORMATS = ('ros1', 'sqlite3', 'mcap')
 #: Where two cameras hang, and how they are turned: yaw, pitch, roll.
 PLACES = np.array([[2.6, 2.2, 1.9], [3.4, 2.9, 1.7]])
 HEADINGS = np.array([[0.4, 0.3, 0.1], [-2.0, 0.2, 0.0]])
-#: A recorded depth camera, from moveit_tutorials, in a folder that the environment names.
-REAL = Path(os.environ.get('OCP_BAGS', 'no folder')) / 'perception_tutorial.bag'
+#: A recorded depth camera, from moveit_tutorials, where it is at hand.
+REAL = ROOT.parent / 'shared' / 'data' / 'bags' / 'perception_tutorial.bag'
 
 
 class Recording:
@@ -402,7 +401,7 @@ def test_a_signal_ends_a_loop(domain, clouds, tmp_path, number):
         assert 'Traceback' not in process.stderr.read()
 
 
-@pytest.mark.skipif(not REAL.is_file(), reason='OCP_BAGS names no folder with real bags')
+@pytest.mark.skipif(not REAL.is_file(), reason=f'{REAL} is not at hand')
 def test_a_real_bag_of_a_depth_camera(stage):
     """An organised cloud of 640 x 480 with NaN, in the optical frame of its camera."""
     found = stage.play(REAL, clouds='/camera/depth_registered/points',

@@ -2,6 +2,7 @@
 """Nodes that are killed at random times; ``make soak`` does it for long."""
 
 import json
+import time
 from types import SimpleNamespace
 
 from conftest import random_checkpoint
@@ -15,6 +16,7 @@ from std_msgs.msg import Header
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.nodes import soak, soak_watch
 from ocp_ros.nodes.conversions import ns_to_stamp, positions_to_msg
+from ocp_ros.nodes.processes import grown
 from ocp_ros.training.learner import ACTOR, STATE
 
 
@@ -56,6 +58,29 @@ def test_memory_is_compared_within_one_life(monkeypatch):
     processes[0].process.pid, held[3] = 3, 500.0
     memory.look(processes)
     assert memory.growth == {'a': 3.0, 'b': 0.0}
+
+
+def test_memory_that_grows_is_a_fault():
+    assert grown({'/sim_node': 3.0, '/policy_node': 31.4, '/trainer_node': -5.0}) == [
+        '/policy_node: found that its memory has grown by 31.4 MB; expected less than 20']
+
+
+def test_what_a_dead_node_has_said_is_no_recovery(probe):
+    latency = soak_watch.Latency(probe.node, '/env_0')
+
+    def turn(stamp):
+        message = positions_to_msg(np.ones((2, 3)), Header(
+            stamp=ns_to_stamp(stamp), frame_id='map'))
+        latency._on_poses(message)
+        latency._on_command(message)
+
+    before = time.time_ns()
+    turn(before)
+    latency.interrupt()
+    turn(before + 1)
+    assert (latency.turns, latency.recovered) == (2, 0)
+    turn(time.time_ns())
+    assert (latency.turns, latency.recovered) == (3, 1)
 
 
 def test_a_turn_is_timed_from_when_it_was_sent_first(probe, monkeypatch):

@@ -98,8 +98,8 @@ def placed(points: np.ndarray, frame: str, rig: Rig, transforms: Transforms
     """
     Take a cloud into the frame of the poses.
 
-    Points in the very origin of their frame are a sensor's word for "no return". A frame of tf2 that
-    is at a camera is that camera's; who has seen the points of any other, nobody knows.
+    Points in the very origin of their frame are a sensor's word for "no return". A frame of tf2
+    that is at a camera is that camera's; who has seen the points of any other, nobody knows.
 
     :param points: (N, 3) float32, metres, in ``frame``.
     :returns: (M, 3) float32, metres, in the frame of the poses, M <= N, and (C, 3) metres, where

@@ -17,7 +17,7 @@ from rich.progress import Progress
 
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.nodes.fuzz_targets import Fuzzer, LiveTarget, PolicyTarget, shell, SimTarget
-from ocp_ros.nodes.processes import NodeProcess, rss_of, stopped_at_the_end
+from ocp_ros.nodes.processes import grown, NodeProcess, rss_of, stopped_at_the_end
 from ocp_ros.nodes.watcher import run_watched, show_json, Watch
 from ocp_ros.resources import find_model
 
@@ -79,7 +79,8 @@ def fuzz(options: argparse.Namespace, domain: int, watch: Watch) -> dict:
         seen = dict(watch.node.health)
         until(lambda: all(watch.node.health[one.name] is not seen.get(one.name)
                           for one in processes), 'last word of every node')
-        return {'messages': fuzzer.sent, 'good_messages_answered': fuzzer.answered,
+        return {'faults': grown(growth), 'messages': fuzzer.sent,
+                'good_messages_answered': fuzzer.answered,
                 'lies_answered_within_bounds': fuzzer.readable, 'seconds': seconds,
                 'huge_cloud_points': options.points, 'huge_cloud_seconds': huge,
                 'rss_growth_mb': growth, 'seed': options.seed, 'refused': {

@@ -134,8 +134,8 @@ class LiveTurns:
             rig = Rig(message.header.frame_id, msg_to_poses(message))
             self._check_known(rig)
             if not stamp_to_ns(message.header.stamp):
-                raise MessageError('poses: found the stamp 0; expected when the cameras were there, '
-                                   'by the clock of the clouds')
+                raise MessageError('poses: found the stamp 0; expected when the cameras were '
+                                   'there, by the clock of the clouds')
         except MessageError as error:
             self._refuse(error)
             return

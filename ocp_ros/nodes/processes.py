@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Node processes for the demos: real nodes, each in a process of its own, over DDS."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 import json
 import os
@@ -17,6 +17,8 @@ from ocp_ros.nodes.runner import ENDING, undisturbed
 
 #: Seconds that a node has to end when it is told to: plenty, but for a machine with other work.
 PATIENCE = 60.0
+#: MB that the memory of a node may grow by, once it has done all that it does.
+MOST_GROWTH = 20.0
 
 
 def free_domain() -> tuple[int, socket.socket]:
@@ -34,6 +36,12 @@ def free_domain() -> tuple[int, socket.socket]:
             continue
         return domain, holder
     raise RuntimeError('found no free ROS domain between 1 and 100; stop some running demos')
+
+
+def grown(growth: Mapping[str, float]) -> list[str]:
+    """Return a sentence for each node whose memory has grown, MB by name, by more than it may."""
+    return [f'{name}: found that its memory has grown by {mb:.1f} MB; expected less than '
+            f'{MOST_GROWTH:g}' for name, mb in growth.items() if mb >= MOST_GROWTH]
 
 
 def rss_of(pid: int) -> float:

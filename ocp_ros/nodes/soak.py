@@ -27,7 +27,7 @@ from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.geometry.threads import cores
 from ocp_ros.nodes.conversions import ns_to_stamp
 from ocp_ros.nodes.network import local_udp
-from ocp_ros.nodes.processes import NodeProcess, stopped_at_the_end
+from ocp_ros.nodes.processes import grown, NodeProcess, stopped_at_the_end
 from ocp_ros.nodes.soak_watch import check_files, Latency, Lies, Memory
 from ocp_ros.nodes.train_demo import pair_of
 from ocp_ros.nodes.watcher import run_watched, show_json, Watch
@@ -212,7 +212,8 @@ class Soak:
         """Return the figures."""
         seconds = np.concatenate([one.seconds for one in self.latency.values()])
         return {
-            'seconds': self.seconds, 'turns': sum(one.turns for one in self.latency.values()),
+            'faults': grown(self.memory.growth), 'seconds': self.seconds,
+            'turns': sum(one.turns for one in self.latency.values()),
             'turns_by_pair': {name: one.turns for name, one in self.latency.items()},
             'restarts_survived': sum(self.kills.values()), 'kills': self.kills,
             'recovery_seconds_p50': float(np.median(self.recovery)) if self.recovery else None,
@@ -248,7 +249,7 @@ def soak(options: argparse.Namespace, domain: int, watch: Watch) -> dict[str, An
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run; 2 if the loop did not go on or a file was torn."""
+    """Run; 2 if the loop did not go on, a file was torn or memory has grown."""
     options = parser().parse_args(args)
     return run_watched('soak', options.out, lambda domain, watch: soak(options, domain, watch),
                        show_json, network=local_udp())

@@ -3,8 +3,8 @@
 When a turn of real cameras is due.
 
 A turn begins when a command is sent and is due when every camera stands still where it was sent
-and every topic has delivered a cloud since. Nobody is waited for without end: neither for cameras that
-do not arrive nor for topics that are silent. Only stamps are compared with stamps; how long
+and every topic has delivered a cloud since. Nobody is waited for without end: neither for cameras
+that do not arrive nor for topics that are silent. Only stamps are compared with stamps; how long
 something takes is measured on this machine's own clock, which nobody sets.
 """
 

@@ -146,11 +146,12 @@ def run_watched(name: str, out: Path, play: Callable[[int, Watch], dict[str, Any
 
     :param name: of what is played, and of its JSON file.
     :param out: folder for the file.
-    :param play: gets the domain id and who watches; returns plain data.
+    :param play: gets the domain id and who watches; returns plain data, among them ``faults``,
+        sentences, where there are any.
     :param show: prints them.
     :param errors: what is told in one sentence.
     :param network: variables of the environment that keep the nodes to this machine.
-    :returns: exit code: 2 after such an error, 130 after an interrupt.
+    :returns: exit code: 2 after such an error or with faults, 130 after an interrupt.
     """
     end_on_signals()
     before = dict(os.environ)
@@ -169,7 +170,9 @@ def run_watched(name: str, out: Path, play: Callable[[int, Watch], dict[str, Any
         os.environ.update(before)
     (out / f'{name}.json').write_text(json.dumps(result, indent=2) + '\n')
     show(result)
-    return 0
+    for fault in (faults := result.get('faults', [])):
+        print(f'{name}: {fault}', file=sys.stderr)
+    return 2 if faults else 0
 
 
 def show_json(result: dict[str, Any]) -> None:
