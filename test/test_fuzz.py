@@ -94,6 +94,11 @@ def test_a_command_out_of_bounds_is_noticed(fuzzer):
     for wrong in ([0.5, 1.1, 0.5], [np.nan, 0.5, 0.5], [-0.1, 0.5, 0.5]):
         with pytest.raises(FuzzError, match='command: found'):
             fuzzer.check(np.array([wrong]), box, 'command')
+    # Who was outside may be so still, but no farther.
+    before = np.array([[2.0, 0.5, 0.5]])
+    fuzzer.check(np.array([[1.5, 0.5, 0.5]]), box, 'command', before)
+    with pytest.raises(FuzzError):
+        fuzzer.check(np.array([[2.1, 0.5, 0.5]]), box, 'command', before)
 
 
 def test_all_known_lies_are_refused(room):

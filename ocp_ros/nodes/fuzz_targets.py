@@ -34,7 +34,6 @@ from ocp_ros.nodes.malformed import (
     spoilt_weights,
 )
 from ocp_ros.nodes.qos import LATCHED, LOOP
-from ocp_ros.scenes.scene import LARGEST
 from ocp_ros.training.experience import Choice, Experience, to_bytes
 
 #: Lies of a kind between two good messages: fewer than the queues hold.
@@ -120,17 +119,22 @@ class Fuzzer:
         publisher.publish(message)
         self.sent += 1
 
-    def check(self, found: np.ndarray, box: np.ndarray, what: str) -> None:
+    def check(self, found: np.ndarray, box: np.ndarray, what: str,
+              before: np.ndarray | None = None) -> None:
         """
         Check where cameras are sent.
 
         :param found: (K, 3) metres.
         :param box: (2, 3) metres, in which they have to be, seen from above.
+        :param before: (K, 3) metres, where they were; who was outside may be so still, but no
+            farther.
         """
         low, high = box[:, :2].astype(np.float64)
         slack = 1e-6 * (1.0 + np.abs(box).max())
-        if not (np.isfinite(found).all() and (found[:, :2] >= low - slack).all()
-                and (found[:, :2] <= high + slack).all()):
+        out = np.maximum(low - found[:, :2], found[:, :2] - high)
+        if before is not None:
+            slack = slack + np.maximum(np.maximum(low - before[:, :2], before[:, :2] - high), 0.0)
+        if not (np.isfinite(found).all() and (out <= slack).all()):
             raise FuzzError(f'{what}: found {found.tolist()}; expected cameras within '
                             f'{box.tolist()}')
 
@@ -157,7 +161,7 @@ class PolicyTarget:
         self._experiences = publisher(UInt8MultiArray, topics.EXPERIENCE)
 
     def _on_command(self, message: PoseArray) -> None:
-        """Check a command: it has to be within the cloud that it answers."""
+        """Check a command: it stays within the cloud that it answers and what a turn reaches."""
         stamp = stamp_to_ns(message.header.stamp)
         if stamp not in self._turns:
             return
@@ -165,10 +169,12 @@ class PolicyTarget:
         cloud, poses = self._turns[stamp]
         cloud, positions = msg_to_cloud(cloud), msg_to_positions(poses)
         targets = np.array([[p.position.x, p.position.y, p.position.z] for p in message.poses])
-        self.fuzzer.check(targets, np.stack([cloud.min(axis=0), cloud.max(axis=0)]), 'command')
-        if targets.shape != positions.shape or np.abs(targets - positions).max() > LARGEST:
+        if targets.shape != positions.shape or not (
+                np.linalg.norm(targets - positions, axis=1) <= MAX_STEP + 1e-6).all():
             raise FuzzError(f'command: found {targets.tolist()} for cameras at '
-                            f'{positions.tolist()}; expected them in the same room')
+                            f'{positions.tolist()}; expected as many within {MAX_STEP:g} m')
+        self.fuzzer.check(targets, np.stack([cloud.min(axis=0), cloud.max(axis=0)]), 'command',
+                          positions)
 
     def batch(self, again: bool = False) -> None:
         """
