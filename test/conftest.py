@@ -124,7 +124,7 @@ class Graph:
         self.nodes.remove(node)
         node.destroy_node()
 
-    def until(self, predicate, timeout=20.0) -> None:
+    def until(self, predicate, timeout=60.0) -> None:
         """Spin until something has happened; fail if it does not."""
         deadline = time.monotonic() + timeout
         while not predicate():

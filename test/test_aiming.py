@@ -33,7 +33,7 @@ from ocp_ros.nodes.instructions import instructions, STAY
 from ocp_ros.nodes.policy_config import PolicyNodeConfig
 from ocp_ros.nodes.policy_node import PolicyNode
 from ocp_ros.nodes.sim_node import SimNode
-from ocp_ros.nodes.turns import Turns
+from ocp_ros.nodes.turns import HOLD, Turns
 from ocp_ros.simulation.config import EngineConfig, EpisodeConfig, RigConfig, SimulationConfig
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.simulator import Simulator
@@ -271,7 +271,8 @@ def test_a_live_turn_waits_until_cameras_are_turned():
     assert not turns.standing
     turns.on_poses(2, here, [rotation_matrix(2.0), rotation_matrix(1.3)])
     assert not turns.standing
-    turns.on_poses(3, here, [rotation_matrix(2.0), rotation_matrix(1.45)])
+    for stamp in (3, 3 + HOLD):
+        turns.on_poses(stamp, here, [rotation_matrix(2.0), rotation_matrix(1.45)])
     assert turns.standing and turns.since == 3
 
 
