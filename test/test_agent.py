@@ -68,6 +68,14 @@ def test_ball_query_agrees_with_its_twin(seed, radius, size):
             assert group.tolist() == expected.tolist()
 
 
+def test_sampling_and_grouping_count_beyond_sixteen_bits():
+    points = np.zeros((40000, 3), dtype=np.float32)
+    points[-2:, 0] = 7.0, 9.0
+    keys = farthest_points(points, 3)
+    assert keys.tolist() == [0, 39999, 39998]
+    assert ball_query(points, keys, 1.0, 2).tolist() == [[0, 1], [39999] * 2, [39998] * 2]
+
+
 def cloud_observation(agent, cameras, seed=0, count=500):
     """Return an encoded cloud of random points."""
     rng = np.random.default_rng(seed)
