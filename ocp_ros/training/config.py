@@ -4,6 +4,7 @@
 from dataclasses import dataclass
 
 from ocp_ros.agent.config import AgentConfig
+from ocp_ros.agent.world import LONGEST
 from ocp_ros.configuration import check_known, ConfigurationError, group, setting
 from ocp_ros.planners.registry import OFFLINE, ONLINE
 from ocp_ros.simulation.config import SimulationConfig
@@ -121,6 +122,12 @@ class TrainingConfig:
                 f'simulation.rig.sensors: found {self.simulation.rig.sensors!r}; expected '
                 'omnidirectional: a policy learns where cameras are, and policy_node turns those '
                 'that look one way')
+        longest = self.simulation.episode.max_step
+        if self.agent.world and longest != LONGEST:
+            raise ConfigurationError(
+                f'simulation.episode.max_step: found {longest} with agent.inputs '
+                f'{self.agent.inputs!r}; expected {LONGEST}, the longest of the moves that these '
+                'try; leave it out, or read the cloud alone')
         if not self.demonstrations.rounds and not self.interactions:
             raise ConfigurationError('interactions: found 0 and no demonstrations.rounds; '
                                      'expected something to learn from')
