@@ -3,9 +3,10 @@
 Train a policy: read from top to bottom, this is the whole run.
 
 First the policy imitates an expert, then it learns by itself with soft actor-critic; either part
-may be left out. A run's folder holds ``config.yaml`` (the effective settings), ``progress.jsonl``
-(one line per evaluation), ``best.safetensors`` with its card, ``state.safetensors`` to resume
-from, ``demonstrations/`` with the episodes of each round, and TensorBoard's files.
+may be left out. A run's folder holds ``config.yaml`` (the effective settings), ``rooms.json``
+(which rooms are in each set), ``progress.jsonl`` (one line per evaluation), ``best.safetensors``
+with its card, ``state.safetensors`` to resume from, ``demonstrations/`` with the episodes of each
+round, and TensorBoard's files.
 """
 
 from collections.abc import Sequence
