@@ -3,7 +3,14 @@
 
 import json
 
-from conftest import around_z, assert_same, batch, observation, random_checkpoint
+from conftest import (
+    around_z,
+    assert_same,
+    batch,
+    box_room,
+    observation,
+    random_checkpoint,
+)
 from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
@@ -14,7 +21,7 @@ import torch
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError, KEY, write_atomically
 from ocp_ros.agent.config import AgentConfig
 from ocp_ros.agent.distributions import Choices, NEAR, SquashedGaussian
-from ocp_ros.agent.encoder import Encoder
+from ocp_ros.agent.encoder import Encoder, order_of
 from ocp_ros.agent.networks import (
     Actor,
     CriticHead,
@@ -26,12 +33,13 @@ from ocp_ros.agent.networks import (
 from ocp_ros.agent.observation import encode
 from ocp_ros.agent.policy import Policy
 from ocp_ros.agent.sampling import ball_query, farthest_points
-from ocp_ros.agent.world import CHOICES, DIRECTIONS, MOVES
+from ocp_ros.agent.world import CHOICES, DIRECTIONS, LONGEST, MOVES
 from ocp_ros.resources import find_model
+from ocp_ros.simulation.moves import bounded_moves
 
 seeds = st.integers(0, 2 ** 32 - 1)
 #: The moves that the network chooses among, in units of the longest step.
-CENTRES = torch.tensor(CHOICES / CHOICES.max(), dtype=torch.float32)
+CENTRES = torch.tensor(CHOICES / LONGEST, dtype=torch.float32)
 #: What has a row for each camera.
 PER_CAMERA = ('cameras', 'directions', 'own')
 
@@ -66,6 +74,14 @@ def test_ball_query_agrees_with_its_twin(seed, radius, size):
             expected = np.full(size, near[0])
             expected[:min(size, len(near))] = near[:size]
             assert group.tolist() == expected.tolist()
+
+
+def test_sampling_and_grouping_count_beyond_sixteen_bits():
+    points = np.zeros((40000, 3), dtype=np.float32)
+    points[-2:, 0] = 7.0, 9.0
+    keys = farthest_points(points, 3)
+    assert keys.tolist() == [0, 39999, 39998]
+    assert ball_query(points, keys, 1.0, 2).tolist() == [[0, 1], [39999] * 2, [39998] * 2]
 
 
 def cloud_observation(agent, cameras, seed=0, count=500):
@@ -162,6 +178,32 @@ def test_moves_are_bounded_and_drawn_from_the_rng(agent, room):
     assert np.abs(still).max() <= 1.0 and still.shape == one.shape == (3, 2)
     # A drawn move lies around a choice, whose width is at most exp(WIDTH_MAX).
     assert np.abs(one).max() <= (1.0 + 5.0 * np.exp(WIDTH_FIRST) if agent.world else 1.0)
+
+
+@pytest.mark.parametrize('max_step', [0.1, 0.5, 2.0])
+def test_moves_are_those_it_was_told_of_however_long_the_longest_step(agent, max_step):
+    policy = Policy(random_checkpoint(agent), Encoder(agent, max_step=max_step))
+    cloud, positions = box_room().points, np.array([[3.0, 2.0, 1.9]])
+    for choice, centre in zip(CHOICES[::5], CENTRES[::5, None].numpy(), strict=True):
+        policy.choose = lambda encoded, rng, centre=centre: centre
+        found = bounded_moves(policy.act(cloud, positions), max_step)[0]
+        expected = max_step * centre[0]
+        if agent.world:
+            expected = choice * min(max_step / max(np.linalg.norm(choice), 1e-9), 1.0)
+        np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_in_steps_as_long_as_in_training_the_answers_of_the_network_are_the_moves(room):
+    policy, twin = (Policy(Checkpoint.load(find_model('default'))) for _ in range(2))
+    positions = room.bounds.mean(axis=0) + [[0, 0, 0.4], [0.5, 0, 0.4], [0, 0.5, 0.4]]
+    for turn in range(3):
+        encoded, expected = twin.encoder.turn(room.points, positions, turn, 30), {}
+        for camera in order_of(turn, 3):
+            (answer,) = twin.choose(encoded.inputs(camera))
+            expected[camera] = encoded.move(camera, answer).astype(np.float32)
+        found = policy.act(room.points, positions, turn, 30)
+        assert np.array_equal(found, [expected[camera] for camera in range(3)])
+        positions[:, :2] += bounded_moves(found, 0.5)
 
 
 def test_drawing_leaves_the_global_generator_alone(agent, room):

@@ -70,10 +70,17 @@ def test_every_setting_has_a_default_in_its_own_range():
     ({'fewest_cameras': 5}, 'fewest_cameras: found 5 with simulation.rig.cameras 4'),
     ({'interactions': 0}, 'interactions: found 0 and no demonstrations.rounds'),
     ({'demonstrations': {'rounds': 1}, 'agent': {'inputs': 'cloud'}}, "agent.inputs 'cloud'"),
+    ({'simulation': {'episode': {'max_step': 2.0}}, 'agent': {'inputs': 'both'}},
+     "simulation.episode.max_step: found 2.0 with agent.inputs 'both'; expected 0.5, the longest"),
     ({'demonstrations': {'expert': 'look_ahead'}}, "did you mean 'lookahead'")])
 def test_settings_of_a_run_that_contradict_each_other_are_refused(values, words):
     with pytest.raises(ConfigurationError, match=words):
         from_nested(TrainingConfig, values)
+
+
+def test_who_reads_the_cloud_alone_may_learn_with_any_longest_step():
+    values = {'simulation': {'episode': {'max_step': 2.0}}, 'agent': {'inputs': 'cloud'}}
+    assert from_nested(TrainingConfig, values).simulation.episode.max_step == 2.0
 
 
 @pytest.mark.parametrize('path', sorted((ROOT / 'config' / 'train').glob('*.yaml')),

@@ -93,7 +93,7 @@ def test_moves_are_judged_by_what_a_camera_sees_as_it_is_turned():
             (turned, model.error(views)), (None, model.error([model.look(START)])),
             (turned._replace(placement=turned.placement[:1], models=(D455,)),
              model.error(views[:1]))):
-        inputs = WorldInputs(MAX_RANGE, MAX_STEP, MARGIN)
+        inputs = WorldInputs(MAX_RANGE, MARGIN)
         inputs.sight = sight
         own = inputs(CLOUD, START[None], 0, 30)['own'][0]
         assert own[ERROR] == pytest.approx(

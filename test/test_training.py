@@ -33,7 +33,7 @@ from ocp_ros.training.augmentation import (
     turn,
     turn_observation,
 )
-from ocp_ros.training.config import SacConfig, TrainingConfig
+from ocp_ros.training.config import RoomsConfig, SacConfig, TrainingConfig
 from ocp_ros.training.encoded import (
     CameraByCamera,
     encoded_space,
@@ -455,8 +455,8 @@ def test_the_actor_rests_while_its_critics_burn_in(small_agent):
 
 def trial(**changes):
     """Return an episode to judge in a small room."""
-    return Trial(**{'room': '8', 'points': 2000, 'rotation': 30.0, 'simulation': SIMULATION,
-                    'seed': 3, **changes})
+    return Trial(**{'room': '8', 'rooms': RoomsConfig(points=2000), 'rotation': 30.0,
+                    'simulation': SIMULATION, 'seed': 3, **changes})
 
 
 def test_evaluation_starts_everybody_from_the_same_place(agent):

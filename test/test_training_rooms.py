@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ocp_ros.agent.config import AgentConfig
 from ocp_ros.benchmark.rooms import rooms_in
 from ocp_ros.configuration import ConfigurationError, from_nested
 from ocp_ros.scenes.files import save_scene
@@ -13,8 +14,11 @@ from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.source import make_room
 from ocp_ros.scenes.splits import FRESH, SEEDS, TEST, TRAINING, VALIDATION
-from ocp_ros.training.config import RoomsConfig
-from ocp_ros.training.rooms import PARTS, room_names
+from ocp_ros.training.config import RoomsConfig, TrainingConfig
+from ocp_ros.training.demonstrations import _room
+from ocp_ros.training.evaluation import _prepared
+from ocp_ros.training.rooms import PARTS, room_names, Rooms
+from ocp_ros.training.train import _replay, trials_of
 
 SETS = {'training': TRAINING, 'validation': VALIDATION, 'test': TEST, 'fresh': FRESH}
 
@@ -87,6 +91,23 @@ def test_meshes_beside_their_rooms_are_no_scans(tmp_path):
     assert sorted(Path(name).name for name in rooms_in(tmp_path)) == names
 
 
+def test_scans_in_other_units_are_read_alike_by_all_who_play_in_them(tmp_path):
+    expected = generate_room(8, 1500)
+    for number in range(3):
+        # Millimetres, y up.
+        points = 1000.0 * expected.points[:, [0, 2, 1]] * [1.0, 1.0, -1.0]
+        np.save(tmp_path / f'scan_{number}.npy', points + number)
+    config = TrainingConfig(agent=AgentConfig(inputs='cloud'), rooms=RoomsConfig(
+        source='folder', folder=str(tmp_path), scale=0.001, up='y', rotations='0'))
+    (name,) = room_names(config.rooms, 'training')
+    rebuild = _replay(config)['replay_buffer_kwargs']['rebuild']
+    (trial,) = trials_of(config, 'validation')
+    scene = _prepared(trial.rooms, trial.room, trial.rotation, trial.simulation).scene
+    for points in (Rooms([name], config.rooms)[0].points, _room(config.rooms, name).points,
+                   scene.points, rebuild._points(0)[0]):
+        np.testing.assert_allclose(np.ptp(points, axis=0), expected.size, atol=1e-3)
+
+
 def test_another_name_moves_no_scan_to_another_set(tmp_path):
     config = scans_in(tmp_path, 40)
     before = {part: {name: Path(name).read_bytes() for name in names}
@@ -140,6 +161,8 @@ def test_s3dis_is_refused_where_it_is_not(monkeypatch):
 @pytest.mark.parametrize(('changes', 'words'), [
     ({'folder': 'scans'}, "rooms.folder: found 'scans' with rooms.source 'generated'"),
     ({'source': 'folder'}, "rooms.folder: found '' with rooms.source 'folder'"),
+    ({'up': 'y'}, "rooms.scale and rooms.up: found 1 and 'y' with rooms.source 'generated'"),
+    ({'scale': 0.001, 'source': 's3dis'}, "found 0.001 and 'z' with rooms.source 's3dis'; expec"),
     ({'rotations': '0,many'}, "rooms.rotations: found '0,many'; expected degrees"),
     ({'rotations': ''}, "rooms.rotations: found ''")])
 def test_sources_that_contradict_each_other_are_refused(changes, words):

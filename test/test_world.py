@@ -13,6 +13,7 @@ from ocp_ros.agent.observed import KeptModel, Memory, Observed, smallest_rectang
 from ocp_ros.agent.world import (
     DIRECTIONS,
     FLOOR,
+    LONGEST,
     nothing_known,
     OF_CAMERAS,
     OF_DIRECTIONS,
@@ -30,7 +31,7 @@ from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import turned
 from ocp_ros.simulation.space import Space
 
-MAX_RANGE, MAX_STEP, MARGIN = 4.0, 0.5, 0.1
+MAX_RANGE, MARGIN = 4.0, 0.1
 #: Where the numbers of a direction are: those of its places, then its own.
 OTHERS, EDGE, MOVED = slice(-4, -2), -2, -1
 
@@ -43,7 +44,7 @@ def room():
 
 def inputs():
     """Return the encoder of a new episode."""
-    return WorldInputs(MAX_RANGE, MAX_STEP, MARGIN)
+    return WorldInputs(MAX_RANGE, MARGIN)
 
 
 def placed(room, cameras=3):
@@ -239,9 +240,9 @@ def test_where_cameras_have_been_is_remembered_until_the_episode_ends(room):
 def test_the_last_move_is_told_in_steps_and_by_direction(room):
     world, positions = inputs(), placed(room)
     assert not world(room.points, positions, 0, 30)['directions'][..., MOVED].any()
-    moves = MAX_STEP * np.array([[1.0, 0.0, 0.0], [0.0, -0.4, 0.0], [0.0, 0.0, 0.0]])
+    moves = LONGEST * np.array([[1.0, 0.0, 0.0], [0.0, -0.4, 0.0], [0.0, 0.0, 0.0]])
     told = world(room.points, positions + moves, 1, 30)['directions'][..., MOVED]
-    np.testing.assert_allclose(told, moves[:, :2] / MAX_STEP @ WAYS.T, atol=1e-6)
+    np.testing.assert_allclose(told, moves[:, :2] / LONGEST @ WAYS.T, atol=1e-6)
     assert told[0, 0] == 1.0 and told[1, 6] == pytest.approx(0.4)
     # Another number of cameras is another rig.
     assert not world(room.points, positions[:2], 2, 30)['directions'][..., MOVED].any()

@@ -19,7 +19,9 @@ class AgentConfig:
     last one has a single key point and groups all that reach it.
     """
 
-    inputs: str = setting('world', 'what the network reads: world, cloud or both', choices=INPUTS)
+    inputs: str = setting(
+        'world', 'what the network reads: world, cloud or both, then with the place of the one '
+        'camera that chooses: of the others world tells', choices=INPUTS)
     points: int = setting(512, 'points of the cloud that reach the first unit', 16, 32767)
     keys_1: int = setting(32, 'key points of the first unit', 1, 4096)
     group_1: int = setting(8, 'points per group of the first unit', 1, 256)

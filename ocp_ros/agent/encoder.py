@@ -8,7 +8,7 @@ import numpy as np
 from ocp_ros.agent.config import AgentConfig
 from ocp_ros.agent.observation import encode
 from ocp_ros.agent.sight import Sight
-from ocp_ros.agent.world import nothing_known, WorldInputs, WorldTurn
+from ocp_ros.agent.world import LONGEST, nothing_known, WorldInputs, WorldTurn
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.simulation.moves import bounded_moves
@@ -93,7 +93,12 @@ class Encoder:
     def __init__(self, config: AgentConfig, max_range: float = 4.0, max_step: float = 0.5,
                  wall_margin: float = 0.1) -> None:
         self.config, self.max_step = config, max_step
-        self._world = WorldInputs(max_range, max_step, wall_margin) if config.world else None
+        self._world = WorldInputs(max_range, wall_margin) if config.world else None
+
+    @property
+    def unit(self) -> float:
+        """Return what the network's answers are counted in, in units of the longest step."""
+        return LONGEST / self.max_step if self.config.world else 1.0
 
     def know(self, sight: Sight | None) -> None:
         """Learn before a turn how the cameras stand and what each sees; None for all around."""

@@ -198,7 +198,7 @@ class ChoiceHead(nn.Module):
                              persistent=False)
         self.register_buffer('ways', torch.tensor(world.WAYS, dtype=torch.float32),
                              persistent=False)
-        centres = world.CHOICES / world.CHOICES.max()
+        centres = world.CHOICES / world.LONGEST
         self.register_buffer('centres', torch.tensor(centres, dtype=torch.float32),
                              persistent=False)
 

@@ -46,12 +46,13 @@ class Policy:
         encoded = self.encoder.turn(cloud, camera_positions, turn, turns)
         for camera in order_of(turn, len(moves)):
             (chosen,) = self.choose(encoded.inputs(camera), rng)
-            moves[camera] = encoded.move(camera, chosen)
+            # It was told of metres: another longest step cuts its moves, it stretches none.
+            moves[camera] = encoded.move(camera, self.encoder.unit * chosen)
         return moves
 
     def choose(self, encoded: dict[str, np.ndarray], rng: np.random.Generator | None = None
                ) -> np.ndarray:
-        """Choose the next moves, (K, 2), from an encoded observation."""
+        """Choose the next moves, (K, 2) in the network's own unit, from an encoded observation."""
         batch = {name: torch.from_numpy(value)[None] for name, value in encoded.items()}
         with torch.inference_mode():
             moves = self.actor(batch)

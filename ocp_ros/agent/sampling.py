@@ -12,9 +12,9 @@ def farthest_points(points, count):
 
     :param points: (N, 3) float32.
     :param count: how many to choose; beyond N distinct places, points repeat.
-    :returns: (count,) int16 indices.
+    :returns: (count,) int32 indices.
     """
-    chosen = np.zeros(count, dtype=np.int16)
+    chosen = np.zeros(count, dtype=np.int32)
     nearest = np.full(points.shape[0], np.inf, dtype=np.float32)
     last = 0
     for k in range(1, count):
@@ -39,9 +39,9 @@ def ball_query(points, keys, radius, size):
     :param keys: (K,) indices of the key points.
     :param radius: in the points' unit.
     :param size: points per group; a smaller group repeats its first point.
-    :returns: (K, size) int16 indices.
+    :returns: (K, size) int32 indices.
     """
-    groups = np.empty((keys.shape[0], size), dtype=np.int16)
+    groups = np.empty((keys.shape[0], size), dtype=np.int32)
     for k in range(keys.shape[0]):
         centre, found = points[keys[k]], 0
         for i in range(points.shape[0]):

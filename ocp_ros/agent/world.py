@@ -24,6 +24,8 @@ from ocp_ros.simulation.space import Space
 DIRECTIONS = 8
 TRIED = (0.04, 0.15, 0.5, 1.5, 4.0)
 MOVES = 3
+#: Metres: the longest of these moves, the unit of the network's answers and of the last move.
+LONGEST = TRIED[MOVES - 1]
 #: What is told of each place that is tried, of each direction, and of each camera.
 OF_PLACES, OF_DIRECTIONS, OF_CAMERAS = 4, 4, 7
 #: Which of the camera's own inputs are the error now, as a logarithm, and the share of the turns.
@@ -59,7 +61,7 @@ class WorldTurn:
     :param unseen: packed bits of the model's cells that no camera has covered.
     :param space: where the cameras may be.
     :param positions: (K, 3) metres: where they are, or will be after the turn.
-    :param moved: (K, 2) the last moves, in units of the longest step.
+    :param moved: (K, 2) the last moves, in units of ``LONGEST``.
     :param time: turns played so far / turns of the whole episode.
     :param sight: what cameras see and how they are turned; None if all see all around.
     """
@@ -128,12 +130,11 @@ class WorldInputs:
     Encode turn after turn of an episode.
 
     :param max_range: effective range of the omnidirectional cameras, metres.
-    :param max_step: farthest a camera moves in one turn, metres.
     :param wall_margin: cameras stay this far inside the observed bounding box, metres.
     """
 
-    def __init__(self, max_range: float, max_step: float, wall_margin: float) -> None:
-        self.max_range, self.max_step, self.wall_margin = max_range, max_step, wall_margin
+    def __init__(self, max_range: float, wall_margin: float) -> None:
+        self.max_range, self.wall_margin = max_range, wall_margin
         #: What cameras see and how they are turned; None if all see all around.
         self.sight: Sight | None = None
         self.reset()
@@ -156,7 +157,7 @@ class WorldInputs:
         """
         moved = np.zeros((len(positions), 2))
         if self._last is not None and len(self._last) == len(positions):
-            moved = (positions - self._last)[:, :2] / self.max_step
+            moved = (positions - self._last)[:, :2] / LONGEST
         self._last = positions.copy()
         remember(self._memory, positions, self.sight)
         model, space = self._kept(cloud, positions, FINE if turn >= LATE * turns else FAST)

@@ -4,6 +4,7 @@
 from dataclasses import dataclass
 
 from ocp_ros.agent.config import AgentConfig
+from ocp_ros.agent.world import LONGEST
 from ocp_ros.configuration import check_known, ConfigurationError, group, setting
 from ocp_ros.planners.registry import OFFLINE, ONLINE
 from ocp_ros.simulation.config import SimulationConfig
@@ -39,6 +40,8 @@ class RoomsConfig:
     source: str = setting('generated', 'generated, s3dis (S3DIS_DIR) or a folder of scans',
                           choices=('generated', 's3dis', 'folder'))
     folder: str = setting('', 'folder of scans to learn in, for source: folder')
+    scale: float = setting(1.0, 'metres per unit of these scans', 1e-6, 1e6)
+    up: str = setting('z', 'axis of these scans that points up', choices=('x', 'y', 'z'))
     training: int = setting(96, 'most rooms to learn in', 1, 100000)
     validation: int = setting(12, 'most rooms to choose the best weights by', 1, 100000)
     test: int = setting(10, 'most rooms to report', 1, 100000)
@@ -46,7 +49,7 @@ class RoomsConfig:
     rotations: str = setting('0,15,30,45,60,75', 'degrees that rooms are turned by')
 
     def __post_init__(self) -> None:
-        """Refuse rotations that are no numbers, and a folder that is not asked for."""
+        """Refuse rotations that are no numbers, and what is said of scans that there are not."""
         try:
             angles = self.angles
         except ValueError:
@@ -58,6 +61,11 @@ class RoomsConfig:
             raise ConfigurationError(
                 f'rooms.folder: found {self.folder!r} with rooms.source {self.source!r}; '
                 'expected a folder with source: folder, and none with another')
+        if not self.folder and (self.scale, self.up) != (1.0, 'z'):
+            raise ConfigurationError(
+                f'rooms.scale and rooms.up: found {self.scale:g} and {self.up!r} with '
+                f'rooms.source {self.source!r}; expected a folder of scans that they are about; '
+                'leave them out')
 
     @property
     def angles(self) -> tuple[float, ...]:
@@ -121,6 +129,12 @@ class TrainingConfig:
                 f'simulation.rig.sensors: found {self.simulation.rig.sensors!r}; expected '
                 'omnidirectional: a policy learns where cameras are, and policy_node turns those '
                 'that look one way')
+        longest = self.simulation.episode.max_step
+        if self.agent.world and longest != LONGEST:
+            raise ConfigurationError(
+                f'simulation.episode.max_step: found {longest} with agent.inputs '
+                f'{self.agent.inputs!r}; expected {LONGEST}, the longest of the moves that these '
+                'try; leave it out, or read the cloud alone')
         if not self.demonstrations.rounds and not self.interactions:
             raise ConfigurationError('interactions: found 0 and no demonstrations.rounds; '
                                      'expected something to learn from')

@@ -25,16 +25,16 @@ from ocp_ros.planners.registry import OFFLINE, ONLINE, settings_of
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.scenes.source import make_room
 from ocp_ros.simulation.config import SimulationConfig
 from ocp_ros.simulation.env import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.simulation.space import Space
 from ocp_ros.training.augmentation import random_symmetries, turn, turn_observation
-from ocp_ros.training.config import DemonstrationsConfig, TrainingConfig
+from ocp_ros.training.config import DemonstrationsConfig, RoomsConfig, TrainingConfig
 from ocp_ros.training.encoded import CameraByCamera
 from ocp_ros.training.evaluation import policy_of
+from ocp_ros.training.rooms import make
 
 #: Names of the arrays of an episode that are no inputs of the network.
 NO_INPUTS = MOVES, ACTIONS, REWARDS, LAST, ENDS = (
@@ -116,7 +116,7 @@ def demonstrate(task: Task) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(task.seed)
     cameras = int(rng.integers(task.config.fewest_cameras, simulation.rig.cameras + 1))
     rotation = float(rng.choice(task.config.rooms.angles))
-    scene = _room(task.room, task.config.rooms.points)
+    scene = _room(task.config.rooms, task.room)
     env = CameraByCamera(CameraPlacementEnv(
         [scene], simulation, fewest=task.config.fewest_cameras, rotations=(rotation,)),
         task.config.agent)
@@ -188,9 +188,9 @@ class Expert:
 
 
 @lru_cache(maxsize=64)
-def _room(name: str, points: int) -> Scene:
+def _room(config: RoomsConfig, name: str) -> Scene:
     """Keep some rooms ready."""
-    return make_room(name, 0.0, points)
+    return make(config, name)
 
 
 def tasks_of(config: TrainingConfig, rooms: Sequence[str], number: int, weights: bytes

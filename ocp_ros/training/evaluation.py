@@ -11,13 +11,14 @@ from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.policy import Policy
 from ocp_ros.planners.online import Learned, Online, play
 from ocp_ros.planners.registry import ONLINE, settings_of
-from ocp_ros.scenes.source import make_room
 from ocp_ros.simulation.config import SimulationConfig
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.moves import bounded_moves
 from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.training.config import RoomsConfig
 from ocp_ros.training.crew import Crew
 from ocp_ros.training.encoded import encoder_of
+from ocp_ros.training.rooms import make
 
 #: The control that learning has to beat.
 RANDOM_MOVES = 'random_moves'
@@ -28,8 +29,8 @@ class Trial:
     """
     One episode to judge.
 
-    :ivar room: name of the room; see :func:`~ocp_ros.scenes.source.make_room`.
-    :ivar points: of a generated room.
+    :ivar room: name of the room; see :mod:`ocp_ros.training.rooms`.
+    :ivar rooms: how it is made.
     :ivar rotation: degrees.
     :ivar simulation: the rig and the engine that judges.
     :ivar seed: of the start and of what is drawn; the start depends on it alone.
@@ -38,7 +39,7 @@ class Trial:
     """
 
     room: str
-    points: int
+    rooms: RoomsConfig
     rotation: float
     simulation: SimulationConfig
     seed: int = 0
@@ -60,7 +61,7 @@ def play_trial(trial: Trial) -> tuple[float, float, float]:
 
     :returns: depth error at start and end, metres, and space coverage at the end, cubic metres.
     """
-    simulator = _prepared(trial.room, trial.points, trial.rotation, trial.simulation)
+    simulator = _prepared(trial.rooms, trial.room, trial.rotation, trial.simulation)
     settings = settings_of(trial.simulation, np.random.default_rng([trial.seed, 1]))
     if trial.weights:
         policy = policy_of(trial.weights)
@@ -77,9 +78,10 @@ def play_trial(trial: Trial) -> tuple[float, float, float]:
 
 
 @lru_cache(maxsize=32)
-def _prepared(room: str, points: int, rotation: float, config: SimulationConfig) -> Simulator:
+def _prepared(rooms: RoomsConfig, room: str, rotation: float, config: SimulationConfig
+              ) -> Simulator:
     """Keep some engines ready."""
-    return Simulator(make_room(room, rotation, points), config)
+    return Simulator(make(rooms, room, rotation), config)
 
 
 @lru_cache(maxsize=1)

@@ -136,7 +136,7 @@ class TurnReplay(DictReplayBuffer):
                  action_space: spaces.Space, device: torch.device | str = 'auto', n_envs: int = 1,
                  optimize_memory_usage: bool = False, handle_timeout_termination: bool = True, *,
                  rebuild: Callable[[Known], dict[str, np.ndarray]], words: int,
-                 cache_bytes: int = 1 << 29, stored: tuple[str, ...] = ()) -> None:
+                 cache_bytes: int = 1 << 28, stored: tuple[str, ...] = ()) -> None:
         # Past the constructors that allocate both observations of every transition.
         super(ReplayBuffer, self).__init__(
             buffer_size, observation_space, action_space, device, n_envs=n_envs)

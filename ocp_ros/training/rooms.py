@@ -47,16 +47,28 @@ def room_names(config: RoomsConfig, part: str) -> list[str]:
     return names
 
 
+def make(config: RoomsConfig, name: str, rotation: float = 0.0) -> Scene:
+    """
+    Make a room.
+
+    :param config: how many points, and how a scan is to be read.
+    :param name: from :func:`room_names`.
+    :param rotation: degrees about the vertical axis.
+    :raises SceneError: if a scan cannot be used.
+    """
+    return make_room(name, rotation, config.points, config.scale, config.up)
+
+
 class Rooms(Sequence):
     """
     Rooms that are made when they are needed.
 
     :param names: of the rooms.
-    :param points: of each.
+    :param config: how they are made.
     """
 
-    def __init__(self, names: Sequence[str], points: int) -> None:
-        self._names, self._points = list(names), points
+    def __init__(self, names: Sequence[str], config: RoomsConfig) -> None:
+        self._names, self._config = list(names), config
 
     def __len__(self) -> int:
         """Return the number of rooms."""
@@ -64,7 +76,7 @@ class Rooms(Sequence):
 
     def __getitem__(self, index: int) -> Scene:
         """Make a room."""
-        return make_room(self._names[index], 0.0, self._points)
+        return make(self._config, self._names[index])
 
 
 def _of_s3dis(part: str) -> list[str]:

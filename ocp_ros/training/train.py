@@ -3,9 +3,10 @@
 Train a policy: read from top to bottom, this is the whole run.
 
 First the policy imitates an expert, then it learns by itself with soft actor-critic; either part
-may be left out. A run's folder holds ``config.yaml`` (the effective settings), ``progress.jsonl``
-(one line per evaluation), ``best.safetensors`` with its card, ``state.safetensors`` to resume
-from, ``demonstrations/`` with the episodes of each round, and TensorBoard's files.
+may be left out. A run's folder holds ``config.yaml`` (the effective settings), ``rooms.json``
+(which rooms are in each set), ``progress.jsonl`` (one line per evaluation), ``best.safetensors``
+with its card, ``state.safetensors`` to resume from, ``demonstrations/`` with the episodes of each
+round, and TensorBoard's files.
 """
 
 from collections.abc import Sequence
@@ -33,7 +34,6 @@ from ocp_ros.geometry.blocks import no_bits
 from ocp_ros.geometry.threads import cores
 from ocp_ros.resources import find_model
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.scenes.source import make_room
 from ocp_ros.simulation.config import EngineConfig
 from ocp_ros.simulation.env import CameraPlacementEnv
 from ocp_ros.training import demonstrations
@@ -42,7 +42,7 @@ from ocp_ros.training.crew import Crew
 from ocp_ros.training.encoded import CameraByCamera, EncodedObservation
 from ocp_ros.training.evaluation import evaluate, RANDOM_MOVES, Trial
 from ocp_ros.training.replay import Rebuild, TurnReplay
-from ocp_ros.training.rooms import PARTS, room_names, Rooms
+from ocp_ros.training.rooms import make, PARTS, room_names, Rooms
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
 from ocp_ros.training.state import load_state, new_run, save_state
 
@@ -149,11 +149,10 @@ def records(folder: Path) -> list[dict[str, Any]]:
 
 def trials_of(config: TrainingConfig, part: str) -> list[Trial]:
     """Return one episode in each room of a set, turned by one rotation after the other."""
-    return [Trial(room, config.rooms.points, config.rooms.angles[index % len(config.rooms.angles)],
-                  replace(config.simulation, rig=replace(
-                      config.simulation.rig, cameras=min(4, config.simulation.rig.cameras))),
-                  index)
-            for index, room in enumerate(room_names(config.rooms, part))]
+    rooms, rig = config.rooms, config.simulation.rig
+    simulation = replace(config.simulation, rig=replace(rig, cameras=min(4, rig.cameras)))
+    return [Trial(room, rooms, rooms.angles[index % len(rooms.angles)], simulation, index)
+            for index, room in enumerate(room_names(rooms, part))]
 
 
 def imitate(run: Run) -> None:
@@ -233,7 +232,7 @@ def environments(config: TrainingConfig, rooms: Sequence[str]) -> VecMonitor:
     """Return the environments of a run, each in a process of its own."""
     def make():
         torch.set_num_threads(1)
-        env = CameraPlacementEnv(Rooms(rooms, config.rooms.points), config.simulation,
+        env = CameraPlacementEnv(Rooms(rooms, config.rooms), config.simulation,
                                  fewest=config.fewest_cameras, rotations=config.rooms.angles)
         return (CameraByCamera if config.agent.world else EncodedObservation)(env, config.agent)
     return VecMonitor(SubprocVecEnv([make] * config.environments, start_method='spawn'))
@@ -351,7 +350,7 @@ def _replay(config: TrainingConfig) -> dict[str, Any]:
 
     def scene(number: int) -> Scene:
         room, angle = divmod(number, len(angles))
-        return make_room(rooms[room], angles[angle], config.rooms.points)
+        return make(config.rooms, rooms[room], angles[angle])
 
     return {'replay_buffer_class': TurnReplay, 'replay_buffer_kwargs': {
         'rebuild': Rebuild(scene, config.agent), 'words': len(no_bits(config.rooms.points))}}
