@@ -6,6 +6,7 @@ Of YAML only mappings, lists, texts, numbers, true, false and null are read, as 
 ``on`` and ``no`` are words, 010 is ten, and there are no tags and no aliases.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 import difflib
 import json
@@ -19,9 +20,18 @@ import yaml
 
 from ocp_ros.configuration import ConfigurationError
 
+
+def _matches(_, pattern: str, value: Any, __) -> Iterator[ValidationError]:
+    """Hold a whole text against a pattern: Python's ``$`` matches before a line's end as well."""
+    if isinstance(value, str) and not re.fullmatch(pattern, value):
+        yield ValidationError(f'{value!r} does not match {pattern!r}')
+
+
 #: To JSON Schema 3.0 is an integer; to those who count with it, it is not.
-Validator = extend(Draft202012Validator, type_checker=Draft202012Validator.TYPE_CHECKER.redefine(
-    'integer', lambda _, value: isinstance(value, int) and not isinstance(value, bool)))
+Validator = extend(
+    Draft202012Validator, {'pattern': _matches},
+    type_checker=Draft202012Validator.TYPE_CHECKER.redefine(
+        'integer', lambda _, value: isinstance(value, int) and not isinstance(value, bool)))
 #: Keys and places in lists that lead to a value.
 Way = tuple[str | int, ...]
 #: Bytes: larger files are something else.

@@ -167,6 +167,8 @@ BAD = {
                                     'line 13, no_go[1].height', 'write [0.5, 3]'),
     'a region without a name': ('name: table, ', '', 'line 15, regions[0]', 'add, for example, '
                                 'name'),
+    'a name that ends with a line': ('name: wide', 'name: "wide\\n"', 'line 4, cameras[1].name',
+                                     'name: door'),
     'a region twice': ('name: desk', 'name: table', 'line 16, regions[1].name', 'another name'),
     'a negative weight': ('weight: 3.0', 'weight: -3.0', 'line 15, regions[0].weight',
                           'weight: 3.0'),

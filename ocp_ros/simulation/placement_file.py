@@ -9,6 +9,7 @@ gets the same scores. docs/placement.md explains every key.
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
+import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -197,7 +198,7 @@ def _matched(document: Document, rig: Rig, ways: Sequence[Way], names: dict[Way,
     cameras = []
     for way, camera in zip(ways, rig.cameras):
         data = document.part(*way).data
-        if any(key in data for key in MODEL) and model_of(document, way) != camera.model:
+        if any(key in data for key in MODEL) and not _sees_as(document, way, camera.model):
             raise document.error(
                 way, 'the numbers of another sensor', f'those of {camera.name} in '
                 f'{rig.document.name}', "put the cameras in the rig's order, or leave them out")
@@ -214,10 +215,18 @@ def _check_fixed(document: Document, rig: Rig, ways: Sequence[Way]) -> None:
     """Refuse cameras in place that are not those of the rig; they may be left out."""
     for k, way in enumerate(ways):
         data = document.part(*way).data
-        if (len(ways) != len(rig.fixed) or model_of(document, way) != rig.fixed[k].camera.model
+        if (len(ways) != len(rig.fixed) or not _sees_as(document, way, rig.fixed[k].camera.model)
                 or not _alike(pose_of(data), rig.fixed[k].pose)):
             raise document.error(way, 'a camera in place', f'those that {rig.document.name} has, '
                                  'or none', 'correct it, or leave all of them out')
+
+
+def _sees_as(document: Document, way: Way, model: CameraModel) -> bool:
+    """Tell whether a camera of a file has the numbers of a model; files round angles."""
+    found = model_of(document, way)
+    return found.resolution == model.resolution and all(
+        math.isclose(getattr(found, key), getattr(model, key))
+        for key in ('min_range', 'max_range', 'horizontal_fov', 'vertical_fov'))
 
 
 def _alike(pose: np.ndarray, other: np.ndarray) -> bool:
@@ -251,7 +260,7 @@ def numbers_of(camera: Camera) -> dict[str, Any]:
     model: CameraModel = camera.model
     numbers = {'sensor': camera.sensor} if camera.sensor else {}
     for key in ('horizontal_fov', 'vertical_fov'):
-        numbers[key] = round(float(np.rad2deg(getattr(model, key))), 9)
+        numbers[key] = float(f'{np.rad2deg(getattr(model, key)):.12g}')
     numbers |= {'min_range': model.min_range, 'max_range': model.max_range}
     if model.resolution is not None:
         numbers['resolution'] = list(model.resolution)

@@ -18,7 +18,7 @@ from ocp_ros.documents import check, describe, Document, nearest, read_document,
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.sensors import SENSORS
 from ocp_ros.simulation.config import KINDS, OMNIDIRECTIONAL, RigConfig
-from ocp_ros.simulation.schemas import MODEL, RIG
+from ocp_ros.simulation.schemas import LONGEST_NAME, MODEL, RIG
 from ocp_ros.simulation.zones import Zone, zone_of
 
 #: More cameras than this are no rig.
@@ -292,7 +292,8 @@ def names_of(document: Document, ways: list[Way]) -> Iterator[str]:
         used[stem] += 1
         named = 'name' in entry
         # Cameras of one group share a name, and have a number behind it.
-        name = stem if totals[stem] == 1 else f'{stem}_{used[stem]}'
+        number = '' if totals[stem] == 1 else f'_{used[stem]}'
+        name = stem[:LONGEST_NAME - len(number)] + number
         if name in taken or (named and given.setdefault(stem, way) != way):
             raise document.error((*way, 'name' if named else 'sensor'), f'the name {stem!r}, '
                                  'which another camera has', 'one of its own',
