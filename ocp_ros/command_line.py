@@ -10,6 +10,7 @@ import os
 from pathlib import Path
 import sys
 from typing import Any, NoReturn
+import warnings
 
 from ocp_ros.agent.checkpoint import CheckpointError
 from ocp_ros.configuration import ConfigurationError
@@ -105,7 +106,8 @@ def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
     try:
         arguments = parser.parse_args(argv)
         arguments.argv = list(argv)
-        with redirect_stdout(sys.stderr) if as_json else nullcontext():
+        with warnings.catch_warnings(), redirect_stdout(sys.stderr) if as_json else nullcontext():
+            warnings.showwarning = _warn
             found = arguments.run(arguments)
         if as_json:
             print(document(found))
@@ -125,6 +127,11 @@ def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
     except KeyboardInterrupt:
         return STOPPED
     return 0
+
+
+def _warn(message: Warning | str, *_: Any) -> None:
+    """Say what may be wrong, in one line and without the code that noticed it."""
+    print(f'ocp: warning: {message}', file=sys.stderr)
 
 
 def _refuse(sentence: str, as_json: bool) -> int:

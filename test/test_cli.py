@@ -97,7 +97,7 @@ def test_json_is_all_that_a_command_prints(files, capsys, arguments, keys):
     (['evaluate', '--cameras', '4,0'], "found '4,0'; expected numbers of cameras from 1 to 64"),
     (['train', '--config', 'train.yaml', '--out', 'out', '--seed', '202611212346'],
      'expected at most 2147483648'),
-    (['score', 'holes.ply', 'placement.yaml'], 'leave them out (drop_nonfinite)'),
+    (['score', 'holes.ply', 'placement.yaml'], 'leave them out (--drop-nonfinite)'),
     (['score', '8', 'placement.yaml', '--drop-nonfinite'], '--drop-nonfinite: found it with'),
     (['benchmark', '--scale', '0.1'], 'found no --rooms'),
     (['bench', '--page', '.'], '--page: found ., which cannot be written'),

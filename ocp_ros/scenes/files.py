@@ -16,6 +16,8 @@ from ocp_ros.scenes.scene import check_points, likely_up_axis, MIN_POINTS, Scene
 from ocp_ros.scenes.tables import read_table
 
 FAR = 1000.0
+#: Metres: no room is both lower than the first and shorter than the second.
+SMALL = (1.0, 1.5)
 # What the file calls x, y and z up, as the file's axes and signs that make x, y and z of the map.
 UP_AXES = {'x': ([1, 2, 0], [1, 1, 1]), 'y': ([0, 2, 1], [1, -1, 1]), 'z': ([0, 1, 2], [1, 1, 1])}
 
@@ -50,8 +52,10 @@ def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: flo
     points, normals = _read(path)
     if drop_nonfinite:
         points, normals = _without_nonfinite(points, normals, path.name)
-    points = points * scale
-    check_points(points, path.name)
+    with np.errstate(over='ignore'):
+        points = points * scale
+    check_points(points, path.name, up)
+    _warn_if_small(points, path.name, up)
     axes, signs = UP_AXES[up]
     points = _near_origin(points[:, axes] * signs, path.name)
     normals = None if normals is None else _unit(normals[:, axes] * signs)
@@ -203,18 +207,29 @@ def _without_duplicates(points: np.ndarray, normals: np.ndarray | None, name: st
     return points[first], None if normals is None else normals[first]
 
 
+def _warn_if_small(points: np.ndarray, name: str, up: str) -> None:
+    """Warn where a room is lower and shorter than any, as one is whose scale is wrong."""
+    size = np.ptp(corners_of(points), axis=0)
+    if size['xyz'.index(up)] < SMALL[0] and size.max() < SMALL[1]:
+        warnings.warn(
+            f'{name}: found a room of {" x ".join(f"{edge:.3g}" for edge in size)} m; expected '
+            f'one that is {SMALL[0]:g} m high or {SMALL[1]:g} m long; correct the scale (--scale) '
+            'unless it is so small', SceneWarning, stacklevel=3)
+
+
 def _warn_if_not_z_up(points: np.ndarray, name: str) -> None:
     """Warn where floor and ceiling seem to lie across another axis than z."""
     axis = likely_up_axis(points)
     if axis != 'z':
         warnings.warn(
             f'{name}: found the two fullest layers, floor and ceiling, across {axis}; expected z '
-            f'up; load with up={axis!r} unless z is up', SceneWarning, stacklevel=3)
+            f'up; turn it (--up {axis}) unless z is up', SceneWarning, stacklevel=3)
 
 
 def _merge(points: np.ndarray, voxel_size: float, max_points: int, name: str) -> np.ndarray:
     """Merge points as asked and refuse it where too few are left."""
     merged = points
+    remedy = 'use a smaller voxel_size or a denser scan' if voxel_size else 'use a denser scan'
     if voxel_size == 0 and 0 < max_points < len(points):
         voxel_size = voxel_size_for(points, max_points)
     if voxel_size > 0:
@@ -223,8 +238,7 @@ def _merge(points: np.ndarray, voxel_size: float, max_points: int, name: str) ->
                   name, len(merged), len(points), voxel_size)
     if len(merged) < MIN_POINTS:
         raise SceneError(f'{name}: found {len(merged)} points once duplicates and those in one '
-                         f'voxel are merged; expected at least {MIN_POINTS}; use a smaller '
-                         'voxel_size or a denser scan')
+                         f'voxel are merged; expected at least {MIN_POINTS}; {remedy}')
     return merged
 
 
