@@ -5,7 +5,8 @@ import argparse
 from pathlib import Path
 
 from ocp_ros.arguments import add_reading, at_least
-from ocp_ros.command_line import Commands, file_to_write, Found, LOOK, show_written
+from ocp_ros.atomic import file_to_write, folder_to_write
+from ocp_ros.command_line import Commands, Found, LOOK, show_written
 
 
 def _list_rooms(arguments: argparse.Namespace) -> Found:
@@ -35,6 +36,7 @@ def _make_rooms(arguments: argparse.Namespace) -> Found:
 
     from ocp_ros.scenes.files import save_scene
     from ocp_ros.scenes.rooms import generate_room
+    folder_to_write(arguments.out)
     paths = [arguments.out / f'room-{seed}.ply' for seed in arguments.seeds]
     for seed, path in track(list(zip(arguments.seeds, paths)), 'making rooms',
                             console=Console(stderr=True)):

@@ -208,7 +208,7 @@ def test_a_bad_room_is_refused_in_one_sentence(files, capsys, name, write, words
     (['room.ply', 'rig.yaml'], 'rig.yaml: line 2, cameras[0].count: found the unknown key'),
     (['room.ply', 'placement.yaml', '--rig', 'rig.yaml', '--scale', '0'], 'room.ply: found scale'),
     (['room.ply', 'placement.yaml', '--rig', 'rig.yaml', '--export', 'rig.yaml'],
-     '--out: found the file rig.yaml; expected a folder'),
+     '--out: found rig.yaml, where nothing can be written (it is a file)'),
     (['8', 'placement.yaml', '--rig', 'rig.yaml', '--up', 'y'],
      '--up: found it with the generated room 8; expected a scan'),
     (['room.ply', 'placement.yaml', '--rig', 'far.yaml'],

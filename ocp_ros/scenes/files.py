@@ -102,6 +102,31 @@ def scans_in(folder: str | Path) -> list[Path]:
     return [path for path in found if path not in meshes]
 
 
+def check_file(path: Path) -> None:
+    """
+    Refuse a path that is not a file with content and a known suffix.
+
+    :raises SceneError: if so.
+    """
+    known = sorted(READERS)
+    if not path.exists():
+        raise SceneError(f'{path}: found no such file; expected one of {" ".join(known)}; check '
+                         'the path')
+    if not path.is_file():
+        inside = [item.name for item in path.glob('*') if item.suffix.lower() in READERS]
+        hint = f'such as {sorted(inside)[0]}' if inside else f'one of {" ".join(known)}'
+        raise SceneError(f'{path}: found a folder or device; expected a file; give the path of a '
+                         f'file, {hint}')
+    if path.suffix.lower() not in READERS:
+        near = difflib.get_close_matches(path.suffix.lower(), known, n=1)
+        hint = f'did you mean {near[0]}?' if near else 'convert it, for example with CloudCompare'
+        raise SceneError(f'{path.name}: found the suffix {path.suffix!r}; expected one of '
+                         f'{" ".join(known)}; {hint}')
+    if path.stat().st_size == 0:
+        raise SceneError(f'{path.name}: found an empty file; expected a room of at least '
+                         f'{MIN_POINTS} points; copy or export it again')
+
+
 def _rows(values: np.ndarray, named: list[tuple[str, str]]) -> np.ndarray:
     """Return an array (N, C) as records."""
     return np.rec.fromarrays(values.T, dtype=named)
@@ -131,7 +156,7 @@ def _scene_name(path: Path) -> str:
 def _read(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     """Read (N, 3) float64 points in the file's own units and axes, and normals if it has them."""
     try:
-        _check_file(path)
+        check_file(path)
         return READERS[path.suffix.lower()](path)
     except SceneError:
         raise
@@ -146,27 +171,6 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
         reason = (str(error).splitlines() or [''])[0] or type(error).__name__
         raise SceneError(f'{path.name}: found content that cannot be read ({reason}); expected a '
                          f'plain, complete {path.suffix} file; copy or export it again') from error
-
-
-def _check_file(path: Path) -> None:
-    """Refuse a path that is not a file with content and a known suffix."""
-    known = sorted(READERS)
-    if not path.exists():
-        raise SceneError(f'{path}: found no such file; expected one of {" ".join(known)}; check '
-                         'the path')
-    if not path.is_file():
-        inside = [item.name for item in path.glob('*') if item.suffix.lower() in READERS]
-        hint = f'such as {sorted(inside)[0]}' if inside else f'one of {" ".join(known)}'
-        raise SceneError(f'{path}: found a folder or device; expected a file; give the path of a '
-                         f'file, {hint}')
-    if path.suffix.lower() not in READERS:
-        near = difflib.get_close_matches(path.suffix.lower(), known, n=1)
-        hint = f'did you mean {near[0]}?' if near else 'convert it, for example with CloudCompare'
-        raise SceneError(f'{path.name}: found the suffix {path.suffix!r}; expected one of '
-                         f'{" ".join(known)}; {hint}')
-    if path.stat().st_size == 0:
-        raise SceneError(f'{path.name}: found an empty file; expected a room of at least '
-                         f'{MIN_POINTS} points; copy or export it again')
 
 
 def _without_nonfinite(points: np.ndarray, normals: np.ndarray | None, name: str):

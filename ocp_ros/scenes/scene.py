@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ocp_ros.configuration import UserError
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.geometry.normals import edge_aware_normals
@@ -24,7 +25,7 @@ UNITS = {'millimetres': 0.001, 'centimetres': 0.01, 'inches': 0.0254}
 LOW, USUAL, TALL = 1.5, 2.7, 12.0
 
 
-class SceneError(ValueError):
+class SceneError(UserError):
     """A room that cannot be used; the message says what was found and what to do."""
 
 
