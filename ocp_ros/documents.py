@@ -49,14 +49,17 @@ class Document:
     :ivar name: what messages call it: the name of its file.
     :ivar data: mappings, lists, texts, numbers, booleans and None.
     :ivar lines: the line of each value, from 1; empty where there is no file.
+    :ivar written: where in the file the values stand that these data were made of.
     """
 
     name: str
     data: Any
     lines: dict[Way, int] = field(default_factory=dict, repr=False)
+    written: dict[Way, Way] = field(default_factory=dict, repr=False)
 
     def where(self, *way: str | int) -> str:
         """Return the file, the line and the key of a value, such as ``a.yaml: line 3, b[0].c``."""
+        way = self.written.get(way, way)
         key = ''.join(f'[{step}]' if isinstance(step, int) else f'.{step}' for step in way)
         place = [f'line {self.line(way)}'] if self.lines else []
         return f'{self.name}: ' + ', '.join([*place, *filter(None, [key.lstrip('.')])])

@@ -4,7 +4,7 @@
 import argparse
 from pathlib import Path
 
-from ocp_ros.arguments import add_reading, at_least, count, seconds, seed, share
+from ocp_ros.arguments import add_reading, at_least, cameras, count, seconds, seed, share
 from ocp_ros.command_line import Commands, Found, PLAN
 
 
@@ -37,7 +37,7 @@ def add_plan(commands: Commands) -> None:
     planned.add_argument('--by', choices=('error', 'seen', 'coverage'), default='error',
                          help='with auto, share of what: depth error taken away, points seen, or '
                          'space covered')
-    planned.add_argument('--most', type=at_least(1), default=12,
+    planned.add_argument('--most', type=cameras, default=12,
                          help='with auto: the most cameras to try')
     planned.add_argument('--planner', default='rig_search', metavar='NAME',
                          help='who searches: rig_search unless named, or one of docs/planners.md '

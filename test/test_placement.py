@@ -202,6 +202,19 @@ def test_a_bad_placement_is_refused_in_one_sentence(tmp_path, old, new, place, r
         placement_in(tmp_path, HAND.replace(old, new, 1))
 
 
+@pytest.mark.parametrize(('old', 'new', 'place', 'remedy'), [
+    ('position: [3, 2, 2.0]', 'position: [3, 2, 5.9]', 'line 3, cameras[1].position: found 5.9 m',
+     'lower it'),
+    ('position: [2, 2, 2.2]', 'position: [2, 99, 2.2]', 'line 4, cameras[2].position: found a '
+     'camera at', 'correct its position')])
+def test_what_a_room_refuses_is_what_the_file_says(room, tmp_path, old, new, place, remedy):
+    assert old in HAND
+    placement = placement_in(
+        tmp_path, HAND.replace(old, new).replace('[1, 1, 2.2]', '[1, 1, 6.9]'))
+    with refused_in_one_sentence(f'placement.yaml: {place}', remedy):
+        Allowed(room, placement.rig_in(room))
+
+
 def frames_of(arguments):
     """Read the arguments of static_transform_publisher: frames, position and rotation."""
     parser = argparse.ArgumentParser()

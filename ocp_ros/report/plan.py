@@ -107,7 +107,8 @@ def rig_asked(arguments: argparse.Namespace) -> Rig:
     """Return the rig of a command line; with ``auto``, one that may be counted up."""
     count = arguments.count
     if arguments.rig is None:
-        return rig_of(count or CAMERAS, arguments.model)
+        rig = rig_of(count or CAMERAS, arguments.model)
+        return replace(rig, document=replace(rig.document, name='rig (no file)'))
     rig = load_rig(arguments.rig)
     return rig if count is None else with_count(rig, count or len(rig.cameras))
 

@@ -77,6 +77,8 @@ class Placement:
     :ivar scores: figures, as the file has them.
     :ivar created: date, command and version, as the file has them.
     :ivar frame: the frame of all poses.
+    :ivar document: what it was read from, if it was.
+    :ivar ways: where each camera stands in that document.
     """
 
     cameras: tuple[Placed, ...]
@@ -86,6 +88,8 @@ class Placement:
     scores: dict[str, Any] = field(default_factory=dict)
     created: dict[str, str] = field(default_factory=dict)
     frame: str = FRAME
+    document: Document | None = None
+    ways: tuple[Way, ...] = ()
 
     @property
     def poses(self) -> np.ndarray:
@@ -99,7 +103,7 @@ class Placement:
 
         :param scene: the room, for heights above its floor.
         """
-        return self.rig or _rig_like(self.cameras, floor_height(scene))
+        return self.rig or _rig_like(self, floor_height(scene))
 
 
 def placement_of(rig: Rig, poses: np.ndarray, **more: Any) -> Placement:
@@ -177,7 +181,7 @@ def load_placement(path: str | Path, rig: Rig | None = None) -> Placement:
         placed += [_rounded(one.camera, one.pose, FIXED) for one in rig.fixed]
     return Placement(tuple(placed), rig, data.get('room', {}),
                      EngineConfig(**data.get('engine', {})), data.get('scores', {}),
-                     data.get('created', {}), data.get('frame', FRAME))
+                     data.get('created', {}), data.get('frame', FRAME), document, tuple(ways))
 
 
 def _placed(document: Document, way: Way, camera: Camera, mount: str) -> Placed:
@@ -235,8 +239,9 @@ def _alike(pose: np.ndarray, other: np.ndarray) -> bool:
     return max(np.abs(pose[:3] - other[:3]).max(), np.abs(turns).max()) <= SAME
 
 
-def _rig_like(placed: Sequence[Placed], floor: float) -> Rig:
-    """Describe the rig of some cameras: more of them may hang as these do."""
+def _rig_like(placement: Placement, floor: float) -> Rig:
+    """Describe the rig of a placement's cameras: more of them may hang as these do."""
+    placed = placement.cameras
     moved = [one for one in placed if one.mount != FIXED]
     heights = [max(one.position[2] - floor, 0.0) for one in moved]
     pitches = [one.angles[1] for one in moved if not one.camera.model.omnidirectional]
@@ -252,7 +257,19 @@ def _rig_like(placed: Sequence[Placed], floor: float) -> Rig:
         'fixed': [_entry(one, mount=False) for one in placed if one.mount == FIXED],
         'mount': mount, 'pitch': [min([0.0, *pitches]), max([MORE_PITCH, *pitches])],
         'keep_clear': TOUCHING}
-    return rig_from(Document('placement', data))
+    return rig_from(_made_of(placement, data, int(np.argmin(heights))))
+
+
+def _made_of(placement: Placement, data: dict[str, Any], lowest: int) -> Document:
+    """Return a rig that a placement stands for; its errors name the placement's keys."""
+    document, ways = placement.document, placement.ways
+    if document is None:
+        return Document('placement', data)
+    in_place = (way for way, one in zip(ways, placement.cameras) if one.mount == FIXED)
+    written = {('mount', 'height'): (*ways[lowest], 'position'),
+               ('mount', 'on'): (*ways[lowest], 'mount'),
+               **{('fixed', k): (*way, 'position') for k, way in enumerate(in_place)}}
+    return Document(document.name, data, document.lines, written)
 
 
 def numbers_of(camera: Camera) -> dict[str, Any]:
