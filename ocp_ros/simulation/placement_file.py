@@ -186,7 +186,7 @@ def load_placement(path: str | Path, rig: Rig | None = None) -> Placement:
 
 def _placed(document: Document, way: Way, camera: Camera, mount: str) -> Placed:
     """Read where a camera hangs, and on what unless the file does not say."""
-    data = document.part(*way).data
+    data = document.value(*way)
     return Placed(camera, tuple(float(value) for value in data['position']),
                   tuple(float(data.get(angle, 0.0)) for angle in ANGLES),
                   data.get('mount', mount))
@@ -201,7 +201,7 @@ def _matched(document: Document, rig: Rig, ways: Sequence[Way], names: dict[Way,
             f'mount: {FIXED}')
     cameras = []
     for way, camera in zip(ways, rig.cameras):
-        data = document.part(*way).data
+        data = document.value(*way)
         if any(key in data for key in MODEL) and not _sees_as(document, way, camera.model):
             raise document.error(
                 way, 'the numbers of another sensor', f'those of {camera.name} in '
@@ -218,7 +218,7 @@ def _matched(document: Document, rig: Rig, ways: Sequence[Way], names: dict[Way,
 def _check_fixed(document: Document, rig: Rig, ways: Sequence[Way]) -> None:
     """Refuse cameras in place that are not those of the rig; they may be left out."""
     for k, way in enumerate(ways):
-        data = document.part(*way).data
+        data = document.value(*way)
         if (len(ways) != len(rig.fixed) or not _sees_as(document, way, rig.fixed[k].camera.model)
                 or not _alike(pose_of(data), rig.fixed[k].pose)):
             raise document.error(way, 'a camera in place', f'those that {rig.document.name} has, '

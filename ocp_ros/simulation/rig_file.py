@@ -196,7 +196,7 @@ def model_of(document: Document, way: Way) -> CameraModel:
     :param way: where the camera stands in the document.
     :raises ConfigurationError: if numbers are missing or exclude each other.
     """
-    data = document.part(*way).data
+    data = document.value(*way)
     given = {key: data[key] for key in MODEL if key in data}
     given = {key: float(np.deg2rad(value)) if key.endswith('fov') else value
              for key, value in given.items()}
@@ -273,7 +273,7 @@ def cameras_at(document: Document, ways: list[Way]) -> Iterator[Camera]:
     :raises ConfigurationError: where a name is given twice or a camera makes no sense.
     """
     for way, name in zip(ways, names_of(document, ways)):
-        yield Camera(name, document.part(*way).data.get('sensor', ''), model_of(document, way))
+        yield Camera(name, document.value(*way).get('sensor', ''), model_of(document, way))
 
 
 def names_of(document: Document, ways: list[Way]) -> Iterator[str]:
@@ -283,7 +283,7 @@ def names_of(document: Document, ways: list[Way]) -> Iterator[str]:
     :param ways: where each stands in the document; those of one group have one way.
     :raises ConfigurationError: where a name is given twice.
     """
-    entries = [document.part(*way).data for way in ways]
+    entries = [document.value(*way) for way in ways]
     stems = [entry.get('name', entry.get('sensor', 'camera')) for entry in entries]
     totals, used = Counter(stems), Counter()
     given: dict[str, Way] = {}
