@@ -35,6 +35,10 @@ class UsageError(Exception):
 class Parser(argparse.ArgumentParser):
     """A parser that leaves it to :func:`run` how to say what is wrong."""
 
+    def __init__(self, **options: Any) -> None:
+        # Whoever looks for an option in the command line finds it only where it is written out.
+        super().__init__(allow_abbrev=False, **options)
+
     def error(self, message: str) -> NoReturn:
         """Raise what is wrong."""
         raise UsageError(self, message)

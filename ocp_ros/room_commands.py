@@ -53,11 +53,12 @@ def _preview_rooms(arguments: argparse.Namespace) -> Found:
     """Draw generated rooms and scans."""
     from ocp_ros.report.rooms import draw_sheet, titled
     from ocp_ros.scenes.cached import load_cached
+    from ocp_ros.scenes.source import seed_named
     file_to_write(arguments.out, 'a picture')
     scenes = []
     for name in arguments.rooms:
         if name.isdecimal():
-            scenes.append(titled(int(name), arguments.points))
+            scenes.append(titled(seed_named(name), arguments.points))
         else:
             scene = load_cached(name, max_points=arguments.points, scale=arguments.scale or 1.0,
                                 up=arguments.up or 'z', drop_nonfinite=arguments.drop_nonfinite)

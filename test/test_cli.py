@@ -95,6 +95,11 @@ def test_json_is_all_that_a_command_prints(files, capsys, arguments, keys):
 @pytest.mark.parametrize(('arguments', 'words'), [
     (['score', 'none.ply', 'placement.yaml'], 'none.ply: found no such file'),
     (['score', 'room.ply'], 'required: PLACEMENT'),
+    (['score', '7' * 5000, 'placement.yaml'], '77777777777777777777...: found no seed of a room'),
+    (['rooms', 'preview', '99999999999'], '99999999999: found no seed of a room'),
+    (['view', 'room.ply', '--op'], 'unrecognized arguments: --op'),
+    (['plan', '8', '--target', '0.5'], '--target: found it without --count auto'),
+    (['plan', '8', '--cameras', '2', '--by', 'seen'], '--by: found it without --count auto'),
     (['view', 'room.ply', '--out', '.'], '--out: found ., which cannot be written'),
     (['view', 'room.ply', '--out', '/proc/a.html'], '--out: found /proc/a.html, which cannot be'),
     (['rooms', 'preview', '8', '--out', 'room.ply/a.png'], '--out: found room.ply/a.png, which'),

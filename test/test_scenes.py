@@ -391,6 +391,21 @@ def test_fields_other_than_coordinates_are_refused(tmp_path):
     assert 'found no points' in refusal(path)
 
 
+def test_normals_that_are_no_numbers_are_refused(tmp_path):
+    names, text = ['x', 'y', 'z', 'nx', 'ny', 'nz'], [*['f4'] * 3, *['U4'] * 3]
+    rows = np.zeros(len(ROOM), dtype=list(zip(names, text)))
+    rows['x'], rows['y'], rows['z'] = ROOM.T
+    rows['nx'] = rows['ny'] = rows['nz'] = 'up'
+    np.save(tmp_path / 'room.npy', rows)
+    assert 'found content that cannot be read' in refusal(tmp_path / 'room.npy')
+    rows = np.zeros(len(ROOM), dtype=[*zip('xyz', ['f4'] * 3), *zip(names[3:], 'OOO')])
+    rows['x'], rows['y'], rows['z'] = ROOM.T
+    for name in names[3:]:
+        rows[name][:] = [np.zeros(2, np.float32)] * len(ROOM)
+    PlyData([PlyElement.describe(rows, 'vertex')]).write(str(tmp_path / 'room.ply'))
+    assert 'found content that cannot be read' in refusal(tmp_path / 'room.ply')
+
+
 @pytest.mark.parametrize('data', ['ascii', 'binary'])
 def test_a_pcd_with_another_number_of_points_than_it_says_is_refused(tmp_path, data):
     path = tmp_path / 'room.pcd'
@@ -400,7 +415,7 @@ def test_a_pcd_with_another_number_of_points_than_it_says_is_refused(tmp_path, d
 
 @pytest.mark.parametrize('options', [
     {'voxel_size': -0.1}, {'voxel_size': 1e-5}, {'voxel_size': np.nan}, {'max_points': -1},
-    {'max_points': 10}, {'scale': 0.0}, {'scale': np.inf}, {'up': 'w'}])
+    {'max_points': 10}, {'scale': 0.0}, {'scale': np.inf}, {'scale': 1e308}, {'up': 'w'}])
 def test_options_without_a_meaning_are_refused(tmp_path, options):
     path = tmp_path / 'room.npy'
     np.save(path, ROOM)
@@ -434,7 +449,9 @@ def test_spacing_is_the_distance_to_the_nearest_other_point():
 
 def test_estimated_normals_stand_on_the_surface():
     rng = np.random.default_rng(0)
+    # Two planes, since one is no room.
     flat = rng.uniform(0.0, 4.0, (600, 3)) * [1.0, 1.0, 0.0]
+    flat[::2, 2] = 2.0
     tilt = np.array([0.6, 0.0, 0.8])
     turn = np.stack([np.cross([0.0, 1.0, 0.0], tilt), [0.0, 1.0, 0.0], tilt], axis=1)
     normals = Scene(flat @ turn.T).normals_or_estimate

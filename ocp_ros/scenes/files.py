@@ -139,7 +139,7 @@ def _check_options(name: str, voxel_size: float, max_points: int, scale: float, 
              f'0 or at least {SMALLEST} m'),
             ('max_points', max_points, max_points == 0 or max_points >= MIN_POINTS,
              f'0 or at least {MIN_POINTS}'),
-            ('scale', scale, 0 < scale < np.inf, 'a number above 0, such as 0.001'),
+            ('scale', scale, 1e-6 <= scale <= 1e6, '0.000001 to 1000000, such as 0.001'),
             ('up', up, up in UP_AXES, "'x', 'y' or 'z'")):
         if not usable:
             raise SceneError(f'{name}: found {option}={value!r}; expected {expected}')
@@ -255,7 +255,8 @@ def _from_fields(fields: dict[str, np.ndarray], name: str):
     points = np.stack([np.ravel(fields[axis]).astype(np.float64) for axis in 'xyz'], axis=-1)
     for names in (('nx', 'ny', 'nz'), ('normal_x', 'normal_y', 'normal_z')):
         if all(axis in fields for axis in names):
-            return points, np.stack([np.ravel(fields[axis]) for axis in names], axis=-1)
+            return points, np.stack([np.ravel(fields[axis]).astype(np.float64)
+                                     for axis in names], axis=-1)
     return points, None
 
 
