@@ -10,7 +10,15 @@ MOST_CAMERAS, LARGEST_SEED = 64, 1 << 31
 
 def count(text: str) -> int:
     """Read how many cameras: a number above 0, or 0 for auto."""
-    return 0 if text == 'auto' else at_least(1)(text)
+    return 0 if text == 'auto' else cameras(text)
+
+
+def cameras(text: str) -> int:
+    """Read a number of cameras."""
+    if len(text) > 9 or not text.isdecimal() or not 1 <= int(text) <= MOST_CAMERAS:
+        raise argparse.ArgumentTypeError(
+            f'found {text!r}; expected a number of cameras from 1 to {MOST_CAMERAS}')
+    return int(text)
 
 
 def seconds(text: str) -> float:

@@ -15,10 +15,10 @@ from ocp_ros.arguments import (
     seed,
     whole_numbers,
 )
+from ocp_ros.atomic import file_to_write, folder_to_write
 from ocp_ros.command_line import (
     Commands,
     COMPARE,
-    file_to_write,
     Found,
     JUDGE,
     LEARN,
@@ -38,6 +38,9 @@ def _train(arguments: argparse.Namespace) -> Found:
     if arguments.seed is not None:
         config = replace(config, seed=arguments.seed)
         command += f' --seed {arguments.seed}'
+    folder_to_write(arguments.out)
+    if arguments.model:
+        file_to_write(arguments.model, 'weights', '--model')
     checkpoint = train(config, arguments.out, command)
     if arguments.model:
         checkpoint.save(arguments.model)

@@ -10,10 +10,9 @@ import os
 from pathlib import Path
 import sys
 from typing import Any, NoReturn
+import warnings
 
-from ocp_ros.agent.checkpoint import CheckpointError
-from ocp_ros.configuration import ConfigurationError
-from ocp_ros.scenes.scene import SceneError
+from ocp_ros.configuration import UserError
 
 #: What one may want, as ``ocp --help`` lists it.
 PLAN, JUDGE, LOOK, LEARN, COMPARE, REPLAY = TITLES = (
@@ -35,6 +34,10 @@ class UsageError(Exception):
 
 class Parser(argparse.ArgumentParser):
     """A parser that leaves it to :func:`run` how to say what is wrong."""
+
+    def __init__(self, **options: Any) -> None:
+        # Whoever looks for an option in the command line finds it only where it is written out.
+        super().__init__(allow_abbrev=False, **options)
 
     def error(self, message: str) -> NoReturn:
         """Raise what is wrong."""
@@ -97,7 +100,8 @@ def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
     """
     Run one command: its ``run`` returns plain data, which its ``show`` prints, or ``--json``.
 
-    Bad input gets one sentence, or with ``--json`` a document with the key ``error``.
+    Bad input gets one sentence, or with ``--json`` a document with the key ``error``, which what
+    was found may have as well.
 
     :returns: the exit code.
     """
@@ -105,13 +109,16 @@ def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
     try:
         arguments = parser.parse_args(argv)
         arguments.argv = list(argv)
-        with redirect_stdout(sys.stderr) if as_json else nullcontext():
+        with warnings.catch_warnings(), redirect_stdout(sys.stderr) if as_json else nullcontext():
+            warnings.showwarning = _warn
             found = arguments.run(arguments)
         if as_json:
             print(document(found))
         else:
             arguments.show(found)
         sys.stdout.flush()
+        if 'error' in found:
+            return WRONG if as_json else _refuse(found['error'], as_json)
     except UsageError as error:
         if not as_json:
             error.parser.print_usage(sys.stderr)
@@ -120,11 +127,16 @@ def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
     except BrokenPipeError:
         # Whoever reads has seen enough, such as head; nobody is left to be told.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (SceneError, ConfigurationError, CheckpointError, OSError) as error:
+    except (UserError, OSError) as error:
         return _refuse(str(error), as_json)
     except KeyboardInterrupt:
         return STOPPED
     return 0
+
+
+def _warn(message: Warning | str, *_: Any) -> None:
+    """Say what may be wrong, in one line and without the code that noticed it."""
+    print(f'ocp: warning: {message}', file=sys.stderr)
 
 
 def _refuse(sentence: str, as_json: bool) -> int:
@@ -158,22 +170,3 @@ def show_written(found: Found) -> None:
     """Print which files were written."""
     for path in found['written']:
         print(f'wrote {path}')
-
-
-def file_to_write(path: Path, what: str, option: str = '--out') -> Path:
-    """
-    Make the folder of a file.
-
-    :param what: it is, for the message.
-    :param option: which names it.
-    :raises ConfigurationError: if it cannot be written.
-    """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if path.is_dir():
-            raise IsADirectoryError(0, 'it is a folder')
-    except OSError as error:
-        raise ConfigurationError(f'{option}: found {path}, which cannot be written '
-                                 f'({error.strerror}); expected a file to write {what} to'
-                                 ) from error
-    return path

@@ -13,7 +13,11 @@ from typing import Any, TypeVar
 T = TypeVar('T')
 
 
-class ConfigurationError(ValueError):
+class UserError(ValueError):
+    """Something given that cannot be used: one sentence for whoever gave it."""
+
+
+class ConfigurationError(UserError):
     """A setting that cannot be used; the message names it and says what was expected."""
 
 

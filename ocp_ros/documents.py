@@ -6,6 +6,7 @@ Of YAML only mappings, lists, texts, numbers, true, false and null are read, as 
 ``on`` and ``no`` are words, 010 is ten, and there are no tags and no aliases.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 import difflib
 import json
@@ -19,13 +20,22 @@ import yaml
 
 from ocp_ros.configuration import ConfigurationError
 
+
+def _matches(_, pattern: str, value: Any, __) -> Iterator[ValidationError]:
+    """Hold a whole text against a pattern: Python's ``$`` matches before a line's end as well."""
+    if isinstance(value, str) and not re.fullmatch(pattern, value):
+        yield ValidationError(f'{value!r} does not match {pattern!r}')
+
+
 #: To JSON Schema 3.0 is an integer; to those who count with it, it is not.
-Validator = extend(Draft202012Validator, type_checker=Draft202012Validator.TYPE_CHECKER.redefine(
-    'integer', lambda _, value: isinstance(value, int) and not isinstance(value, bool)))
+Validator = extend(
+    Draft202012Validator, {'pattern': _matches},
+    type_checker=Draft202012Validator.TYPE_CHECKER.redefine(
+        'integer', lambda _, value: isinstance(value, int) and not isinstance(value, bool)))
 #: Keys and places in lists that lead to a value.
 Way = tuple[str | int, ...]
-#: Bytes: larger files are something else.
-LARGEST = 4_000_000
+#: Bytes, and keys and values: files with more are something else.
+LARGEST, MOST = 4_000_000, 20_000
 NUMBER = re.compile(r'[-+]?(\d{1,300}(\.\d*)?|\.\d+)([eE][-+]?\d{1,2})?')
 WORDS = {'': None, '~': None, 'null': None, 'true': True, 'false': False}
 PLAIN_TAGS = {f'tag:yaml.org,2002:{kind}' for kind in ('str', 'seq', 'map')}
@@ -39,15 +49,18 @@ class Document:
     :ivar name: what messages call it: the name of its file.
     :ivar data: mappings, lists, texts, numbers, booleans and None.
     :ivar lines: the line of each value, from 1; empty where there is no file.
+    :ivar written: where in the file the values stand that these data were made of.
     """
 
     name: str
     data: Any
     lines: dict[Way, int] = field(default_factory=dict, repr=False)
+    written: dict[Way, Way] = field(default_factory=dict, repr=False)
 
     def where(self, *way: str | int) -> str:
         """Return the file, the line and the key of a value, such as ``a.yaml: line 3, b[0].c``."""
-        key = ''.join(f'[{step}]' if isinstance(step, int) else f'.{step}' for step in way)
+        way = self.written.get(way, way)
+        key = ''.join(f'[{step}]' if isinstance(step, int) else f'.{_word(step)}' for step in way)
         place = [f'line {self.line(way)}'] if self.lines else []
         return f'{self.name}: ' + ', '.join([*place, *filter(None, [key.lstrip('.')])])
 
@@ -62,14 +75,40 @@ class Document:
         return ConfigurationError(
             f'{self.where(*way)}: found {found}; expected {expected}; {remedy}')
 
-    def part(self, *way: str | int) -> 'Document':
-        """Return a value as a document of its own, with the lines that it has in this one."""
+    def value(self, *way: str | int) -> Any:
+        """Return a value."""
         data = self.data
         for step in way:
             data = data[step]
+        return data
+
+    def part(self, *way: str | int) -> 'Document':
+        """Return a value as a document of its own, with the lines that it has in this one."""
         lines = {other[len(way):]: line for other, line in self.lines.items()
                  if other[:len(way)] == way}
-        return Document(self.name, data, lines)
+        return Document(self.name, self.value(*way), lines)
+
+
+class _Refused(Exception):
+    """What is found at a line of a file, what is expected, and what to do."""
+
+
+class _Loader(yaml.BaseLoader):
+    """Composes nodes as long as they are not too many, and none twice."""
+
+    nodes = 0
+
+    def compose_node(self, parent: yaml.Node, index: Any) -> yaml.Node:
+        """Refuse what is no plain data."""
+        self.nodes += 1
+        line = self.peek_event().start_mark.line + 1
+        if self.nodes > MOST:
+            raise _Refused(line, f'more than {MOST:,} keys and values', 'fewer',
+                           'name the right file')
+        if self.check_event(yaml.AliasEvent):
+            raise _Refused(line, 'an alias', 'each value where it belongs',
+                           'write it out in place of *')
+        return super().compose_node(parent, index)
 
 
 def read_document(path: str | Path, schema: dict[str, Any]) -> Document:
@@ -84,8 +123,12 @@ def read_document(path: str | Path, schema: dict[str, Any]) -> Document:
     lines: dict[Way, int] = {}
     text = _text(path)
     try:
-        node = yaml.compose(text, Loader=yaml.BaseLoader)
-        data = None if node is None else _plain(node, (), lines, path.name)
+        node = yaml.compose(text, Loader=_Loader)
+        data = None if node is None else _plain(node, (), lines)
+    except _Refused as error:
+        line, found, expected, remedy = error.args
+        raise ConfigurationError(f'{path.name}: line {line}: found {found}; expected {expected}; '
+                                 f'{remedy}') from error
     except yaml.YAMLError as error:
         mark = getattr(error, 'problem_mark', None)
         line = text[:getattr(error, 'position', 0)].count('\n') if mark is None else mark.line
@@ -123,33 +166,27 @@ def _text(path: Path) -> str:
             ) from error
 
 
-def _plain(node: yaml.Node, way: Way, lines: dict[Way, int], name: str) -> Any:
+def _plain(node: yaml.Node, way: Way, lines: dict[Way, int]) -> Any:
     """Turn a YAML node into plain data and write down its lines."""
     line = node.start_mark.line + 1
-
-    def refuse(found: str, expected: str, remedy: str) -> ConfigurationError:
-        return ConfigurationError(
-            f'{name}: line {line}: found {found}; expected {expected}; {remedy}')
-
-    if hasattr(node, 'visited'):
-        raise refuse('an alias', 'each value where it belongs', 'write it out in place of *')
-    node.visited = True
     if node.tag not in PLAIN_TAGS:
-        raise refuse(f'the tag {node.tag}', 'a plain value', 'remove the tag')
+        raise _Refused(line, f'the tag {_word(node.tag)}', 'a plain value', 'remove the tag')
     lines.setdefault(way, line)
     if isinstance(node, yaml.SequenceNode):
-        return [_plain(item, (*way, k), lines, name) for k, item in enumerate(node.value)]
+        return [_plain(item, (*way, k), lines) for k, item in enumerate(node.value)]
     if isinstance(node, yaml.ScalarNode):
         return _scalar(node)
     data: dict[str, Any] = {}
     for key, value in node.value:
         line = key.start_mark.line + 1
         if not isinstance(key, yaml.ScalarNode):
-            raise refuse('a list or mapping as a key', 'a word', 'write one, such as count: 3')
+            raise _Refused(line, 'a list or mapping as a key', 'a word',
+                           'write one, such as count: 3')
         if key.value in data:
-            raise refuse(f'the key {key.value!r} twice', 'it once', 'remove one of the two')
+            raise _Refused(line, f'the key {describe(key.value)} twice', 'it once',
+                           'remove one of the two')
         lines[(*way, key.value)] = line
-        data[key.value] = _plain(value, (*way, key.value), lines, name)
+        data[key.value] = _plain(value, (*way, key.value), lines)
     return data
 
 
@@ -198,13 +235,17 @@ def _refused(document: Document, schema: dict[str, Any], error: ValidationError
     way, part = _way(error), error.schema
     if error.validator == 'additionalProperties':
         known = list(part['properties'])
-        return document.error(way, f'the unknown key {way[-1]!r}', 'one of ' + ', '.join(known),
+        return document.error(way, f'the unknown key {describe(way[-1])}',
+                              'one of ' + ', '.join(known),
                               nearest(way[-1], known, 'remove it'))
     if error.validator == 'required':
         key = next(key for key in error.validator_value if key not in error.instance)
         needed = part['properties'][key]
         return document.error(way, f'no {key}', needed['description'],
                               f'add, for example, {key}: {shown(needed["examples"][0])}')
+    if error.validator == 'maxItems' and part['minItems'] < error.validator_value:
+        return document.error(way, f'{len(error.instance)} entries',
+                              f'at most {error.validator_value}', 'remove some')
     expected, remedy = _words(schema, error)
     if error.validator == 'enum' and isinstance(error.instance, str):
         remedy = nearest(error.instance, error.validator_value, remedy)
@@ -224,7 +265,9 @@ def _words(schema: dict[str, Any], error: ValidationError) -> tuple[str, str]:
         if isinstance(part, dict) and step != 'properties':
             expected = part.get('description', expected)
             if 'examples' in part:
-                remedy = f'write, for example, {key}: {shown(part["examples"][0])}'
+                # What stands in a list has no key of its own.
+                named = '' if step == 'items' else f'{key}: '
+                remedy = f'write, for example, {named}{shown(part["examples"][0])}'
     return expected, remedy
 
 
@@ -263,6 +306,11 @@ def nearest(word: str, known, otherwise: str) -> str:
 def shown(value: Any) -> str:
     """Return a value as one writes it in YAML."""
     return json.dumps(value).replace('"', '')
+
+
+def _word(text: str) -> str:
+    """Return a key or tag as messages show it, in one line and not too long."""
+    return text if text.isprintable() and len(text) <= 60 else describe(text)
 
 
 def describe(value: Any) -> str:

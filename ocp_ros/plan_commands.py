@@ -4,14 +4,24 @@
 import argparse
 from pathlib import Path
 
-from ocp_ros.arguments import add_reading, at_least, count, seconds, seed, share
+from ocp_ros.arguments import add_reading, at_least, cameras, count, seconds, seed, share
 from ocp_ros.command_line import Commands, Found, PLAN
+from ocp_ros.configuration import ConfigurationError
+
+#: What counting cameras goes by unless told otherwise.
+COUNTING = {'target': 0.95, 'by': 'error', 'most': 12}
 
 
 def _plan(arguments: argparse.Namespace) -> Found:
     """Find where to hang the cameras of a rig, and how many are needed."""
     from ocp_ros.report.compare import command_of
     from ocp_ros.report.plan import plan
+    for name, default in COUNTING.items():
+        if getattr(arguments, name) is None:
+            setattr(arguments, name, default)
+        elif arguments.count != 0:
+            raise ConfigurationError(f'--{name}: found it without --count auto; expected it where '
+                                     'cameras are counted; leave it out, or add --count auto')
     return plan(arguments, command_of(arguments.argv))
 
 
@@ -32,12 +42,12 @@ def add_plan(commands: Commands) -> None:
                      help='the sensor of all cameras, or a part of its name such as d455')
     planned.add_argument('--cameras', '--count', dest='count', type=count, metavar='N',
                          help='how many, or auto; 4 or what the rig file says unless named')
-    planned.add_argument('--target', type=share, default=0.95,
+    planned.add_argument('--target', type=share,
                          help='with auto: share of what can be reached at all, 0.95 unless named')
-    planned.add_argument('--by', choices=('error', 'seen', 'coverage'), default='error',
+    planned.add_argument('--by', choices=('error', 'seen', 'coverage'),
                          help='with auto, share of what: depth error taken away, points seen, or '
                          'space covered')
-    planned.add_argument('--most', type=at_least(1), default=12,
+    planned.add_argument('--most', type=cameras,
                          help='with auto: the most cameras to try')
     planned.add_argument('--planner', default='rig_search', metavar='NAME',
                          help='who searches: rig_search unless named, or one of docs/planners.md '

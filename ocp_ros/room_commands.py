@@ -5,7 +5,8 @@ import argparse
 from pathlib import Path
 
 from ocp_ros.arguments import add_reading, at_least
-from ocp_ros.command_line import Commands, file_to_write, Found, LOOK, show_written
+from ocp_ros.atomic import file_to_write, folder_to_write
+from ocp_ros.command_line import Commands, Found, LOOK, show_written
 
 
 def _list_rooms(arguments: argparse.Namespace) -> Found:
@@ -35,6 +36,7 @@ def _make_rooms(arguments: argparse.Namespace) -> Found:
 
     from ocp_ros.scenes.files import save_scene
     from ocp_ros.scenes.rooms import generate_room
+    folder_to_write(arguments.out)
     paths = [arguments.out / f'room-{seed}.ply' for seed in arguments.seeds]
     for seed, path in track(list(zip(arguments.seeds, paths)), 'making rooms',
                             console=Console(stderr=True)):
@@ -51,11 +53,12 @@ def _preview_rooms(arguments: argparse.Namespace) -> Found:
     """Draw generated rooms and scans."""
     from ocp_ros.report.rooms import draw_sheet, titled
     from ocp_ros.scenes.cached import load_cached
+    from ocp_ros.scenes.source import seed_named
     file_to_write(arguments.out, 'a picture')
     scenes = []
     for name in arguments.rooms:
         if name.isdecimal():
-            scenes.append(titled(int(name), arguments.points))
+            scenes.append(titled(seed_named(name), arguments.points))
         else:
             scene = load_cached(name, max_points=arguments.points, scale=arguments.scale or 1.0,
                                 up=arguments.up or 'z', drop_nonfinite=arguments.drop_nonfinite)

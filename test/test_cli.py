@@ -2,8 +2,12 @@
 """What all commands of ocp have in common: contents, examples, and JSON on stdout alone."""
 
 import json
+import os
 import shlex
+import subprocess
+import sys
 
+from conftest import ROOT
 from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
@@ -29,6 +33,7 @@ def files(tmp_path, monkeypatch):
         save_scene(generate_room(8, 1500), tmp_path / name)
     (tmp_path / 'placement.yaml').write_text(PLACEMENT)
     (tmp_path / 'train.yaml').write_text('nonsense: 1\n')
+    (tmp_path / 'good.yaml').write_text('seed: 1\n')
     points = generate_room(8, 1500).points.copy()
     points[::7] = np.nan
     rows = np.rec.fromarrays(points.T, dtype=[(axis, 'f4') for axis in 'xyz'])
@@ -90,14 +95,30 @@ def test_json_is_all_that_a_command_prints(files, capsys, arguments, keys):
 @pytest.mark.parametrize(('arguments', 'words'), [
     (['score', 'none.ply', 'placement.yaml'], 'none.ply: found no such file'),
     (['score', 'room.ply'], 'required: PLACEMENT'),
+    (['score', '7' * 5000, 'placement.yaml'], '77777777777777777777...: found no seed of a room'),
+    (['rooms', 'preview', '99999999999'], '99999999999: found no seed of a room'),
+    (['view', 'room.ply', '--op'], 'unrecognized arguments: --op'),
+    (['plan', '8', '--target', '0.5'], '--target: found it without --count auto'),
+    (['plan', '8', '--cameras', '2', '--by', 'seen'], '--by: found it without --count auto'),
     (['view', 'room.ply', '--out', '.'], '--out: found ., which cannot be written'),
+    (['view', 'room.ply', '--out', '/proc/a.html'], '--out: found /proc/a.html, which cannot be'),
+    (['rooms', 'preview', '8', '--out', 'room.ply/a.png'], '--out: found room.ply/a.png, which'),
+    (['rooms', 'make', '8', '--out', '/proc/rooms'], '--out: found /proc/rooms, where nothing'),
+    (['score', 'room.ply', 'placement.yaml', '--out', '/proc'], '--out: found /proc, where'),
+    (['train', '--config', 'good.yaml', '--out', 'room.ply'], '--out: found room.ply, where'),
+    (['train', '--config', 'good.yaml', '--out', 'o', '--model', '/proc/a'],
+     '--model: found /proc/a, which cannot be written'),
+    (['evaluate', '--out', '/proc'], '--out: found /proc, where nothing can be written'),
+    (['evaluate', '--rooms', 'room.ply', 'none.ply'], 'none.ply: found no such file'),
+    (['benchmark', '--out', '/proc'], '--out: found /proc, where nothing can be written'),
+    (['benchmark', '--report', '/proc'], '--report: found /proc, where nothing can be written'),
     (['view', 'room.ply', '--rig', 'rig.yaml'], 'and no placement'),
     (['train', '--config', 'train.yaml', '--out', 'out'], 'nonsense'),
     (['evaluate', '--seeds', '0'], "found '0'; expected 1 or more"),
     (['evaluate', '--cameras', '4,0'], "found '4,0'; expected numbers of cameras from 1 to 64"),
     (['train', '--config', 'train.yaml', '--out', 'out', '--seed', '202611212346'],
      'expected at most 2147483648'),
-    (['score', 'holes.ply', 'placement.yaml'], 'leave them out (drop_nonfinite)'),
+    (['score', 'holes.ply', 'placement.yaml'], 'leave them out (--drop-nonfinite)'),
     (['score', '8', 'placement.yaml', '--drop-nonfinite'], '--drop-nonfinite: found it with'),
     (['benchmark', '--scale', '0.1'], 'found no --rooms'),
     (['bench', '--page', '.'], '--page: found ., which cannot be written'),
@@ -106,6 +127,23 @@ def test_json_is_all_that_a_command_prints(files, capsys, arguments, keys):
 def test_errors_are_json_where_it_is_asked_for(files, capsys, arguments, words):
     code, found = printed(capsys, *arguments)
     assert code == 2 and set(found) == {'error'} and words in found['error']
+
+
+def test_the_command_line_is_read_before_what_is_slow_to_import():
+    code = 'import sys, ocp_ros.cli; ocp_ros.cli.commands(); print(*sys.modules)'
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True,
+                          env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    assert not {'torch', 'numba', 'scipy', 'numpy', 'matplotlib', 'rich', 'yaml'} & set(
+        done.stdout.split())
+
+
+def test_ctrl_c_ends_quietly_whatever_is_going_on(files, capsys, monkeypatch):
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr('ocp_ros.report.score.make_room', stop)
+    assert cli.main(['score', 'room.ply', 'placement.yaml']) == 130
+    assert capsys.readouterr() == ('', '')
 
 
 def test_bench_measures_every_method_and_writes_a_page(files, capsys, monkeypatch):

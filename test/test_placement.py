@@ -5,6 +5,7 @@ import argparse
 import csv
 from dataclasses import replace
 import io
+import json
 import sys
 from types import ModuleType
 import xml.etree.ElementTree as ElementTree
@@ -87,6 +88,29 @@ def test_a_placement_comes_back_with_the_same_scores(room, mixed, tmp_path, suff
         'azure_kinect_nfov', 'wide_1', 'wide_2', 'x']
     again = load_placement(path, mixed)
     assert judged(room, again.rig, again) == scores
+
+
+@pytest.mark.parametrize('suffix', ['yaml', 'json'])
+def test_a_placement_of_any_rig_is_read_again(tmp_path, suffix):
+    numbers = {'horizontal_fov': 91.123456789123, 'vertical_fov': 1.23456e-10, 'max_range': 5.1}
+    (tmp_path / 'rig.json').write_text(json.dumps({
+        'cameras': [{**numbers, 'name': 'n' * 60, 'count': 2}],
+        'fixed': [{**numbers, 'position': [1.0, 2.0, 2.2]}]}))
+    rig = load_rig(tmp_path / 'rig.json')
+    path = tmp_path / f'placement.{suffix}'
+    save_placement(path, placement_of(rig, POSES[:2]))
+    read = load_placement(path)
+    assert [placed.camera.name for placed in read.cameras] == [
+        f'{"n" * 58}_1', f'{"n" * 58}_2', 'camera']
+    assert read.rig.models == rig.models and np.array_equal(
+        load_placement(path, rig).poses, read.poses)
+    bare = replace(read, rig=None)
+    save_placement(path, bare)
+    bare = load_placement(path)
+    assert bare.rig is None
+    for placed, model in zip(bare.cameras, rig.models):
+        assert placed.camera.model.horizontal_fov == pytest.approx(model.horizontal_fov, rel=1e-11)
+        assert placed.camera.model.vertical_fov == pytest.approx(model.vertical_fov, rel=1e-11)
 
 
 def test_poses_are_rounded_to_what_can_be_mounted(mixed):
@@ -176,6 +200,19 @@ def test_a_bad_placement_is_refused_in_one_sentence(tmp_path, old, new, place, r
     assert old in HAND
     with refused_in_one_sentence(f'placement.yaml: {place}', remedy):
         placement_in(tmp_path, HAND.replace(old, new, 1))
+
+
+@pytest.mark.parametrize(('old', 'new', 'place', 'remedy'), [
+    ('position: [3, 2, 2.0]', 'position: [3, 2, 5.9]', 'line 3, cameras[1].position: found 5.9 m',
+     'lower it'),
+    ('position: [2, 2, 2.2]', 'position: [2, 99, 2.2]', 'line 4, cameras[2].position: found a '
+     'camera at', 'correct its position')])
+def test_what_a_room_refuses_is_what_the_file_says(room, tmp_path, old, new, place, remedy):
+    assert old in HAND
+    placement = placement_in(
+        tmp_path, HAND.replace(old, new).replace('[1, 1, 2.2]', '[1, 1, 6.9]'))
+    with refused_in_one_sentence(f'placement.yaml: {place}', remedy):
+        Allowed(room, placement.rig_in(room))
 
 
 def frames_of(arguments):

@@ -2,6 +2,7 @@
 """ocp plan: its placements keep to the rig, are worth what it says, and come again."""
 
 from dataclasses import replace
+import errno
 import json
 import os
 import signal
@@ -29,6 +30,7 @@ from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.simulation.config import EngineConfig
 from ocp_ros.simulation.constraints import Allowed
 from ocp_ros.simulation.objective import Objective, simulator_of
+from ocp_ros.simulation.placement_file import load_placement
 from ocp_ros.simulation.rig_file import load_rig, rig_of, with_count
 
 FAST = EngineConfig(preset='fast', error_rows=32)
@@ -363,21 +365,56 @@ def test_a_bad_room_is_refused_in_one_sentence(files, capsys, name, write, words
     (['room.ply', '--rig', 'none.yaml'], 'none.yaml: found no file that can be read'),
     (['room.ply', '--rig', 'room.ply'], 'room.ply: line'),
     (['room.ply', '--model', 'd4'], "sensor: found 'd4', which"),
-    (['room.ply', '--out', 'rig.yaml'], '--out: found the file rig.yaml; expected a folder'),
+    (['room.ply', '--out', 'rig.yaml'], '--out: found rig.yaml, where nothing can be written (it '
+     'is a file); expected a folder'),
+    (['room.ply', '--out', 'room.ply/x'], '--out: found room.ply/x, where nothing can be written'),
+    (['room.ply', '--out', '/proc'], '--out: found /proc, where nothing can be written'),
     (['8', '--up', 'y'], '--up: found it with the generated room 8'),
     (['room.ply', '--rig', 'rig.yaml', '--count', 'auto'], 'cameras: found 2 groups; expected'),
-    (['room.ply', '--cameras', '65'], 'cameras')])
+    (['low.npy'], 'ocp: rig (no file): mount.height: found 1.9 m by default; expected less '
+     'than the 1.62 m that low is high; write mount: {on: plane, height: 1.1} in a rig file')])
 def test_bad_input_ends_with_two_and_one_sentence(files, capsys, arguments, words):
+    np.save('low.npy', generate_room(8, 2500).points * [1.0, 1.0, 0.5])
     assert words in refused(capsys, *arguments)
 
 
 @pytest.mark.parametrize('arguments', [
     ['--seconds', '0'], ['--seconds', 'nan'], ['--target', '1.5'], ['--count', 'few'],
-    ['--evaluations', '0'], ['--rig', 'rig.yaml', '--model', 'd455']])
+    ['--evaluations', '0'], ['--cameras', '65'], ['--most', '65'],
+    ['--rig', 'rig.yaml', '--model', 'd455']])
 def test_options_without_meaning_are_refused(files, capsys, arguments):
     with pytest.raises(SystemExit, match='2'):
         main(['plan', 'room.ply', *arguments])
     assert 'ocp plan: error: argument' in capsys.readouterr().err
+
+
+def test_an_answer_is_not_lost_where_it_cannot_be_written(files, capsys, monkeypatch):
+    def fill(path, *_):
+        raise OSError(errno.ENOSPC, 'No space left on device')
+
+    monkeypatch.setattr('ocp_ros.report.sheet.draw', fill)
+    arguments = ['plan', 'room.ply', '--cameras', '2', '--evaluations', '20']
+    assert main(arguments) == 2
+    out, err = capsys.readouterr()
+    assert err.startswith('ocp: --out: found out/plan, where not all could be written (No space ')
+    (files / 'printed.yaml').write_text(out[out.rindex('\ncameras:\n'):])
+    assert load_placement(files / 'printed.yaml').poses.shape == (2, 6)
+    assert main([*arguments, '--json']) == 2
+    found = json.loads(capsys.readouterr().out)
+    assert 'No space left' in found['error'] and len(found['cameras']) == 2
+    assert found['written'][0] == 'out/plan/placement.yaml'
+
+
+def test_ctrl_c_while_drawing_leaves_the_placement(files, capsys, monkeypatch):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr('ocp_ros.report.plan.verdict', stop)
+    assert main(['plan', 'room.ply', '--cameras', '2', '--evaluations', '20']) == 130
+    assert capsys.readouterr().err == (
+        'ocp: stopped; where the cameras hang is in out/plan/placement.yaml\n')
+    for suffix in ('yaml', 'json'):
+        assert load_placement(files / f'out/plan/placement.{suffix}').poses.shape == (2, 6)
 
 
 def test_ctrl_c_writes_the_best_so_far(files):

@@ -4,6 +4,7 @@
 from functools import cache
 import logging
 from pathlib import Path
+import re
 import warnings
 
 from hypothesis import given, settings, strategies
@@ -13,12 +14,13 @@ import numpy as np
 from plyfile import PlyData, PlyElement
 import pytest
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from ocp_ros.geometry.voxels import voxel_downsample, voxel_size_for
 from ocp_ros.scenes.files import load_scene, SceneWarning
 from ocp_ros.scenes.neighbours import nearest
 from ocp_ros.scenes.rooms import generate_room
-from ocp_ros.scenes.scene import likely_up_axis, Scene, SceneError
+from ocp_ros.scenes.scene import check_points, likely_up_axis, Scene, SceneError
 
 SCANS = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'rooms'
 ROOM = generate_room(3, 2500).points
@@ -227,7 +229,7 @@ def test_points_that_are_not_finite_are_refused_or_dropped_but_never_silently(
     path, points = tmp_path / name, ROOM.copy()
     points[7, 1], points[9] = np.nan, np.inf
     FORMATS[name](path, points)
-    assert 'found 2 of' in refusal(path) and '(drop_nonfinite)' in refusal(path)
+    assert 'found 2 of' in refusal(path) and '(--drop-nonfinite)' in refusal(path)
     with caplog.at_level(logging.INFO):
         scene = load_scene(path, drop_nonfinite=True)
     np.testing.assert_allclose(scene.points, np.delete(ROOM, [7, 9], axis=0), atol=1e-4)
@@ -349,15 +351,15 @@ def test_millimetres_are_refused_with_the_remedy(tmp_path, name):
     path = tmp_path / name
     FORMATS[name](path, 1000.0 * ROOM)
     message = refusal(path)
-    assert 'millimetres' in message and 'scale=0.001' in message
+    assert 'look like millimetres; scale it (--scale 0.001)' in message
 
 
 def test_what_is_too_small_or_flat_is_refused(tmp_path):
     path = tmp_path / 'room.npy'
     np.save(path, 0.001 * ROOM)
-    assert 'scale=1000' in refusal(path)
+    assert '--scale, 1000' in refusal(path)
     np.save(path, ROOM * [1, 0, 1])
-    assert 'flat along y' in refusal(path)
+    assert 'the cloud is flat' in refusal(path)
     np.save(path, np.repeat(ROOM[::300], 50, axis=0))
     assert 'duplicates' in refusal(path) and 'denser scan' in refusal(path)
     np.save(path, ROOM)
@@ -389,6 +391,21 @@ def test_fields_other_than_coordinates_are_refused(tmp_path):
     assert 'found no points' in refusal(path)
 
 
+def test_normals_that_are_no_numbers_are_refused(tmp_path):
+    names, text = ['x', 'y', 'z', 'nx', 'ny', 'nz'], [*['f4'] * 3, *['U4'] * 3]
+    rows = np.zeros(len(ROOM), dtype=list(zip(names, text)))
+    rows['x'], rows['y'], rows['z'] = ROOM.T
+    rows['nx'] = rows['ny'] = rows['nz'] = 'up'
+    np.save(tmp_path / 'room.npy', rows)
+    assert 'found content that cannot be read' in refusal(tmp_path / 'room.npy')
+    rows = np.zeros(len(ROOM), dtype=[*zip('xyz', ['f4'] * 3), *zip(names[3:], 'OOO')])
+    rows['x'], rows['y'], rows['z'] = ROOM.T
+    for name in names[3:]:
+        rows[name][:] = [np.zeros(2, np.float32)] * len(ROOM)
+    PlyData([PlyElement.describe(rows, 'vertex')]).write(str(tmp_path / 'room.ply'))
+    assert 'found content that cannot be read' in refusal(tmp_path / 'room.ply')
+
+
 @pytest.mark.parametrize('data', ['ascii', 'binary'])
 def test_a_pcd_with_another_number_of_points_than_it_says_is_refused(tmp_path, data):
     path = tmp_path / 'room.pcd'
@@ -398,7 +415,7 @@ def test_a_pcd_with_another_number_of_points_than_it_says_is_refused(tmp_path, d
 
 @pytest.mark.parametrize('options', [
     {'voxel_size': -0.1}, {'voxel_size': 1e-5}, {'voxel_size': np.nan}, {'max_points': -1},
-    {'max_points': 10}, {'scale': 0.0}, {'scale': np.inf}, {'up': 'w'}])
+    {'max_points': 10}, {'scale': 0.0}, {'scale': np.inf}, {'scale': 1e308}, {'up': 'w'}])
 def test_options_without_a_meaning_are_refused(tmp_path, options):
     path = tmp_path / 'room.npy'
     np.save(path, ROOM)
@@ -432,7 +449,9 @@ def test_spacing_is_the_distance_to_the_nearest_other_point():
 
 def test_estimated_normals_stand_on_the_surface():
     rng = np.random.default_rng(0)
+    # Two planes, since one is no room.
     flat = rng.uniform(0.0, 4.0, (600, 3)) * [1.0, 1.0, 0.0]
+    flat[::2, 2] = 2.0
     tilt = np.array([0.6, 0.0, 0.8])
     turn = np.stack([np.cross([0.0, 1.0, 0.0], tilt), [0.0, 1.0, 0.0], tilt], axis=1)
     normals = Scene(flat @ turn.T).normals_or_estimate
@@ -590,9 +609,34 @@ def test_corridors_and_cubes_do_not_warn(size):
     assert likely_up_axis(points) == 'z'
 
 
-def test_centimetres_are_noticed():
-    with pytest.raises(SceneError, match='look like centimetres; load with scale=0.01'):
-        Scene(100.0 * generate_room(30, 2500).points)
+@pytest.mark.parametrize(('size', 'remedy'), [
+    ((7960, 7930, 3250), 'look like millimetres; scale it (--scale 0.001)'),
+    ((796, 793, 325), 'centimetres or inches; scale it (--scale 0.01 or --scale 0.0254)'),
+    ((300, 250, 500), 'look like centimetres; scale it (--scale 0.01)'),
+    ((314, 312, 105), 'look like inches; scale it (--scale 0.0254)'),
+    ((700, 5, 5), 'cut one room out of it'), ((1e308, 1e308, 1e307), 'cut one room out of it')])
+def test_the_unit_is_the_one_that_makes_a_room(size, remedy):
+    points = (ROOM - ROOM.min(axis=0)).astype(np.float64) / np.ptp(ROOM, axis=0) * size
+    with pytest.raises(SceneError, match=re.escape(remedy)):
+        Scene(points)
+    with pytest.raises(SceneError, match=re.escape(remedy)):
+        check_points(np.roll(points, 1, axis=1), 'lying', up='x')
+
+
+def test_a_room_that_a_wrong_scale_makes_small_is_warned_of(tmp_path):
+    path = tmp_path / 'room.npy'
+    np.save(path, ROOM / ROOM.max() * 800.0)
+    with pytest.warns(SceneWarning, match=r'^room.npy: found a room of 0.422 x .*\(--scale\)'):
+        load_scene(path, scale=0.001)
+
+
+@pytest.mark.parametrize('extent', [(0.0, 4.0, 3.0), (0.0, 0.0, 5.0)])
+def test_a_wall_or_a_line_is_refused_however_it_is_turned(extent):
+    points = np.random.default_rng(0).random((500, 3)) * extent
+    for turn in Rotation.random(5, random_state=0):
+        with pytest.raises(SceneError, match='the cloud is flat'):
+            Scene(turn.apply(points))
+    assert len(Scene(points + np.random.default_rng(1).random((500, 3)) * 0.2)) == 500
 
 
 def test_a_stray_point_is_not_taken_for_millimetres():

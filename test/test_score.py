@@ -11,7 +11,7 @@ import yaml
 from ocp_ros.cli import main
 from ocp_ros.report.score import room_named
 from ocp_ros.report.verdict import improvements
-from ocp_ros.scenes.files import load_scene, save_scene, SceneWarning
+from ocp_ros.scenes.files import load_scene, save_scene
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.simulation.config import EngineConfig
 from ocp_ros.simulation.constraints import Allowed
@@ -208,7 +208,7 @@ def test_a_bad_room_is_refused_in_one_sentence(files, capsys, name, write, words
     (['room.ply', 'rig.yaml'], 'rig.yaml: line 2, cameras[0].count: found the unknown key'),
     (['room.ply', 'placement.yaml', '--rig', 'rig.yaml', '--scale', '0'], 'room.ply: found scale'),
     (['room.ply', 'placement.yaml', '--rig', 'rig.yaml', '--export', 'rig.yaml'],
-     '--out: found the file rig.yaml; expected a folder'),
+     '--out: found rig.yaml, where nothing can be written (it is a file)'),
     (['8', 'placement.yaml', '--rig', 'rig.yaml', '--up', 'y'],
      '--up: found it with the generated room 8; expected a scan'),
     (['room.ply', 'placement.yaml', '--rig', 'far.yaml'],
@@ -221,7 +221,10 @@ def test_bad_input_ends_with_two_and_one_sentence(files, capsys, arguments, word
     assert words in refused(capsys, *arguments)
 
 
-def test_a_room_that_lies_on_its_side_is_warned_of(files):
+@pytest.mark.filterwarnings('default')
+def test_a_room_that_lies_on_its_side_is_warned_of_in_one_line(files, capsys):
     np.save('side.npy', generate_room(3, 8000).points[:, [0, 2, 1]])
-    with pytest.warns(SceneWarning, match="load with up='y'"):
-        main(['score', 'side.npy', 'placement.yaml', '--rig', 'rig.yaml', '--json'])
+    main(['score', 'side.npy', 'placement.yaml', '--rig', 'rig.yaml', '--json'])
+    warning = capsys.readouterr().err
+    assert warning.startswith('ocp: warning: side.npy: found') and warning.count('\n') == 1
+    assert 'turn it (--up y) unless z is up' in warning

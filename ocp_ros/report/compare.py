@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from ocp_ros.atomic import write_atomically
+from ocp_ros.atomic import folder_to_write, write_atomically
 from ocp_ros.benchmark.protocol import PRESETS, Protocol
 from ocp_ros.benchmark.rooms import POINTS, rooms_in, rooms_of_s3dis
 from ocp_ros.benchmark.runner import run
@@ -72,10 +72,9 @@ def compare(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     :returns: the summary.
     """
     protocol = protocol_of(arguments)
-    for folder in filter(None, (arguments.out, arguments.report)):
-        if folder.exists() and not folder.is_dir():
-            raise ConfigurationError(f'{folder}: found a file; expected a folder for the results')
-        folder.mkdir(parents=True, exist_ok=True)
+    folder_to_write(arguments.out)
+    if arguments.report:
+        folder_to_write(arguments.report, '--report')
     columns = (TextColumn('comparing planners'), BarColumn(), MofNCompleteColumn(),
                TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as progress:

@@ -14,12 +14,12 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from ocp_ros.atomic import write_atomically
+from ocp_ros.atomic import folder_to_write, write_atomically
 from ocp_ros.benchmark.paired import pairs
 from ocp_ros.benchmark.protocol import Protocol
 from ocp_ros.benchmark.runner import run
 from ocp_ros.benchmark.summary import per_room
-from ocp_ros.configuration import ConfigurationError
+from ocp_ros.scenes.files import check_file
 from ocp_ros.scenes.splits import FRESH, TEST, TRAINING, VALIDATION
 
 SETS = {'fresh': FRESH, 'test': TEST, 'training': TRAINING, 'validation': VALIDATION}
@@ -47,8 +47,9 @@ def evaluate(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     :returns: what is written: for each number of cameras the pairs and the errors by room.
     """
     protocols = protocols_of(arguments)
-    if arguments.out.exists() and not arguments.out.is_dir():
-        raise ConfigurationError(f'--out: found the file {arguments.out}; expected a folder')
+    for path in arguments.rooms or ():
+        check_file(path)
+    folder_to_write(arguments.out)
     found: dict[str, Any] = {
         'command': command, 'date': datetime.now(timezone.utc).isoformat(timespec='seconds'),
         'model': arguments.model, 'rotations': list(arguments.rotations),

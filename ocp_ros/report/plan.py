@@ -3,9 +3,11 @@
 
 import argparse
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
+from pathlib import Path
 import signal
+import sys
 from threading import current_thread, main_thread
 from typing import Any
 
@@ -14,18 +16,30 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
+from ocp_ros.atomic import folder_to_write
 from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.methods import check_planner
 from ocp_ros.planners.registry import ONLINE
 from ocp_ros.planners.rig_plan import Plan, RigPlanner
 from ocp_ros.report.counting import draw_curve, rows_of_curve, show_curve
-from ocp_ros.report.exports import export
 from ocp_ros.report.installer import COLUMNS, rows_of, walls_around
 from ocp_ros.report.judged import Judged
-from ocp_ros.report.score import created_by, folder_named, percent, reports, room_asked, show
+from ocp_ros.report.score import (
+    created_by,
+    percent,
+    room_asked,
+    show_verdict,
+    show_written,
+    written_to,
+)
 from ocp_ros.report.verdict import verdict
 from ocp_ros.simulation.config import EngineConfig
-from ocp_ros.simulation.placement_file import data_of, placement_of
+from ocp_ros.simulation.placement_file import (
+    data_of,
+    Placement,
+    placement_of,
+    save_placement,
+)
 from ocp_ros.simulation.rig_file import load_rig, Rig, rig_of, with_count
 from ocp_ros.simulation.surfaces import floor_height
 
@@ -46,10 +60,9 @@ def plan(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     """
     counting = arguments.count == 0
     check_planner(arguments.planner, counting)
-    folder = folder_named('--out', arguments.out)
     rig = rig_asked(arguments)
     scene, room = room_asked(arguments, {})
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = folder_to_write(arguments.out)
     engine, budget = EngineConfig(), budget_of(arguments)
     with _stopped_by_hand(budget), _progress() as progress:
         planner = RigPlanner(scene, rig, engine, budget, arguments.seed, progress,
@@ -58,29 +71,44 @@ def plan(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     best = plans[-1]
     placement = placement_of(best.rig, best.answer.poses, room=room, engine=engine,
                              created=created_by(command, best.planner))
-    objective, allowed = planner.judges_of(best.rig)
-    found = {'room': room, 'cameras': data_of(placement)['cameras'],
-             **verdict(objective, allowed, placement.poses), 'notes': [],
-             'search': _search_of(best, budget, arguments.seed),
-             'installer': [dict(zip(['number', *COLUMNS], row)) for row in rows_of(
-                 placement, walls_around(scene), floor_height(scene))]}
-    judged = Judged(objective, replace(placement, scores=found['scores']), found)
-    written = [*export(folder, scene, judged.placement), *reports(folder, judged)]
-    if counting:
-        found['curve'] = rows_of_curve(plans)
-        found['count'] = {'cameras': len(best.rig.cameras), 'by': arguments.by,
-                          'target': arguments.target,
-                          'reached': best.reaches(arguments.by, arguments.target)}
-        written.append(draw_curve(folder / 'curve.png', found['curve'], found['count']))
-    found['written'] = [str(path) for path in written]
-    return found
+    with _kept(folder, placement):
+        objective, allowed = planner.judges_of(best.rig)
+        found = {'room': room, 'cameras': data_of(placement)['cameras'],
+                 **verdict(objective, allowed, placement.poses), 'notes': [],
+                 'search': _search_of(best, budget, arguments.seed),
+                 'installer': [dict(zip(['number', *COLUMNS], row)) for row in rows_of(
+                     placement, walls_around(scene), floor_height(scene))]}
+        if counting:
+            found['curve'] = rows_of_curve(plans)
+            found['count'] = {'cameras': len(best.rig.cameras), 'by': arguments.by,
+                              'target': arguments.target,
+                              'reached': best.reaches(arguments.by, arguments.target)}
+        judged = Judged(objective, replace(placement, scores=found['scores']), found)
+        return {**found, **written_to(folder, judged, lambda: [draw_curve(
+            folder / 'curve.png', found['curve'], found['count'])] if counting else [])}
+
+
+@contextmanager
+def _kept(folder: Path, placement: Placement) -> Iterator[None]:
+    """Write a placement first of all: whoever has enough while it is judged and drawn has it."""
+    path = folder / 'placement.yaml'
+    # Where it cannot be written now, the end says so.
+    with suppress(OSError):
+        save_placement(path, placement)
+        save_placement(path.with_suffix('.json'), placement)
+    try:
+        yield
+    except KeyboardInterrupt:
+        print(f'ocp: stopped; where the cameras hang is in {path}', file=sys.stderr)
+        raise
 
 
 def rig_asked(arguments: argparse.Namespace) -> Rig:
     """Return the rig of a command line; with ``auto``, one that may be counted up."""
     count = arguments.count
     if arguments.rig is None:
-        return rig_of(count or CAMERAS, arguments.model)
+        rig = rig_of(count or CAMERAS, arguments.model)
+        return replace(rig, document=replace(rig.document, name='rig (no file)'))
     rig = load_rig(arguments.rig)
     return rig if count is None else with_count(rig, count or len(rig.cameras))
 
@@ -151,7 +179,7 @@ def _search_of(plan: Plan, budget: Budget, seed: int) -> dict[str, Any]:
 def show_plan(found: dict[str, Any]) -> None:
     """Print a plan."""
     console = Console(width=100)
-    show({**found, 'written': []})
+    show_verdict(found)
     titles = [title for title in COLUMNS if title != SENSOR]
     table = Table('', *titles, title='How to hang them up')
     table.columns[1].no_wrap = True
@@ -162,8 +190,7 @@ def show_plan(found: dict[str, Any]) -> None:
         console.print(line, highlight=False)
     if 'curve' in found:
         show_curve(console, found['curve'], found['count'])
-    for path in found['written']:
-        console.print(f'wrote {path}', markup=False, highlight=False, soft_wrap=True)
+    show_written(found)
 
 
 def quality(search: dict[str, Any]) -> Iterator[str]:

@@ -2,6 +2,7 @@
 """``ocp score``: how good is a placement of a rig in a room, and what would make it better."""
 
 import argparse
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime, timezone
 import hashlib
@@ -12,7 +13,9 @@ from rich.console import Console
 from rich.table import Table
 
 from ocp_ros import __version__
+from ocp_ros.atomic import folder_to_write
 from ocp_ros.configuration import ConfigurationError
+from ocp_ros.documents import written
 from ocp_ros.report.exports import export
 from ocp_ros.report.judged import Judged
 from ocp_ros.report.verdict import verdict
@@ -85,20 +88,31 @@ def score(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     :param command: the command line, for the record.
     :returns: what ``--json`` prints.
     """
-    folder = folder_named('--out', arguments.out)
-    judged = judge(*room_and_placement(arguments), command)
+    scene, placement, room = room_and_placement(arguments)
+    folder = arguments.out and folder_to_write(arguments.out)
+    judged = judge(scene, placement, room, command)
     if folder is None:
         return dict(judged.found)
-    written = export(folder, judged.scene, judged.placement)
-    return {**judged.found, 'written': [str(path) for path in (*written,
-                                                               *reports(folder, judged))]}
+    return {**judged.found, **written_to(folder, judged)}
 
 
-def folder_named(option: str, folder: Path | None) -> Path | None:
-    """Return the folder that an option names, which may not be a file."""
-    if folder is not None and folder.exists() and not folder.is_dir():
-        raise ConfigurationError(f'{option}: found the file {folder}; expected a folder; name one')
-    return folder
+def written_to(folder: Path, judged: Judged, more: Callable[[], list[Path]] = list
+               ) -> dict[str, Any]:
+    """
+    Write a placement in all forms, and the reports.
+
+    :param more: writes more, and returns the files.
+    :returns: ``written``; where not all could be, for want of space say, ``error`` as well.
+    """
+    paths: list[Path] = []
+    try:
+        paths += export(folder, judged.scene, judged.placement)
+        paths += [*reports(folder, judged), *more()]
+    except OSError as error:
+        return {'written': [str(path) for path in paths], 'error': (
+            f'--out: found {folder}, where not all could be written ({error.strerror or error}); '
+            'expected room for it; use what is printed, or make room and do it again')}
+    return {'written': [str(path) for path in paths]}
 
 
 def reports(folder: Path, judged: Judged) -> list[Path]:
@@ -164,6 +178,12 @@ def _notes(placement: Placement, room: dict[str, Any], scores: dict[str, Any]) -
 
 
 def show(found: dict[str, Any]) -> None:
+    """Print a verdict and what was written."""
+    show_verdict(found)
+    show_written(found)
+
+
+def show_verdict(found: dict[str, Any]) -> None:
     """Print a verdict."""
     console, scores = Console(width=100), found['scores']
     cameras = Table('camera', 'place (m)', 'yaw, pitch, roll', 'takes from the error',
@@ -209,8 +229,14 @@ def _show_rest(console: Console, found: dict[str, Any]) -> None:
                       f'{more["gain"]:.3f} m less')
     for note in found['notes']:
         console.print(f'note: {note}', markup=False)
+
+
+def show_written(found: dict[str, Any]) -> None:
+    """Print which files were written, and the placement itself where not all could be."""
     for path in found.get('written', ()):
-        console.print(f'wrote {path}', markup=False, highlight=False, soft_wrap=True)
+        print(f'wrote {path}')
+    if 'error' in found:
+        print(written({'cameras': found['cameras']}, '.yaml'), end='')
 
 
 def percent(share: float) -> str:

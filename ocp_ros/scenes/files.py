@@ -16,6 +16,8 @@ from ocp_ros.scenes.scene import check_points, likely_up_axis, MIN_POINTS, Scene
 from ocp_ros.scenes.tables import read_table
 
 FAR = 1000.0
+#: Metres: no room is both lower than the first and shorter than the second.
+SMALL = (1.0, 1.5)
 # What the file calls x, y and z up, as the file's axes and signs that make x, y and z of the map.
 UP_AXES = {'x': ([1, 2, 0], [1, 1, 1]), 'y': ([0, 2, 1], [1, -1, 1]), 'z': ([0, 1, 2], [1, 1, 1])}
 
@@ -50,8 +52,10 @@ def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: flo
     points, normals = _read(path)
     if drop_nonfinite:
         points, normals = _without_nonfinite(points, normals, path.name)
-    points = points * scale
-    check_points(points, path.name)
+    with np.errstate(over='ignore'):
+        points = points * scale
+    check_points(points, path.name, up)
+    _warn_if_small(points, path.name, up)
     axes, signs = UP_AXES[up]
     points = _near_origin(points[:, axes] * signs, path.name)
     normals = None if normals is None else _unit(normals[:, axes] * signs)
@@ -98,54 +102,12 @@ def scans_in(folder: str | Path) -> list[Path]:
     return [path for path in found if path not in meshes]
 
 
-def _rows(values: np.ndarray, named: list[tuple[str, str]]) -> np.ndarray:
-    """Return an array (N, C) as records."""
-    return np.rec.fromarrays(values.T, dtype=named)
+def check_file(path: Path) -> None:
+    """
+    Refuse a path that is not a file with content and a known suffix.
 
-
-def _check_options(name: str, voxel_size: float, max_points: int, scale: float, up: str) -> None:
-    """Refuse options without a meaning."""
-    for option, value, usable, expected in (
-            ('voxel_size', voxel_size, voxel_size == 0 or SMALLEST <= voxel_size < np.inf,
-             f'0 or at least {SMALLEST} m'),
-            ('max_points', max_points, max_points == 0 or max_points >= MIN_POINTS,
-             f'0 or at least {MIN_POINTS}'),
-            ('scale', scale, 0 < scale < np.inf, 'a number above 0, such as 0.001'),
-            ('up', up, up in UP_AXES, "'x', 'y' or 'z'")):
-        if not usable:
-            raise SceneError(f'{name}: found {option}={value!r}; expected {expected}')
-
-
-def _scene_name(path: Path) -> str:
-    """Call a room by its file's stem, or by area and room where the folders are those of S3DIS."""
-    room, area = path.absolute().parent.name, path.absolute().parent.parent.name
-    alike = room.replace('_', '') == path.stem.replace('_', '')
-    s3dis = path.suffix == '.txt' and alike and area.startswith('Area_')
-    return f'{area}_{room}' if s3dis else path.stem
-
-
-def _read(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
-    """Read (N, 3) float64 points in the file's own units and axes, and normals if it has them."""
-    try:
-        _check_file(path)
-        return READERS[path.suffix.lower()](path)
-    except SceneError:
-        raise
-    except ImportError as error:
-        raise SceneError(f'{path.name}: found a {path.suffix} file but no package that reads it '
-                         f'({error}); install laspy and lazrs: pip install "laspy[lazrs]"'
-                         ) from error
-    except OSError as error:
-        raise SceneError(f'{path.name}: found a file that cannot be read ({error}); expected one '
-                         'that may be opened; check its permissions and the disk') from error
-    except Exception as error:  # A broken file makes the libraries raise almost anything.
-        reason = (str(error).splitlines() or [''])[0] or type(error).__name__
-        raise SceneError(f'{path.name}: found content that cannot be read ({reason}); expected a '
-                         f'plain, complete {path.suffix} file; copy or export it again') from error
-
-
-def _check_file(path: Path) -> None:
-    """Refuse a path that is not a file with content and a known suffix."""
+    :raises SceneError: if so.
+    """
     known = sorted(READERS)
     if not path.exists():
         raise SceneError(f'{path}: found no such file; expected one of {" ".join(known)}; check '
@@ -163,6 +125,52 @@ def _check_file(path: Path) -> None:
     if path.stat().st_size == 0:
         raise SceneError(f'{path.name}: found an empty file; expected a room of at least '
                          f'{MIN_POINTS} points; copy or export it again')
+
+
+def _rows(values: np.ndarray, named: list[tuple[str, str]]) -> np.ndarray:
+    """Return an array (N, C) as records."""
+    return np.rec.fromarrays(values.T, dtype=named)
+
+
+def _check_options(name: str, voxel_size: float, max_points: int, scale: float, up: str) -> None:
+    """Refuse options without a meaning."""
+    for option, value, usable, expected in (
+            ('voxel_size', voxel_size, voxel_size == 0 or SMALLEST <= voxel_size < np.inf,
+             f'0 or at least {SMALLEST} m'),
+            ('max_points', max_points, max_points == 0 or max_points >= MIN_POINTS,
+             f'0 or at least {MIN_POINTS}'),
+            ('scale', scale, 1e-6 <= scale <= 1e6, '0.000001 to 1000000, such as 0.001'),
+            ('up', up, up in UP_AXES, "'x', 'y' or 'z'")):
+        if not usable:
+            raise SceneError(f'{name}: found {option}={value!r}; expected {expected}')
+
+
+def _scene_name(path: Path) -> str:
+    """Call a room by its file's stem, or by area and room where the folders are those of S3DIS."""
+    room, area = path.absolute().parent.name, path.absolute().parent.parent.name
+    alike = room.replace('_', '') == path.stem.replace('_', '')
+    s3dis = path.suffix == '.txt' and alike and area.startswith('Area_')
+    return f'{area}_{room}' if s3dis else path.stem
+
+
+def _read(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
+    """Read (N, 3) float64 points in the file's own units and axes, and normals if it has them."""
+    try:
+        check_file(path)
+        return READERS[path.suffix.lower()](path)
+    except SceneError:
+        raise
+    except ImportError as error:
+        raise SceneError(f'{path.name}: found a {path.suffix} file but no package that reads it '
+                         f'({error}); install laspy and lazrs: pip install "laspy[lazrs]"'
+                         ) from error
+    except OSError as error:
+        raise SceneError(f'{path.name}: found a file that cannot be read ({error}); expected one '
+                         'that may be opened; check its permissions and the disk') from error
+    except Exception as error:  # A broken file makes the libraries raise almost anything.
+        reason = (str(error).splitlines() or [''])[0] or type(error).__name__
+        raise SceneError(f'{path.name}: found content that cannot be read ({reason}); expected a '
+                         f'plain, complete {path.suffix} file; copy or export it again') from error
 
 
 def _without_nonfinite(points: np.ndarray, normals: np.ndarray | None, name: str):
@@ -203,18 +211,29 @@ def _without_duplicates(points: np.ndarray, normals: np.ndarray | None, name: st
     return points[first], None if normals is None else normals[first]
 
 
+def _warn_if_small(points: np.ndarray, name: str, up: str) -> None:
+    """Warn where a room is lower and shorter than any, as one is whose scale is wrong."""
+    size = np.ptp(corners_of(points), axis=0)
+    if size['xyz'.index(up)] < SMALL[0] and size.max() < SMALL[1]:
+        warnings.warn(
+            f'{name}: found a room of {" x ".join(f"{edge:.3g}" for edge in size)} m; expected '
+            f'one that is {SMALL[0]:g} m high or {SMALL[1]:g} m long; correct the scale (--scale) '
+            'unless it is so small', SceneWarning, stacklevel=3)
+
+
 def _warn_if_not_z_up(points: np.ndarray, name: str) -> None:
     """Warn where floor and ceiling seem to lie across another axis than z."""
     axis = likely_up_axis(points)
     if axis != 'z':
         warnings.warn(
             f'{name}: found the two fullest layers, floor and ceiling, across {axis}; expected z '
-            f'up; load with up={axis!r} unless z is up', SceneWarning, stacklevel=3)
+            f'up; turn it (--up {axis}) unless z is up', SceneWarning, stacklevel=3)
 
 
 def _merge(points: np.ndarray, voxel_size: float, max_points: int, name: str) -> np.ndarray:
     """Merge points as asked and refuse it where too few are left."""
     merged = points
+    remedy = 'use a smaller voxel_size or a denser scan' if voxel_size else 'use a denser scan'
     if voxel_size == 0 and 0 < max_points < len(points):
         voxel_size = voxel_size_for(points, max_points)
     if voxel_size > 0:
@@ -223,8 +242,7 @@ def _merge(points: np.ndarray, voxel_size: float, max_points: int, name: str) ->
                   name, len(merged), len(points), voxel_size)
     if len(merged) < MIN_POINTS:
         raise SceneError(f'{name}: found {len(merged)} points once duplicates and those in one '
-                         f'voxel are merged; expected at least {MIN_POINTS}; use a smaller '
-                         'voxel_size or a denser scan')
+                         f'voxel are merged; expected at least {MIN_POINTS}; {remedy}')
     return merged
 
 
@@ -237,7 +255,8 @@ def _from_fields(fields: dict[str, np.ndarray], name: str):
     points = np.stack([np.ravel(fields[axis]).astype(np.float64) for axis in 'xyz'], axis=-1)
     for names in (('nx', 'ny', 'nz'), ('normal_x', 'normal_y', 'normal_z')):
         if all(axis in fields for axis in names):
-            return points, np.stack([np.ravel(fields[axis]) for axis in names], axis=-1)
+            return points, np.stack([np.ravel(fields[axis]).astype(np.float64)
+                                     for axis in names], axis=-1)
     return points, None
 
 

@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ocp_ros.configuration import UserError
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.geometry.normals import edge_aware_normals
@@ -16,9 +17,15 @@ MIN_POINTS = 100
 NEIGHBOURS = 14
 #: Metres: largest extent of a scene, and largest of its least extent.
 LARGEST, HIGHEST = 500.0, 40.0
+#: Metres: clouds that are thinner in some direction are flat.
+FLAT = 0.05
+#: Metres in a unit that scanners export.
+UNITS = {'millimetres': 0.001, 'centimetres': 0.01, 'inches': 0.0254}
+#: Metres: the lowest, the usual and the greatest height of a room of which the unit is guessed.
+LOW, USUAL, TALL = 1.5, 2.7, 12.0
 
 
-class SceneError(ValueError):
+class SceneError(UserError):
     """A room that cannot be used; the message says what was found and what to do."""
 
 
@@ -121,12 +128,13 @@ def turned(scene: Scene, degrees: float) -> Scene:
     return Scene(scene.points @ rotation.T, f'{scene.name}@{degrees:g}', normals, mesh)
 
 
-def check_points(points: np.ndarray, name: str) -> None:
+def check_points(points: np.ndarray, name: str, up: str = 'z') -> None:
     """
     Refuse points that are not a room in metres.
 
     :param points: (N, 3) array.
     :param name: what the message calls them.
+    :param up: the axis that points up, ``'x'``, ``'y'`` or ``'z'``.
     :raises SceneError: for a wrong shape, fewer than 100 points, NaN or inf, a flat cloud, or a
         size that no room in metres has.
     """
@@ -141,33 +149,52 @@ def check_points(points: np.ndarray, name: str) -> None:
     if broken:
         raise SceneError(
             f'{name}: found {broken:,} of {len(points):,} points with NaN or inf; expected finite '
-            'metres; remove them first or leave them out (drop_nonfinite)')
+            'metres; remove them first or leave them out (--drop-nonfinite)')
     if len(points) < MIN_POINTS:
         raise SceneError(f'{name}: found {len(points)} points; expected at least {MIN_POINTS} to '
                          'describe a room; use a denser scan')
-    _check_size(points.astype(np.float64), name)
+    # Coordinates of 1e308 are far apart, and need no warning.
+    with np.errstate(over='ignore', invalid='ignore'):
+        _check_size(points.astype(np.float64), name, 'xyz'.index(up))
 
 
-def _check_size(points: np.ndarray, name: str) -> None:
+def _check_size(points: np.ndarray, name: str, up: int) -> None:
     """Refuse a bounding box that is flat or not that of a room in metres."""
     size = np.ptp(corners_of(points), axis=0)
     found = f'{name}: found a bounding box of ' + ' x '.join(f'{s:.4g}' for s in size)
-    if size.max() > LARGEST:
+    if size.max() > LARGEST or size.min() > HIGHEST:
         core = np.subtract(*np.percentile(points, [98, 2], axis=0))
-        if core.max() <= 0.1 * size.max():
+        if size.max() > LARGEST and core.max() <= 0.1 * size.max():
             raise SceneError(f'{found} m around points that mostly lie within {core.max():.3g}; '
                              'expected one room; remove the stray points')
+        units = _units_of(core, up)
+        if not units:
+            raise SceneError(f'{found}; expected metres, and no room is that large, nor in '
+                             f'{", ".join(UNITS)}; scale it to metres (--scale), or cut one room '
+                             'out of it')
+        scales = ' or '.join(f'--scale {UNITS[unit]:g}' for unit in units)
         raise SceneError(f'{found}; expected metres, and no room is that large: these look like '
-                         'millimetres; load with scale=0.001')
-    if size.min() > HIGHEST:
-        raise SceneError(f'{found}; expected metres, and no room is that high: these look like '
-                         'centimetres; load with scale=0.01')
+                         f'{" or ".join(units)}; scale it ({scales})')
     if size.max() < 0.5:
         raise SceneError(f'{found}; expected a room of at least 0.5 m: the unit may not be the '
-                         'metre; load with scale=1000 for kilometres, or check the export')
-    if size.min() < 0.05:
-        raise SceneError(f'{found} m; expected a room with volume: the cloud is flat along '
-                         f'{"xyz"[int(size.argmin())]}; use a scan that shows more than one wall')
+                         'metre; correct it (--scale, 1000 for kilometres), or check the export')
+    if size.min() < FLAT or _thickness(points) < FLAT:
+        raise SceneError(f'{found} m; expected a room with volume: the cloud is flat; use a scan '
+                         'that shows more than one wall')
+
+
+def _units_of(size: np.ndarray, up: int) -> list[str]:
+    """Return the units in which an extent (3,) is that of a room, the likeliest first."""
+    heights = {unit: scale * size[up] for unit, scale in UNITS.items()
+               if scale * size.max() <= LARGEST}
+    return sorted((unit for unit, height in heights.items() if LOW <= height <= TALL),
+                  key=lambda unit: abs(np.log(heights[unit] / USUAL)))
+
+
+def _thickness(points: np.ndarray) -> float:
+    """Return the extent (N, 3) points have in the direction in which they vary least, metres."""
+    centred = points - points.mean(axis=0)
+    return float(np.ptp(centred @ np.linalg.eigh(centred.T @ centred)[1][:, 0]))
 
 
 def likely_up_axis(points: np.ndarray) -> str:

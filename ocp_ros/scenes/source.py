@@ -7,7 +7,9 @@ from ocp_ros.configuration import setting
 from ocp_ros.scenes.cached import load_cached
 from ocp_ros.scenes.files import load_scene
 from ocp_ros.scenes.rooms import generate_room
-from ocp_ros.scenes.scene import Scene, turned
+from ocp_ros.scenes.scene import Scene, SceneError, turned
+
+LARGEST_SEED = 1 << 31
 
 
 @dataclass(frozen=True)
@@ -15,7 +17,7 @@ class SceneConfig:
     """A room from a file, or from the generator where no file is named."""
 
     file: str = setting('', 'scan to read; empty for a generated room')
-    seed: int = setting(1, 'seed of the generated room', 0, 1 << 31)
+    seed: int = setting(1, 'seed of the generated room', 0, LARGEST_SEED)
     points: int = setting(15000, 'points of a generated room; a larger scan is thinned to as many',
                           1000, 5000000)
     voxel_size: float = setting(
@@ -37,6 +39,20 @@ def make_scene(config: SceneConfig) -> Scene:
                       scale=config.scale, up=config.up, drop_nonfinite=config.drop_nonfinite)
 
 
+def seed_named(name: str) -> int:
+    """
+    Read the seed of a generated room.
+
+    :raises SceneError: if it is too large.
+    """
+    # Thousands of digits are more than Python reads.
+    if len(name) > 20 or int(name) > LARGEST_SEED:
+        shown = name if len(name) <= 20 else f'{name[:20]}...'
+        raise SceneError(f'{shown}: found no seed of a room; expected one of at most '
+                         f'{LARGEST_SEED}, or the path of a scan; name another')
+    return int(name)
+
+
 def make_room(name: str, rotation: float, points: int = 15000, scale: float = 1.0, up: str = 'z',
               drop_nonfinite: bool = False) -> Scene:
     """
@@ -51,7 +67,7 @@ def make_room(name: str, rotation: float, points: int = 15000, scale: float = 1.
     :raises SceneError: if the scan cannot be used.
     """
     if name.isdecimal():
-        scene = generate_room(int(name), points)
+        scene = generate_room(seed_named(name), points)
     else:
         scene = load_cached(name, max_points=points, scale=scale, up=up,
                             drop_nonfinite=drop_nonfinite)

@@ -58,9 +58,13 @@ def check_heights(scene: Scene, rig: Rig, top: float | None = None) -> None:
     highest = float(scene.bounds[1, 2])
     height = (highest if top is None else max(highest, top)) - floor_height(scene)
     if rig.mount.heights is not None and rig.mount.heights[0] >= height:
+        given = 'height' in rig.document.data.get('mount', {})
         raise rig.document.error(
-            ('mount', 'height'), f'{rig.mount.heights[0]:g} m',
-            f'less than the {height:.2f} m that {scene.name} is high', 'lower it')
+            ('mount', 'height'), f'{round(rig.mount.heights[0], 2):g} m'
+            f'{"" if given else " by default"}',
+            f'less than the {height:.2f} m that {scene.name} is high', 'lower it' if given else
+            f'write mount: {{on: {rig.mount.on}, height: {0.7 * height:.1f}}} in a rig file '
+            '(--rig)')
 
 
 class Allowed:
@@ -104,7 +108,7 @@ class Allowed:
         if len(surface.points) == 0:
             raise self.rig.document.error(
                 ('mount', 'on'), f'{on}, of which {self.scene.name} shows none', 'a scan that '
-                'shows it', 'write on: plane with a height, or scan it too')
+                'shows it', 'choose another, such as plane with a height, or scan it too')
         return surface
 
     def candidates(self, model: CameraModel, most: int) -> np.ndarray:

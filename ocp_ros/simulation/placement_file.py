@@ -9,6 +9,7 @@ gets the same scores. docs/placement.md explains every key.
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
+import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -76,6 +77,8 @@ class Placement:
     :ivar scores: figures, as the file has them.
     :ivar created: date, command and version, as the file has them.
     :ivar frame: the frame of all poses.
+    :ivar document: what it was read from, if it was.
+    :ivar ways: where each camera stands in that document.
     """
 
     cameras: tuple[Placed, ...]
@@ -85,6 +88,8 @@ class Placement:
     scores: dict[str, Any] = field(default_factory=dict)
     created: dict[str, str] = field(default_factory=dict)
     frame: str = FRAME
+    document: Document | None = None
+    ways: tuple[Way, ...] = ()
 
     @property
     def poses(self) -> np.ndarray:
@@ -98,7 +103,7 @@ class Placement:
 
         :param scene: the room, for heights above its floor.
         """
-        return self.rig or _rig_like(self.cameras, floor_height(scene))
+        return self.rig or _rig_like(self, floor_height(scene))
 
 
 def placement_of(rig: Rig, poses: np.ndarray, **more: Any) -> Placement:
@@ -176,12 +181,12 @@ def load_placement(path: str | Path, rig: Rig | None = None) -> Placement:
         placed += [_rounded(one.camera, one.pose, FIXED) for one in rig.fixed]
     return Placement(tuple(placed), rig, data.get('room', {}),
                      EngineConfig(**data.get('engine', {})), data.get('scores', {}),
-                     data.get('created', {}), data.get('frame', FRAME))
+                     data.get('created', {}), data.get('frame', FRAME), document, tuple(ways))
 
 
 def _placed(document: Document, way: Way, camera: Camera, mount: str) -> Placed:
     """Read where a camera hangs, and on what unless the file does not say."""
-    data = document.part(*way).data
+    data = document.value(*way)
     return Placed(camera, tuple(float(value) for value in data['position']),
                   tuple(float(data.get(angle, 0.0)) for angle in ANGLES),
                   data.get('mount', mount))
@@ -196,8 +201,8 @@ def _matched(document: Document, rig: Rig, ways: Sequence[Way], names: dict[Way,
             f'mount: {FIXED}')
     cameras = []
     for way, camera in zip(ways, rig.cameras):
-        data = document.part(*way).data
-        if any(key in data for key in MODEL) and model_of(document, way) != camera.model:
+        data = document.value(*way)
+        if any(key in data for key in MODEL) and not _sees_as(document, way, camera.model):
             raise document.error(
                 way, 'the numbers of another sensor', f'those of {camera.name} in '
                 f'{rig.document.name}', "put the cameras in the rig's order, or leave them out")
@@ -213,11 +218,19 @@ def _matched(document: Document, rig: Rig, ways: Sequence[Way], names: dict[Way,
 def _check_fixed(document: Document, rig: Rig, ways: Sequence[Way]) -> None:
     """Refuse cameras in place that are not those of the rig; they may be left out."""
     for k, way in enumerate(ways):
-        data = document.part(*way).data
-        if (len(ways) != len(rig.fixed) or model_of(document, way) != rig.fixed[k].camera.model
+        data = document.value(*way)
+        if (len(ways) != len(rig.fixed) or not _sees_as(document, way, rig.fixed[k].camera.model)
                 or not _alike(pose_of(data), rig.fixed[k].pose)):
             raise document.error(way, 'a camera in place', f'those that {rig.document.name} has, '
                                  'or none', 'correct it, or leave all of them out')
+
+
+def _sees_as(document: Document, way: Way, model: CameraModel) -> bool:
+    """Tell whether a camera of a file has the numbers of a model; files round angles."""
+    found = model_of(document, way)
+    return found.resolution == model.resolution and all(
+        math.isclose(getattr(found, key), getattr(model, key))
+        for key in ('min_range', 'max_range', 'horizontal_fov', 'vertical_fov'))
 
 
 def _alike(pose: np.ndarray, other: np.ndarray) -> bool:
@@ -226,8 +239,9 @@ def _alike(pose: np.ndarray, other: np.ndarray) -> bool:
     return max(np.abs(pose[:3] - other[:3]).max(), np.abs(turns).max()) <= SAME
 
 
-def _rig_like(placed: Sequence[Placed], floor: float) -> Rig:
-    """Describe the rig of some cameras: more of them may hang as these do."""
+def _rig_like(placement: Placement, floor: float) -> Rig:
+    """Describe the rig of a placement's cameras: more of them may hang as these do."""
+    placed = placement.cameras
     moved = [one for one in placed if one.mount != FIXED]
     heights = [max(one.position[2] - floor, 0.0) for one in moved]
     pitches = [one.angles[1] for one in moved if not one.camera.model.omnidirectional]
@@ -243,7 +257,19 @@ def _rig_like(placed: Sequence[Placed], floor: float) -> Rig:
         'fixed': [_entry(one, mount=False) for one in placed if one.mount == FIXED],
         'mount': mount, 'pitch': [min([0.0, *pitches]), max([MORE_PITCH, *pitches])],
         'keep_clear': TOUCHING}
-    return rig_from(Document('placement', data))
+    return rig_from(_made_of(placement, data, int(np.argmin(heights))))
+
+
+def _made_of(placement: Placement, data: dict[str, Any], lowest: int) -> Document:
+    """Return a rig that a placement stands for; its errors name the placement's keys."""
+    document, ways = placement.document, placement.ways
+    if document is None:
+        return Document('placement', data)
+    in_place = (way for way, one in zip(ways, placement.cameras) if one.mount == FIXED)
+    written = {('mount', 'height'): (*ways[lowest], 'position'),
+               ('mount', 'on'): (*ways[lowest], 'mount'),
+               **{('fixed', k): (*way, 'position') for k, way in enumerate(in_place)}}
+    return Document(document.name, data, document.lines, written)
 
 
 def numbers_of(camera: Camera) -> dict[str, Any]:
@@ -251,7 +277,7 @@ def numbers_of(camera: Camera) -> dict[str, Any]:
     model: CameraModel = camera.model
     numbers = {'sensor': camera.sensor} if camera.sensor else {}
     for key in ('horizontal_fov', 'vertical_fov'):
-        numbers[key] = round(float(np.rad2deg(getattr(model, key))), 9)
+        numbers[key] = float(f'{np.rad2deg(getattr(model, key)):.12g}')
     numbers |= {'min_range': model.min_range, 'max_range': model.max_range}
     if model.resolution is not None:
         numbers['resolution'] = list(model.resolution)

@@ -18,7 +18,7 @@ from ocp_ros.documents import check, describe, Document, nearest, read_document,
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.sensors import SENSORS
 from ocp_ros.simulation.config import KINDS, OMNIDIRECTIONAL, RigConfig
-from ocp_ros.simulation.schemas import MODEL, RIG
+from ocp_ros.simulation.schemas import LONGEST_NAME, MODEL, RIG
 from ocp_ros.simulation.zones import Zone, zone_of
 
 #: More cameras than this are no rig.
@@ -196,7 +196,7 @@ def model_of(document: Document, way: Way) -> CameraModel:
     :param way: where the camera stands in the document.
     :raises ConfigurationError: if numbers are missing or exclude each other.
     """
-    data = document.part(*way).data
+    data = document.value(*way)
     given = {key: data[key] for key in MODEL if key in data}
     given = {key: float(np.deg2rad(value)) if key.endswith('fov') else value
              for key, value in given.items()}
@@ -273,7 +273,7 @@ def cameras_at(document: Document, ways: list[Way]) -> Iterator[Camera]:
     :raises ConfigurationError: where a name is given twice or a camera makes no sense.
     """
     for way, name in zip(ways, names_of(document, ways)):
-        yield Camera(name, document.part(*way).data.get('sensor', ''), model_of(document, way))
+        yield Camera(name, document.value(*way).get('sensor', ''), model_of(document, way))
 
 
 def names_of(document: Document, ways: list[Way]) -> Iterator[str]:
@@ -283,7 +283,7 @@ def names_of(document: Document, ways: list[Way]) -> Iterator[str]:
     :param ways: where each stands in the document; those of one group have one way.
     :raises ConfigurationError: where a name is given twice.
     """
-    entries = [document.part(*way).data for way in ways]
+    entries = [document.value(*way) for way in ways]
     stems = [entry.get('name', entry.get('sensor', 'camera')) for entry in entries]
     totals, used = Counter(stems), Counter()
     given: dict[str, Way] = {}
@@ -292,7 +292,8 @@ def names_of(document: Document, ways: list[Way]) -> Iterator[str]:
         used[stem] += 1
         named = 'name' in entry
         # Cameras of one group share a name, and have a number behind it.
-        name = stem if totals[stem] == 1 else f'{stem}_{used[stem]}'
+        number = '' if totals[stem] == 1 else f'_{used[stem]}'
+        name = stem[:LONGEST_NAME - len(number)] + number
         if name in taken or (named and given.setdefault(stem, way) != way):
             raise document.error((*way, 'name' if named else 'sensor'), f'the name {stem!r}, '
                                  'which another camera has', 'one of its own',

@@ -16,6 +16,8 @@ DIALECT = 'https://json-schema.org/draft/2020-12/schema'
 MOUNTS = ('plane', 'ceiling', 'walls', 'free')
 #: Metres that nothing in a room exceeds.
 FAR = 1000.0
+#: Letters of a name.
+LONGEST_NAME = 60
 POINT = {'type': 'number', 'minimum': -FAR, 'maximum': FAR}
 
 
@@ -44,8 +46,9 @@ def mapping(description: str, example: Any, required: tuple[str, ...] = (), **ke
             'required': list(required), 'additionalProperties': False, 'examples': [example]}
 
 
-NAME = {'description': 'a name of letters, digits, _, - and blanks, at most 60', 'type': 'string',
-        'pattern': '^[A-Za-z0-9_][A-Za-z0-9_ -]{0,59}$', 'examples': ['door']}
+NAME = {'description': f'a name of letters, digits, _, - and blanks, at most {LONGEST_NAME}',
+        'type': 'string', 'pattern': f'^[A-Za-z0-9_][A-Za-z0-9_ -]{{0,{LONGEST_NAME - 1}}}$',
+        'examples': ['door']}
 MODEL: dict[str, Schema] = {
     'sensor': {
         'description': f'one of {", ".join(KINDS)}', 'enum': list(KINDS),

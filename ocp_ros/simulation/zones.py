@@ -52,6 +52,16 @@ def _in_polygon(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     return np.count_nonzero(crosses & right, axis=1) % 2 == 1
 
 
+def _crosses_itself(corners: np.ndarray) -> bool:
+    """Tell whether two edges of a polygon (P, 2) cross; that they touch does not matter."""
+    along = np.roll(corners, -1, axis=0) - corners
+    away = corners[None] - corners[:, None]
+    # Of each edge: on which side of its line each corner is.
+    side = np.sign(along[:, :1] * away[..., 1] - along[:, 1:] * away[..., 0])
+    parted = side * np.roll(side, -1, axis=1) < 0.0
+    return bool((parted & parted.T).any())
+
+
 def zone_of(document: Document, way: Way) -> Zone:
     """
     Read a zone.
@@ -59,7 +69,7 @@ def zone_of(document: Document, way: Way) -> Zone:
     :param way: where it stands in the document.
     :raises ConfigurationError: if it is no box and no polygon, or has no inside.
     """
-    data = document.part(*way).data
+    data = document.value(*way)
     if ('box' in data) == ('polygon' in data):
         found = 'a box and a polygon' if 'box' in data else 'no box and no polygon'
         raise document.error(way, found, 'one of the two', 'write, for example, '
@@ -71,17 +81,22 @@ def zone_of(document: Document, way: Way) -> Zone:
         low, high = np.array(data['box'], dtype=np.float64)
         if not (low < high).all():
             raise document.error((*way, 'box'), describe(data['box']), 'the lowest corner first '
-                                 'and the highest after it', 'exchange the coordinates that are '
-                                 'the other way round')
+                                 'and the highest after it, all coordinates apart', 'exchange or '
+                                 'correct those that are not')
         return Zone(low, high)
     corners = np.array(data['polygon'], dtype=np.float64)
+    if _crosses_itself(corners):
+        raise document.error((*way, 'polygon'), 'edges that cross each other', 'a polygon whose '
+                             'edges do not', 'write its corners one after the other, round it '
+                             'once')
     x, y = corners.T
     if abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) < 2.0 * LEAST_AREA:
         raise document.error((*way, 'polygon'), 'corners on one line', 'a polygon with an area',
                              'write its corners one after the other, round it once')
     bottom, top = data.get('height', (-np.inf, np.inf))
     if not bottom < top:
-        raise document.error((*way, 'height'), describe(data['height']), 'the lower height first',
-                             f'write [{top:g}, {bottom:g}]')
+        raise document.error((*way, 'height'), describe(data['height']), 'the lower height first '
+                             'and a greater one after it', f'write [{top:g}, {bottom:g}]'
+                             if top < bottom else 'raise the second')
     return Zone(np.array([*corners.min(axis=0), bottom]), np.array([*corners.max(axis=0), top]),
                 corners, True)
