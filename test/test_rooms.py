@@ -206,7 +206,8 @@ def test_generated_rooms_are_as_full_as_real_ones():
     (['preview', '²', '--out', 'a.png'], 'found no such file'),
     (['preview', '5', '--out', 'folder'], '--out: found .*folder, which cannot be written'),
     (['preview', '5', '--out', 'file/a.png'], 'cannot be written.*expected a file to write'),
-    (['make', '5', '--points', '1000', '--out', 'file'], '--out: found file, where nothing can be written'),
+    (['make', '5', '--points', '1000', '--out', 'file'],
+     '--out: found file, where nothing can be written'),
 ])
 def test_what_cannot_be_drawn_or_written_is_refused(tmp_path, monkeypatch, capsys, arguments,
                                                     words):
