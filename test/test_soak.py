@@ -44,20 +44,28 @@ def test_a_torn_file_is_noticed(tmp_path, small_agent):
 
 
 def test_memory_is_compared_within_one_life(monkeypatch):
-    now, held = [0.0], {1: 100.0, 2: 50.0}
+    now, held = [0.0], {}
     monkeypatch.setattr(soak_watch.time, 'monotonic', lambda: now[0])
     monkeypatch.setattr(soak_watch, 'rss_of', held.get)
-    processes = [SimpleNamespace(name='a', process=SimpleNamespace(pid=1)),
-                 SimpleNamespace(name='b', process=SimpleNamespace(pid=2))]
+    processes = [SimpleNamespace(name=name, process=SimpleNamespace(pid=pid))
+                 for pid, name in enumerate('abc', 1)]
     memory = soak_watch.Memory()
-    for second, a, b in ((0, 100.0, 50.0), (soak_watch.WARM, 130.0, 60.0), (90, 133.0, 59.0)):
-        now[0], held[1], held[2] = float(second), a, b
-        memory.look(processes)
-    assert memory.growth == {'a': 3.0, 'b': 0.0}
+
+    def live(since, until):
+        for second in range(since, until):
+            now[0] = float(second)
+            # One leaks 6 MB an hour, one only has more now and then, one starts up.
+            held.update({1: 100.0 + second / 600.0, 2: 50.0 + 20.0 * (second % 10 == 0),
+                         3: 10.0 + min(second, soak_watch.WARM)})
+            memory.look(processes)
+
+    live(0, 3600)
+    assert memory.growth == {'a': pytest.approx(5.8, abs=0.2), 'b': 0.0, 'c': 0.0}
+    assert memory.peak == {'a': pytest.approx(5.9, abs=0.2), 'b': 20.0, 'c': 0.0}
     # A new life begins anew.
-    processes[0].process.pid, held[3] = 3, 500.0
-    memory.look(processes)
-    assert memory.growth == {'a': 3.0, 'b': 0.0}
+    processes[0].process.pid, held[4] = 4, 500.0
+    live(3600, 3700)
+    assert memory.growth['a'] == pytest.approx(5.8, abs=0.2)
 
 
 def test_memory_that_grows_is_a_fault():

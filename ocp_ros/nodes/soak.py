@@ -221,7 +221,7 @@ class Soak:
             'malformed_messages_sent': sum(lies.sent for lies in self.lies),
             'malformed_messages_refused': self.refused, 'clock_jumps': self._jumps,
             'rss_growth_mb': max(self.memory.growth.values(), default=None),
-            'rss_growth_mb_by_node': self.memory.growth,
+            'rss_growth_mb_by_node': self.memory.growth, 'rss_peak_mb_by_node': self.memory.peak,
             'turn_latency_p50_ms': 1e3 * float(np.percentile(seconds, 50)),
             'turn_latency_p99_ms': 1e3 * float(np.percentile(seconds, 99)),
             'load_average': os.getloadavg()[1], 'cores': cores(),

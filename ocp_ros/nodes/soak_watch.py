@@ -28,8 +28,9 @@ from ocp_ros.nodes.source import topic_of
 from ocp_ros.training.learner import ACTOR, STATE, TRANSITIONS
 from ocp_ros.training.log import TransitionLog
 
-#: Seconds from the first word of a node until its memory is taken down for the first time.
-WARM = 60.0
+#: Seconds from the first word of a node until its memory is taken down for the first time, and of
+#: the times that are compared; and seconds between two looks.
+WARM, EACH = 60.0, 1.0
 
 
 class Latency:
@@ -116,24 +117,33 @@ class Memory:
     """
     How much the memory of processes grows once they have lived for a while.
 
+    An allocator keeps what was freed for some time: the memory of a process that leaks nothing
+    goes up and down. So medians are compared, of the last of its minutes and of the first.
+
     :ivar growth: MB, of the node that grew most in one life, by name.
+    :ivar peak: MB by which it was above that first minute at any moment, by name.
     """
 
     def __init__(self) -> None:
-        self._lives: dict[int, tuple[float, float | None]] = {}
+        #: By process: when it was seen first, and each second what it held since it was warm.
+        self._lives: dict[int, tuple[float, list[tuple[float, float]]]] = {}
         self.growth: dict[str, float] = {}
+        self.peak: dict[str, float] = {}
 
     def look(self, processes: list[NodeProcess]) -> None:
         """Take down what the processes hold now."""
         now = time.monotonic()
         for process in processes:
-            pid, held = process.process.pid, rss_of(process.process.pid)
-            began, first = self._lives.setdefault(pid, (now, None))
-            if held and first is None and now - began >= WARM:
-                first = held
-                self._lives[pid] = began, held
-            if held and first is not None:
-                self.growth[process.name] = max(self.growth.get(process.name, 0.0), held - first)
+            pid = process.process.pid
+            began, seen = self._lives.setdefault(pid, (now, []))
+            if now - began < WARM or (seen and now - seen[-1][0] < EACH):
+                continue
+            if held := rss_of(pid):
+                seen.append((now, held))
+                first, last = (np.median([mb for when, mb in seen if low <= when <= high])
+                               for low, high in ((0.0, seen[0][0] + WARM), (now - WARM, now)))
+                for grown, more in ((self.growth, last - first), (self.peak, held - first)):
+                    grown[process.name] = max(grown.get(process.name, 0.0), float(more))
 
 
 def check_files(folder: Path) -> int:
