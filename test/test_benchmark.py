@@ -274,7 +274,7 @@ def test_numbers_that_are_none_are_refused(capsys, arguments, words):
 def test_results_do_not_go_into_a_file(tmp_path, capsys):
     (tmp_path / 'taken').write_text('')
     assert cli.main(['benchmark', '--out', str(tmp_path / 'taken')]) == 2
-    assert 'taken: found a file; expected a folder' in capsys.readouterr().err
+    assert 'taken, where nothing can be written (it is a file)' in capsys.readouterr().err
 
 
 # Two nodes are a dozen processes to start, on however few cores.
