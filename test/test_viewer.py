@@ -4,6 +4,8 @@
 from base64 import b64decode
 import json
 import re
+import shutil
+import subprocess
 
 import numpy as np
 import pytest
@@ -91,3 +93,21 @@ def test_a_cone_is_drawn_as_a_camera_sees(name):
         assert not any(in_view(*way, model.lens) for way in body - 0.05 * ahead)
     flat = reach(model, pose, (0.0, 3.0))
     assert np.linalg.norm(flat - pose[:2], axis=1).max() <= model.max_range + 1e-9
+
+
+BROWSER = shutil.which('chromium') or shutil.which('google-chrome')
+
+
+@pytest.mark.skipif(BROWSER is None, reason='there is no chromium to open the page with')
+def test_a_browser_draws_the_page(tmp_path):
+    judged = judged_with(1500)
+    write_view(tmp_path / 'view.html', judged.scene, judged)
+    done = subprocess.run(
+        [BROWSER, '--headless=new', '--no-sandbox', '--use-angle=swiftshader', '--dump-dom',
+         '--enable-unsafe-swiftshader', '--virtual-time-budget=15000', '--enable-logging=stderr',
+         f'--user-data-dir={tmp_path / "profile"}', (tmp_path / 'view.html').as_uri()],
+        capture_output=True, text=True, timeout=200)
+    assert 'Uncaught' not in done.stderr
+    # What the page's own code has made: the canvas with the room.
+    assert '<canvas width=' in done.stdout
+    assert '<canvas width=' not in (tmp_path / 'view.html').read_text()
