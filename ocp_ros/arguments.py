@@ -4,8 +4,7 @@
 import argparse
 from collections.abc import Callable
 
-#: The most cameras of a rig, and the largest seed.
-MOST_CAMERAS, LARGEST_SEED = 64, 1 << 31
+from ocp_ros.configuration import LARGEST_SEED, MOST_CAMERAS
 
 
 def count(text: str) -> int:

@@ -12,6 +12,9 @@ from typing import Any, TypeVar
 
 T = TypeVar('T')
 
+#: The most cameras of a rig, and the largest seed.
+MOST_CAMERAS, LARGEST_SEED = 64, 1 << 31
+
 
 class UserError(ValueError):
     """Something given that cannot be used: one sentence for whoever gave it."""

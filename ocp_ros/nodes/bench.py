@@ -27,6 +27,7 @@ from rich.console import Console
 from rich.progress import track
 from std_msgs.msg import Float64MultiArray, Header
 
+from ocp_ros.atomic import write_atomically
 from ocp_ros.geometry.threads import cores
 from ocp_ros.nodes import topics
 from ocp_ros.nodes.conversions import (
@@ -220,8 +221,7 @@ def main(args: list[str] | None = None) -> int:
               'training': training(options.seconds, options.pairs) if options.seconds else [],
               'load_average': os.getloadavg()[1], 'cores': cores(),
               'date': datetime.now(timezone.utc).isoformat(timespec='seconds')}
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps(result, indent=2) + '\n')
+    write_atomically(options.out, json.dumps(result, indent=2) + '\n')
     print(f'wrote {options.out}')
     return 0
 

@@ -130,11 +130,14 @@ class Fuzzer:
             farther.
         """
         low, high = box[:, :2].astype(np.float64)
+
+        def outside(places: np.ndarray) -> np.ndarray:
+            return np.maximum(low - places[:, :2], places[:, :2] - high)
+
         slack = 1e-6 * (1.0 + np.abs(box).max())
-        out = np.maximum(low - found[:, :2], found[:, :2] - high)
         if before is not None:
-            slack = slack + np.maximum(np.maximum(low - before[:, :2], before[:, :2] - high), 0.0)
-        if not (np.isfinite(found).all() and (out <= slack).all()):
+            slack = slack + np.maximum(outside(before), 0.0)
+        if not (np.isfinite(found).all() and (outside(found) <= slack).all()):
             raise FuzzError(f'{what}: found {found.tolist()}; expected cameras within '
                             f'{box.tolist()}')
 

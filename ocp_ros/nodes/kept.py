@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The final placement of ``policy_node`` as a file, for ``ocp score`` and for installers."""
 
-from datetime import datetime, timezone
-
 from geometry_msgs.msg import PoseArray
 
-from ocp_ros import __version__
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.nodes.conversions import msg_to_positions
 from ocp_ros.nodes.rig_guard import RigGuard
-from ocp_ros.simulation.placement_file import Placed, Placement, placement_of
+from ocp_ros.simulation.placement_file import created_by, Placed, Placement, placement_of
 from ocp_ros.simulation.rig_file import Camera
 
 
@@ -23,8 +20,7 @@ def placement_from(poses: PoseArray, guard: RigGuard | None, model: CameraModel,
     :param model: what each camera sees where there is none.
     :param why: the placement is final.
     """
-    created = {'date': datetime.now(timezone.utc).isoformat(timespec='seconds'),
-               'command': 'policy_node', 'version': __version__, 'final': why}
+    created = {**created_by('policy_node'), 'final': why}
     frame = poses.header.frame_id
     if guard is not None:
         sight = guard.sight(poses)

@@ -6,8 +6,7 @@ Messages wait unread, the newest of each topic; each turn reads one of each. So 
 busy for one cloud or for one answer at a time, however fast the cameras are.
 """
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import partial
 import math
 
@@ -73,7 +72,7 @@ class LiveTurns:
         self._fused = FusedCloud(config.voxel_size, config.most_points)
         self._turns: Turns[PointCloud2] = Turns(config.clouds, *self._patience()[:3])
         self._turns.change(*self._patience())
-        self._transforms = Transforms(node)
+        self._transforms, self._jumps = Transforms(node), 0
         #: The newest poses, as they came and as what they mean.
         self._poses: PoseArray | None = None
         self._rig: Rig | None = None
@@ -124,8 +123,7 @@ class LiveTurns:
 
     def _on_cloud(self, topic: str, message: PointCloud2) -> None:
         """Keep a cloud; act if it was the last one that was waited for."""
-        with self._jumps():
-            self._turns.on_cloud(topic, stamp_to_ns(message.header.stamp), message)
+        self._turns.on_cloud(topic, stamp_to_ns(message.header.stamp), message)
         self._act()
 
     def _on_poses(self, message: PoseArray) -> None:
@@ -139,19 +137,10 @@ class LiveTurns:
         except MessageError as error:
             self._refuse(error)
             return
-        with self._jumps():
-            if self._turns.on_poses(stamp_to_ns(message.header.stamp), rig.positions,
-                                    [pose.rotation for pose in rig.poses]):
-                self._poses, self._rig = message, rig
+        if self._turns.on_poses(stamp_to_ns(message.header.stamp), rig.positions,
+                                [pose.rotation for pose in rig.poses]):
+            self._poses, self._rig = message, rig
         self._act()
-
-    @contextmanager
-    def _jumps(self) -> Iterator[None]:
-        """Forget what has stamps of a clock that has been set, if a message says so."""
-        before = self._turns.jumps
-        yield
-        if self._turns.jumps > before:
-            self._transforms.forget()
 
     def _check_known(self, rig: Rig) -> None:
         """Refuse poses of another rig than that which has been commanded."""
@@ -164,6 +153,10 @@ class LiveTurns:
 
     def _act(self) -> None:
         """Read the clouds that this turn can use, and play it once they are all here."""
+        if self._jumps != self._turns.jumps:
+            # Transforms have stamps of a clock that has been set.
+            self._jumps = self._turns.jumps
+            self._transforms.forget()
         while (taken := self._turns.take()) is not None:
             topic, message = taken
             try:

@@ -20,7 +20,7 @@ from std_msgs.msg import Float64, Float64MultiArray, Header
 from std_srvs.srv import Trigger
 
 from ocp_ros.agent.encoder import order_of
-from ocp_ros.configuration import group, setting
+from ocp_ros.configuration import group, LARGEST_SEED, setting
 from ocp_ros.geometry.cameras import heading_of, Pose
 from ocp_ros.nodes import health, topics
 from ocp_ros.nodes.conversions import (
@@ -50,7 +50,7 @@ class SimNodeConfig(SimulationConfig):
     """Parameters of ``sim_node``."""
 
     scene: SceneConfig = group(SceneConfig)
-    seed: int = setting(0, 'seed of where the cameras start', 0, 1 << 31)
+    seed: int = setting(0, 'seed of where the cameras start', 0, LARGEST_SEED)
     auto_reset: bool = setting(False, 'begin the next episode when one ends', running=True)
     resend_period: float = setting(
         0.5, 'send the latest turn again after so long without a command, seconds', 0.02, 60.0,

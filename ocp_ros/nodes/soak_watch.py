@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a soak sends and measures: lies, the time turns take, memory, and a trainer's files."""
 
+from collections import deque
 import json
+import math
 from pathlib import Path
 import time
 
@@ -125,24 +127,29 @@ class Memory:
     """
 
     def __init__(self) -> None:
-        #: By process: when it was seen first, and each second what it held since it was warm.
-        self._lives: dict[int, tuple[float, list[tuple[float, float]]]] = {}
+        #: By process: when it was seen first, and each second what it held in the first minute
+        #: since it was warm and in the last one.
+        self._lives: dict[int, tuple[float, list[float], deque[float]]] = {}
+        self._looked = -math.inf
         self.growth: dict[str, float] = {}
         self.peak: dict[str, float] = {}
 
     def look(self, processes: list[NodeProcess]) -> None:
-        """Take down what the processes hold now."""
+        """Take down what the processes hold now, once a second."""
         now = time.monotonic()
+        if now - self._looked < EACH:
+            return
+        self._looked = now
         for process in processes:
-            pid = process.process.pid
-            began, seen = self._lives.setdefault(pid, (now, []))
-            if now - began < WARM or (seen and now - seen[-1][0] < EACH):
-                continue
-            if held := rss_of(pid):
-                seen.append((now, held))
-                first, last = (np.median([mb for when, mb in seen if low <= when <= high])
-                               for low, high in ((0.0, seen[0][0] + WARM), (now - WARM, now)))
-                for grown, more in ((self.growth, last - first), (self.peak, held - first)):
+            began, early, late = self._lives.setdefault(
+                process.process.pid, (now, [], deque(maxlen=int(WARM / EACH))))
+            if now - began >= WARM and (held := rss_of(process.process.pid)):
+                late.append(held)
+                if now - began <= 2.0 * WARM:
+                    early.append(held)
+                first = np.median(early)
+                for grown, more in ((self.growth, np.median(late) - first),
+                                    (self.peak, held - first)):
                     grown[process.name] = max(grown.get(process.name, 0.0), float(more))
 
 

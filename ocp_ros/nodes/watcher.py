@@ -18,6 +18,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64MultiArray
 
+from ocp_ros.atomic import write_atomically
 from ocp_ros.nodes import topics
 from ocp_ros.nodes.conversions import (
     msg_to_cloud,
@@ -168,7 +169,7 @@ def run_watched(name: str, out: Path, play: Callable[[int, Watch], dict[str, Any
     finally:
         os.environ.clear()
         os.environ.update(before)
-    (out / f'{name}.json').write_text(json.dumps(result, indent=2) + '\n')
+    write_atomically(out / f'{name}.json', json.dumps(result, indent=2) + '\n')
     show(result)
     for fault in (faults := result.get('faults', [])):
         print(f'{name}: {fault}', file=sys.stderr)

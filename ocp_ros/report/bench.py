@@ -8,6 +8,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from ocp_ros.atomic import write_atomically
 from ocp_ros.benchmark.engine import CLEARANCE, EXTENTS, FIGURES, measure_engine, MIDDLE, RADII
 
 
@@ -18,9 +19,9 @@ def bench(arguments: argparse.Namespace) -> dict[str, Any]:
     :returns: what was measured, and the files ``written``.
     """
     result = measure_engine(EXTENTS[arguments.preset])
-    arguments.out.write_text(json.dumps(result, indent=2) + '\n')
+    write_atomically(arguments.out, json.dumps(result, indent=2) + '\n')
     if arguments.page:
-        arguments.page.write_text(page(result, arguments.preset))
+        write_atomically(arguments.page, page(result, arguments.preset))
     return {**result, 'written': [path for path in (arguments.out, arguments.page) if path]}
 
 

@@ -25,7 +25,6 @@ from ocp_ros.report.counting import draw_curve, rows_of_curve, show_curve
 from ocp_ros.report.installer import COLUMNS, rows_of, walls_around
 from ocp_ros.report.judged import Judged
 from ocp_ros.report.score import (
-    created_by,
     percent,
     room_asked,
     show_verdict,
@@ -35,6 +34,7 @@ from ocp_ros.report.score import (
 from ocp_ros.report.verdict import verdict
 from ocp_ros.simulation.config import EngineConfig
 from ocp_ros.simulation.placement_file import (
+    created_by,
     data_of,
     Placement,
     placement_of,

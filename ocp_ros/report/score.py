@@ -4,7 +4,6 @@
 import argparse
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import datetime, timezone
 import hashlib
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,6 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from ocp_ros import __version__
 from ocp_ros.atomic import folder_to_write
 from ocp_ros.configuration import ConfigurationError
 from ocp_ros.documents import written
@@ -23,7 +21,14 @@ from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.source import make_room
 from ocp_ros.simulation.constraints import Allowed
 from ocp_ros.simulation.objective import Objective, simulator_of
-from ocp_ros.simulation.placement_file import ANGLES, data_of, FIXED, load_placement, Placement
+from ocp_ros.simulation.placement_file import (
+    ANGLES,
+    created_by,
+    data_of,
+    FIXED,
+    load_placement,
+    Placement,
+)
 from ocp_ros.simulation.rig_file import load_rig
 
 #: Points of a room where the placement does not say.
@@ -32,13 +37,6 @@ POINTS = 25000
 READING = ('scale', 'up', 'drop_nonfinite')
 #: Scores that differ by more than this are not the same.
 SAME = 1e-6
-
-
-def created_by(command: str, planner: str = '') -> dict[str, str]:
-    """Return who made a placement, and which planner found it if any did, for its file."""
-    return {'date': datetime.now(timezone.utc).isoformat(timespec='seconds'),
-            'command': command, 'version': __version__,
-            **({'planner': planner} if planner else {})}
 
 
 def room_named(name: str, points: int = POINTS, **reading: Any) -> tuple[Scene, dict[str, Any]]:

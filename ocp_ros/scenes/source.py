@@ -3,13 +3,11 @@
 
 from dataclasses import dataclass
 
-from ocp_ros.configuration import setting
+from ocp_ros.configuration import LARGEST_SEED, setting
 from ocp_ros.scenes.cached import load_cached
 from ocp_ros.scenes.files import load_scene
 from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import Scene, SceneError, turned
-
-LARGEST_SEED = 1 << 31
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ocp_ros.configuration import check_known, ConfigurationError, group, setting
+from ocp_ros.configuration import check_known, ConfigurationError, group, MOST_CAMERAS, setting
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.sensors import SENSORS
 from ocp_ros.geometry.visibility import PRESETS
@@ -18,7 +18,7 @@ KINDS = (OMNIDIRECTIONAL, *SENSORS)
 class RigConfig:
     """Depth cameras on a horizontal plane."""
 
-    cameras: int = setting(4, 'number of cameras', 1, 64)
+    cameras: int = setting(4, 'number of cameras', 1, MOST_CAMERAS)
     sensors: str = setting(
         OMNIDIRECTIONAL, 'omnidirectional or the preset of a sensor, one for all cameras or one '
         'for each with commas between')

@@ -9,12 +9,14 @@ gets the same scores. docs/placement.md explains every key.
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
+from datetime import datetime, timezone
 import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ocp_ros import __version__
 from ocp_ros.atomic import write_atomically
 from ocp_ros.documents import Document, read_document, Way, written
 from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
@@ -104,6 +106,13 @@ class Placement:
         :param scene: the room, for heights above its floor.
         """
         return self.rig or _rig_like(self, floor_height(scene))
+
+
+def created_by(command: str, planner: str = '') -> dict[str, str]:
+    """Return who made a placement, and which planner found it if any did, for its file."""
+    return {'date': datetime.now(timezone.utc).isoformat(timespec='seconds'),
+            'command': command, 'version': __version__,
+            **({'planner': planner} if planner else {})}
 
 
 def placement_of(rig: Rig, poses: np.ndarray, **more: Any) -> Placement:

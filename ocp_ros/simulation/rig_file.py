@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ocp_ros.configuration import ConfigurationError
+from ocp_ros.configuration import ConfigurationError, MOST_CAMERAS
 from ocp_ros.documents import check, describe, Document, nearest, read_document, Way
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.sensors import SENSORS
@@ -21,8 +21,6 @@ from ocp_ros.simulation.config import KINDS, OMNIDIRECTIONAL, RigConfig
 from ocp_ros.simulation.schemas import LONGEST_NAME, MODEL, RIG
 from ocp_ros.simulation.zones import Zone, zone_of
 
-#: More cameras than this are no rig.
-MOST_CAMERAS = 64
 #: Share of a region's points that has to be seen where it says ``must_see: true``: some are
 #: noise, and some lie behind others wherever the cameras hang.
 MUST_SEE = 0.95

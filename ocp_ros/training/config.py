@@ -5,7 +5,14 @@ from dataclasses import dataclass
 
 from ocp_ros.agent.config import AgentConfig
 from ocp_ros.agent.world import LONGEST
-from ocp_ros.configuration import check_known, ConfigurationError, group, setting
+from ocp_ros.configuration import (
+    check_known,
+    ConfigurationError,
+    group,
+    LARGEST_SEED,
+    MOST_CAMERAS,
+    setting,
+)
 from ocp_ros.planners.registry import OFFLINE, ONLINE
 from ocp_ros.simulation.config import SimulationConfig
 
@@ -100,14 +107,14 @@ class DemonstrationsConfig:
 class TrainingConfig:
     """A training run: what ``ocp train`` reads from YAML."""
 
-    seed: int = setting(0, 'seed of networks, exploration and order of rooms', 0, 1 << 31)
+    seed: int = setting(0, 'seed of networks, exploration and order of rooms', 0, LARGEST_SEED)
     interactions: int = setting(
         40000, 'interactions of soft actor-critic: turns, or moves of one camera where cameras '
         'choose one after the other', 0, 1 << 40)
     environments: int = setting(4, 'episodes played side by side', 1, 1024)
     workers: int = setting(0, 'processes that play; 0 for one on each core', 0, 1024)
     fewest_cameras: int = setting(
-        4, 'episodes have from so many to simulation.rig.cameras cameras', 1, 64)
+        4, 'episodes have from so many to simulation.rig.cameras cameras', 1, MOST_CAMERAS)
     updates_per_turn: float = setting(1.0, 'gradient steps per interaction', 0.0, 100.0)
     evaluate_every: int = setting(2000, 'interactions between evaluations', 1, 1 << 40)
     model: str = setting('', 'weights to start from: path or name; empty for random ones')

@@ -13,7 +13,7 @@ from stable_baselines3.common.logger import configure
 
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.agent.config import AgentConfig
-from ocp_ros.configuration import setting
+from ocp_ros.configuration import LARGEST_SEED, MOST_CAMERAS, setting
 from ocp_ros.training.config import SacConfig
 from ocp_ros.training.encoded import padded
 from ocp_ros.training.log import TransitionLog
@@ -34,7 +34,7 @@ class LearnerConfig:
 
     cameras: int = setting(
         4, 'number of cameras in the transitions, with agent.inputs: cloud; with the others '
-        'cameras choose one at a time, and there may be any number', 1, 64)
+        'cameras choose one at a time, and there may be any number', 1, MOST_CAMERAS)
     updates_per_turn: float = setting(1.0, 'gradient steps per transition', 0.0, 100.0)
     publish_every: int = setting(50, 'gradient steps between two sets of weights', 1, 1 << 31)
     save_every: int = setting(
@@ -42,7 +42,7 @@ class LearnerConfig:
         1, 1 << 31)
     folder: str = setting('out/trainer', 'where checkpoints and TensorBoard files go')
     model: str = setting('', 'weights to start from: path or name; empty for random ones')
-    seed: int = setting(0, 'seed of networks and batches', 0, 1 << 31)
+    seed: int = setting(0, 'seed of networks and batches', 0, LARGEST_SEED)
     threads: int = setting(
         1, 'CPU threads of a gradient step; more only help where cores are idle', 1, 1024)
 
