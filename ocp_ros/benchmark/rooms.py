@@ -3,8 +3,8 @@
 The rooms that planners are compared in: none of them was ever trained on.
 
 Ratios of depth errors mean nothing where four cameras see all there is, so a room is only taken if
-the best of a short search is worth at least 5 % of what placements are worth on average. Running
-this module chooses the rooms of all sets anew and prints them.
+the best of a short search leaves at least 5 % of the depth error that placements leave on average.
+Running this module chooses the rooms of all sets anew and prints them.
 """
 
 from pathlib import Path
