@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Policies judged room by room: pairs, ``ocp evaluate`` and the figure of training."""
 
+from importlib.machinery import SourceFileLoader
+from importlib.util import module_from_spec, spec_from_loader
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -79,18 +82,35 @@ def test_bands_stand_on_common_numbers_of_interactions():
 
 
 def test_the_figure_of_training_is_drawn_from_what_runs_left(tmp_path):
-    for seed, reward in enumerate(('potential', 'potential', 'paper')):
+    for seed, (reward, shared) in enumerate((('potential', False), ('potential', False),
+                                             ('paper', False), ('potential', True))):
         folder = tmp_path / f'run-{seed}'
         folder.mkdir()
         (folder / 'config.yaml').write_text(
             'agent: {inputs: world}\ninteractions: 100\n'
             f'simulation: {{reward: {{kind: {reward}}}}}\n'
+            f'sac: {{shared_extractor: {shared}}}\n'
             'demonstrations: {rounds: 2, expert: hand_rule}\n')
         (folder / 'progress.jsonl').write_text('\n'.join(json.dumps(
             {'phase': 'sac', 'interactions': 10 * k, 'ratio': 1.0 / (k + seed),
              'critic_loss': 1.0 / k}) for k in range(1, 5)))
     picture = tmp_path / 'training.png'
-    runs = [tmp_path / f'run-{seed}' for seed in range(3)]
+    runs = [tmp_path / f'run-{seed}' for seed in range(4)]
     assert draw([*map(str, runs), '--out', str(picture)]) == 0
-    assert [len(alike) for alike in grouped(runs).values()] == [2, 1]
+    assert [len(alike) for alike in grouped(runs).values()] == [2, 1, 1]
     assert picture.stat().st_size > 10_000
+
+
+def test_what_the_page_compares_differs_in_what_it_names():
+    path = Path(__file__).parents[1] / 'tools' / 'training_statistics'
+    loader = SourceFileLoader('training_statistics', str(path))
+    tool = module_from_spec(spec_from_loader('training_statistics', loader))
+    loader.exec_module(tool)
+    runs = list(tool.asked(Path('out'), 2))
+    assert len({folder for folder, _, _ in runs}) == len(runs) == 8
+    by_name = {folder.name: settings for folder, settings, _ in runs}
+    assert by_name['potential_0'] == by_name['potential_1']
+    cubic, shared = by_name['cubic_0'], by_name['shared_0']
+    assert cubic['simulation']['reward']['kind'] == 'paper'
+    del cubic['simulation']['reward'], shared['sac']['shared_extractor']
+    assert cubic == by_name['potential_0'] and shared == by_name['separate_0']

@@ -13,24 +13,27 @@ from typing import Any
 
 from matplotlib.figure import Figure
 import numpy as np
-import yaml
 
-from ocp_ros.training.train import records
+from ocp_ros.training.train import read_config, records
 
-LOSSES = {'loss': 'imitation', 'actor_loss': 'actor', 'critic_loss': 'critic'}
+#: By name in the progress: what the legend calls it, and how its line is drawn.
+LOSSES = {'loss': ('imitation', ':'), 'actor_loss': ('actor', '--'),
+          'critic_loss': ('critic', '-')}
 
 
 def label_of(folder: Path) -> str:
     """Return what runs with the same settings, but for the seed, have in common."""
-    settings = yaml.safe_load((folder / 'config.yaml').read_text())
+    settings = read_config(folder / 'config.yaml')
     parts = []
-    if settings['demonstrations']['rounds']:
-        parts.append(f"{settings['demonstrations']['expert']} imitated")
-    if settings['interactions']:
+    if settings.demonstrations.rounds:
+        parts.append(f'{settings.demonstrations.expert} imitated')
+    if settings.interactions:
         parts.append('soft actor-critic')
-        if settings['simulation']['reward']['kind'] == 'paper':
+        if settings.simulation.reward.kind == 'paper':
             parts[-1] += ' by the cubic reward'
-    return f"{settings['agent']['inputs']} inputs: {', then '.join(parts)}"
+        if settings.sac.shared_extractor:
+            parts[-1] += ', extractor shared'
+    return f"{settings.agent.inputs} inputs: {', then '.join(parts)}"
 
 
 def grouped(folders: list[Path]) -> dict[str, list[list[dict[str, Any]]]]:
@@ -67,21 +70,27 @@ def draw(path: Path, folders: list[Path]) -> None:
     """
     figure = Figure(figsize=(11, 4.2), layout='constrained')
     performance, losses = figure.subplots(1, 2)
-    for label, runs in grouped(folders).items():
+    drawn = set()
+    for number, (label, runs) in enumerate(grouped(folders).items()):
+        colour = f'C{number}'
         turns, values = band(runs, 'ratio')
         if len(turns):
             seeds = f' ({len(values)} seeds)' if len(values) > 1 else ''
-            (line,) = performance.plot(turns, values.mean(axis=0), label=label + seeds)
+            performance.plot(turns, values.mean(axis=0), color=colour, label=label + seeds,
+                             marker='.')
             performance.fill_between(turns, values.min(axis=0), values.max(axis=0), alpha=0.2,
-                                     color=line.get_color(), linewidth=0)
-        for name, short in LOSSES.items():
+                                     color=colour, linewidth=0)
+        for name, (_, style) in LOSSES.items():
             turns, values = band(runs, name)
             if len(turns):
-                losses.plot(turns, np.abs(values).mean(axis=0),
-                            label=f'{label.partition(":")[0]}: {short}')
+                losses.plot(turns, np.abs(values).mean(axis=0), style, color=colour, marker='.')
+                drawn.add(name)
     performance.set(yscale='log', xlabel='interactions', title='Rooms never seen',
                     ylabel='depth error at the end / at the start')
     losses.set(yscale='log', xlabel='interactions', ylabel='loss (absolute)', title='Losses')
+    for name, (short, style) in LOSSES.items():
+        if name in drawn:
+            losses.plot([], [], style, color='black', label=short)
     for axes in (performance, losses):
         axes.grid(alpha=0.3, which='both')
         axes.legend(fontsize=8)
