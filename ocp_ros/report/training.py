@@ -12,6 +12,7 @@ import sys
 from typing import Any
 
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 import numpy as np
 
 from ocp_ros.training.train import read_config, records
@@ -19,6 +20,14 @@ from ocp_ros.training.train import read_config, records
 #: By name in the progress: what the legend calls it, and how its line is drawn.
 LOSSES = {'loss': ('imitation', ':'), 'actor_loss': ('actor', '--'),
           'critic_loss': ('critic', '-')}
+
+
+class Plain(LogFormatter):
+    """Labels of a logarithmic axis without powers of ten."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        """Return the label of a tick, or nothing where there would be too many."""
+        return f'{x:g}' if super().__call__(x, pos) else ''
 
 
 def label_of(folder: Path) -> str:
@@ -91,9 +100,13 @@ def draw(path: Path, folders: list[Path]) -> None:
     for name, (short, style) in LOSSES.items():
         if name in drawn:
             losses.plot([], [], style, color='black', label=short)
+    losses.legend(fontsize=8)
     for axes in (performance, losses):
         axes.grid(alpha=0.3, which='both')
-        axes.legend(fontsize=8)
+        axes.yaxis.set_major_formatter(Plain())
+        axes.yaxis.set_minor_formatter(Plain(minor_thresholds=(1, 0.4)))
+    figure.legend(*performance.get_legend_handles_labels(), loc='outside lower center', ncols=2,
+                  fontsize=8)
     figure.savefig(path, dpi=110)
 
 
