@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Policies judged room by room: pairs, ``ocp evaluate`` and the figure of training."""
 
-from importlib.machinery import SourceFileLoader
-from importlib.util import module_from_spec, spec_from_loader
 import json
 from pathlib import Path
+import runpy
 
 import numpy as np
 import pytest
@@ -103,10 +102,7 @@ def test_the_figure_of_training_is_drawn_from_what_runs_left(tmp_path):
 
 def test_what_the_page_compares_differs_in_what_it_names():
     path = Path(__file__).parents[1] / 'tools' / 'training_statistics'
-    loader = SourceFileLoader('training_statistics', str(path))
-    tool = module_from_spec(spec_from_loader('training_statistics', loader))
-    loader.exec_module(tool)
-    runs = list(tool.asked(Path('out'), 2))
+    runs = list(runpy.run_path(str(path))['asked'](Path('out'), 2))
     assert len({folder for folder, _, _ in runs}) == len(runs) == 8
     by_name = {folder.name: settings for folder, settings, _ in runs}
     assert by_name['potential_0'] == by_name['potential_1']

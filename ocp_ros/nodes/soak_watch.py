@@ -145,7 +145,7 @@ class Memory:
                 process.process.pid, (now, [], deque(maxlen=int(WARM / EACH))))
             if now - began >= WARM and (held := rss_of(process.process.pid)):
                 late.append(held)
-                if now - began <= 2.0 * WARM:
+                if not early or now - began <= 2.0 * WARM:
                     early.append(held)
                 first = np.median(early)
                 for grown, more in ((self.growth, np.median(late) - first),
