@@ -8,6 +8,7 @@ Of YAML only mappings, lists, texts, numbers, true, false and null are read, as 
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from datetime import datetime, timezone
 import difflib
 import json
 from pathlib import Path
@@ -294,6 +295,11 @@ def written(data: Any, suffix: str) -> str:
     if suffix == '.json':
         return json.dumps(data, indent=1, allow_nan=False) + '\n'
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=99)
+
+
+def timestamp() -> str:
+    """Return the date and the time in UTC, to the second, as files of results have it."""
+    return datetime.now(timezone.utc).isoformat(timespec='seconds')
 
 
 def nearest(word: str, known, otherwise: str) -> str:

@@ -16,7 +16,8 @@ from ocp_ros import cli
 from ocp_ros.benchmark.likeness import generated, shares_of_kinds, summary
 from ocp_ros.scenes.files import load_scene
 from ocp_ros.scenes.furniture import KINDS, placed, solid
-from ocp_ros.scenes.plans import draw_plan, mirrored, Plan, ROOMS
+from ocp_ros.scenes.plan import mirrored, Plan
+from ocp_ros.scenes.room_kinds import draw_plan, ROOMS
 from ocp_ros.scenes.rooms import generate_room, mesh_of
 from ocp_ros.scenes.scanning import boxes_of, densities, exposed, free, scan, surface_of
 

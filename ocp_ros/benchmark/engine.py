@@ -8,7 +8,6 @@ pinned to one core; only the figures that say so use two threads.
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from datetime import datetime, timezone
 from functools import partial
 import os
 import time
@@ -21,6 +20,7 @@ from rich.progress import track
 
 from ocp_ros.benchmark.truth import RayCaster
 from ocp_ros.benchmark.twin import Twin
+from ocp_ros.documents import timestamp
 from ocp_ros.geometry.blocks import Subset
 from ocp_ros.geometry.cameras import CameraModel, Pose
 from ocp_ros.geometry.visibility import DISC_SCALE, PRESETS
@@ -295,4 +295,4 @@ def measure_engine(extent: Extent) -> dict[str, Any]:
         os.sched_setaffinity(0, cores)
     return {**summary(rows), **speed(), 'visibility': rows, 'scale': scales,
             'rooms': extent.rooms, 'positions': extent.positions, 'range': RANGE,
-            'date': datetime.now(timezone.utc).isoformat(timespec='seconds')}
+            'date': timestamp()}

@@ -10,7 +10,6 @@ Training over ROS is measured in turn with the same training in one process.
 import argparse
 from collections.abc import Sequence
 import cProfile
-from datetime import datetime, timezone
 import io
 import json
 import os
@@ -28,6 +27,7 @@ from rich.progress import track
 from std_msgs.msg import Float64MultiArray, Header
 
 from ocp_ros.atomic import write_atomically
+from ocp_ros.documents import timestamp
 from ocp_ros.geometry.threads import cores
 from ocp_ros.nodes import topics
 from ocp_ros.nodes.conversions import (
@@ -220,7 +220,7 @@ def main(args: list[str] | None = None) -> int:
     result = {'policy_latency_ms': rows,
               'training': training(options.seconds, options.pairs) if options.seconds else [],
               'load_average': os.getloadavg()[1], 'cores': cores(),
-              'date': datetime.now(timezone.utc).isoformat(timespec='seconds')}
+              'date': timestamp()}
     write_atomically(options.out, json.dumps(result, indent=2) + '\n')
     print(f'wrote {options.out}')
     return 0

@@ -6,7 +6,6 @@ Writes ``demo.json`` and ``demo.png`` to the output folder and prints a small ta
 """
 
 import argparse
-from datetime import datetime, timezone
 from pathlib import Path
 import sys
 from typing import Any
@@ -17,6 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
 from ocp_ros.configuration import from_flat, to_nested
+from ocp_ros.documents import timestamp
 from ocp_ros.nodes.policy_config import PLANNERS, PolicyNodeConfig
 from ocp_ros.nodes.processes import NodeProcess, stopped_at_the_end
 from ocp_ros.nodes.sim_node import SimNodeConfig
@@ -105,7 +105,7 @@ def result_of(options: argparse.Namespace, node: Watcher) -> dict[str, Any]:
         'space_coverage_end': fields[-1]['space_coverage'],
         'seconds_per_turn': float(np.median(answered)) if answered else None,
         'positions': np.round(node.placement, 4).tolist(), 'planner': options.planner,
-        'model': options.model, 'date': datetime.now(timezone.utc).isoformat(timespec='seconds')}
+        'model': options.model, 'date': timestamp()}
 
 
 def picture(options: argparse.Namespace, node: Watcher, result: dict[str, Any],

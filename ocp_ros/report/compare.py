@@ -4,7 +4,6 @@
 import argparse
 import csv
 from dataclasses import replace
-from datetime import datetime, timezone
 from importlib.metadata import version
 import json
 import os
@@ -24,6 +23,7 @@ from ocp_ros.benchmark.rooms import POINTS, rooms_in, rooms_of_s3dis
 from ocp_ros.benchmark.runner import run
 from ocp_ros.benchmark.summary import summarise
 from ocp_ros.configuration import ConfigurationError
+from ocp_ros.documents import timestamp
 from ocp_ros.planners.registry import OFFLINE, ONLINE
 from ocp_ros.report.benchmark import (
     budget_named,
@@ -83,7 +83,7 @@ def compare(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
                    arguments.ray,
                    lambda done, total: progress.update(bar, completed=done, total=total))
     summary = {
-        'command': command, 'date': datetime.now(timezone.utc).isoformat(timespec='seconds'),
+        'command': command, 'date': timestamp(),
         'versions': {'python': platform.python_version(),
                      **{name: version(name) for name in PACKAGES}},
         'rotations': len(protocol.rotations), 'cameras': protocol.simulation.rig.cameras,

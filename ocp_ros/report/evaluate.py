@@ -4,7 +4,6 @@
 import argparse
 from collections import Counter
 from dataclasses import replace
-from datetime import datetime, timezone
 import json
 import os
 from pathlib import Path
@@ -19,6 +18,7 @@ from ocp_ros.benchmark.paired import pairs
 from ocp_ros.benchmark.protocol import Protocol
 from ocp_ros.benchmark.runner import run
 from ocp_ros.benchmark.summary import per_room
+from ocp_ros.documents import timestamp
 from ocp_ros.scenes.files import check_file
 from ocp_ros.scenes.splits import FRESH, TEST, TRAINING, VALIDATION
 
@@ -51,7 +51,7 @@ def evaluate(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
         check_file(path)
     folder_to_write(arguments.out)
     found: dict[str, Any] = {
-        'command': command, 'date': datetime.now(timezone.utc).isoformat(timespec='seconds'),
+        'command': command, 'date': timestamp(),
         'model': arguments.model, 'rotations': list(arguments.rotations),
         'seeds': arguments.seeds, 'cameras': {}}
     columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),

@@ -4,7 +4,8 @@
 import numpy as np
 
 from ocp_ros.geometry.cameras import rotation_matrix
-from ocp_ros.scenes.plans import draw_plan, Plan
+from ocp_ros.scenes.plan import Plan
+from ocp_ros.scenes.room_kinds import draw_plan
 from ocp_ros.scenes.scanning import sample, scan
 from ocp_ros.scenes.scene import Mesh, Scene
 

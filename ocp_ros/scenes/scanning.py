@@ -13,7 +13,7 @@ import numpy as np
 
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.scenes.furniture import KINDS
-from ocp_ros.scenes.plans import Plan, WALL_GAP
+from ocp_ros.scenes.plan import Plan, WALL_GAP
 
 #: A tripod for so many square metres, within limits; its height, and the air around it.
 FLOOR_PER_TRIPOD, TRIPODS = 10.0, (2, 10)

@@ -9,7 +9,6 @@ gets the same scores. docs/placement.md explains every key.
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
-from datetime import datetime, timezone
 import math
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,7 +17,7 @@ import numpy as np
 
 from ocp_ros import __version__
 from ocp_ros.atomic import write_atomically
-from ocp_ros.documents import Document, read_document, Way, written
+from ocp_ros.documents import Document, read_document, timestamp, Way, written
 from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.config import EngineConfig
@@ -110,7 +109,7 @@ class Placement:
 
 def created_by(command: str, planner: str = '') -> dict[str, str]:
     """Return who made a placement, and which planner found it if any did, for its file."""
-    return {'date': datetime.now(timezone.utc).isoformat(timespec='seconds'),
+    return {'date': timestamp(),
             'command': command, 'version': __version__,
             **({'planner': planner} if planner else {})}
 

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Weights in files and messages: whole, or refused."""
+
+import json
+
+from conftest import random_checkpoint
+from hypothesis import given
+from hypothesis import settings as budget
+from hypothesis import strategies as st
+import pytest
+import torch
+
+from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError, KEY, write_atomically
+from ocp_ros.agent.config import AgentConfig
+from ocp_ros.resources import find_model
+
+
+def test_a_checkpoint_comes_back_as_it_went(small_agent, tmp_path):
+    before = random_checkpoint(small_agent, updates=7, run='r', provenance={'seed': 3})
+    before.save(tmp_path / 'm.safetensors')
+    after = Checkpoint.load(tmp_path / 'm.safetensors')
+    assert (after.config, after.updates, after.run, after.provenance) == (
+        small_agent, 7, 'r', {'seed': 3})
+    assert all(torch.equal(after.weights[name], value) for name, value in before.weights.items())
+    assert '"updates": 7' in (tmp_path / 'm.json').read_text()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ['m.json', 'm.safetensors']
+
+
+@given(data=st.data())
+@budget(max_examples=60, deadline=None)
+def test_a_damaged_blob_is_refused_and_nothing_else_happens(small_agent, data):
+    blob = bytearray(random_checkpoint(small_agent, updates=1).to_bytes())
+    if data.draw(st.booleans()):
+        blob = blob[:data.draw(st.integers(0, len(blob) - 1))]
+    else:
+        header = int.from_bytes(blob[:8], 'little') + 8
+        blob[data.draw(st.integers(0, header - 1))] ^= data.draw(st.integers(1, 255))
+    try:
+        found = Checkpoint.from_bytes(bytes(blob))
+    except CheckpointError as error:
+        assert 'found' in str(error) and 'expected' in str(error)
+    else:
+        # A digit of the provenance, of the count or of a radius may have changed unnoticed.
+        assert all(torch.isfinite(value).all() for value in found.weights.values())
+
+
+@pytest.mark.parametrize(('name', 'value'), [
+    ('updates', 'Infinity'), ('updates', 'NaN'), ('updates', '"many"'), ('updates', '[1]'),
+    ('run', 'null'), ('provenance', '7'), ('config', '[]'), ('format', 'null'),
+    ('config', '{"points": 1e999}'), ('provenance', '[' * 5000 + ']' * 5000)])
+def test_a_card_with_odd_values_is_refused_and_nothing_else_happens(small_agent, name, value):
+    blob = random_checkpoint(small_agent).to_bytes()
+    header = json.loads(blob[8:8 + int.from_bytes(blob[:8], 'little')])
+    card = json.loads(header['__metadata__'][KEY])
+    parts = [f'"{key}": {value if key == name else json.dumps(item)}'
+             for key, item in card.items()]
+    header['__metadata__'][KEY] = '{' + ', '.join(parts) + '}'
+    text = json.dumps(header).encode()
+    body = blob[8 + int.from_bytes(blob[:8], 'little'):]
+    crafted = len(text).to_bytes(8, 'little') + text + body
+    try:
+        found = Checkpoint.from_bytes(crafted)
+    except CheckpointError as error:
+        assert 'found' in str(error) and 'expected' in str(error)
+    else:
+        assert (name, found.run) == ('run', 'None')
+
+
+def test_weights_of_another_network_are_refused(small_agent):
+    good = random_checkpoint(small_agent)
+    with pytest.raises(CheckpointError, match='missing .*head.out.bias'):
+        Checkpoint(small_agent, {n: v for n, v in good.weights.items() if n != 'head.out.bias'})
+    with pytest.raises(CheckpointError, match='head.out.bias as .*expected float32'):
+        Checkpoint(small_agent, {**good.weights, 'head.out.bias': torch.zeros(5)})
+    with pytest.raises(CheckpointError, match='NaN or inf in head.out.bias'):
+        Checkpoint(small_agent, {**good.weights, 'head.out.bias': torch.full((4,), torch.nan)})
+
+
+def test_huge_sizes_in_a_card_cost_nothing(small_agent):
+    text = random_checkpoint(small_agent).to_bytes()
+    start = text.index(KEY.encode())
+    end = text.index(b'hidden', start)
+    blob = text[:end] + text[end:].replace(b'16', b'4096', 1)
+    length = int.from_bytes(blob[:8], 'little') + 2
+    with pytest.raises(CheckpointError):
+        Checkpoint.from_bytes(length.to_bytes(8, 'little') + blob[8:])
+
+
+def test_an_interrupted_write_leaves_the_old_file(tmp_path, monkeypatch):
+    write_atomically(tmp_path / 'f', b'old')
+
+    def fail(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr('os.replace', fail)
+    with pytest.raises(KeyboardInterrupt):
+        write_atomically(tmp_path / 'f', b'new')
+    assert (tmp_path / 'f').read_bytes() == b'old'
+    assert [p.name for p in tmp_path.iterdir()] == ['f']
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(CheckpointError, match='none.safetensors: found no file'):
+        Checkpoint.load(tmp_path / 'none.safetensors')
+    with pytest.raises(FileNotFoundError, match="'none'.*expected a path .*'default'"):
+        find_model('none')
+
+
+def test_the_shipped_model_has_its_card():
+    checkpoint = Checkpoint.load(find_model('default'))
+    test = checkpoint.provenance['test']
+    assert checkpoint.config == AgentConfig()
+    assert test['policy']['depth_error_end'] < test['random_moves']['depth_error_end']
+    assert {'seed', 'date', 'interactions', 'training', 'seconds', 'curve'} <= (
+        checkpoint.provenance.keys())

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Key points of a cloud and the groups around them."""
+
+from hypothesis import given
+from hypothesis import settings as budget
+from hypothesis import strategies as st
+import numpy as np
+
+from ocp_ros.agent.sampling import ball_query, farthest_points
+
+seeds = st.integers(0, 2 ** 32 - 1)
+
+
+@given(seed=seeds, count=st.integers(1, 60), wanted=st.integers(1, 40))
+@budget(max_examples=40, deadline=None)
+def test_farthest_points_agree_with_their_twin(seed, count, wanted):
+    points = np.random.default_rng(seed).normal(size=(count, 3)).astype(np.float32)
+    chosen = [0]
+    for _ in range(wanted - 1):
+        nearest = ((points[:, None] - points[chosen][None]) ** 2).sum(-1).min(axis=1)
+        chosen.append(int(nearest.argmax()))
+    found = farthest_points(points, wanted)
+    distances = ((points[:, None] - points[found][None]) ** 2).sum(-1)
+    expected = ((points[:, None] - points[chosen][None]) ** 2).sum(-1)
+    # Equal distances may be chosen in either order; how far apart the choices are may not differ.
+    np.testing.assert_allclose(np.sort(distances.min(1)), np.sort(expected.min(1)), atol=1e-5)
+
+
+@given(seed=seeds, radius=st.floats(0.1, 3.0), size=st.integers(1, 12))
+@budget(max_examples=40, deadline=None)
+def test_ball_query_agrees_with_its_twin(seed, radius, size):
+    points = np.random.default_rng(seed).normal(size=(50, 3)).astype(np.float32)
+    keys = np.arange(0, 50, 7)
+    groups = ball_query(points, keys, radius, size)
+    for key, group in zip(keys, groups, strict=True):
+        difference = (points - points[key]).astype(np.float64)
+        near = np.flatnonzero((difference ** 2).sum(axis=1) <= radius ** 2)
+        # Points on the very rim may fall to either side in single precision.
+        rim = np.abs(np.linalg.norm(difference, axis=1) - radius) < 1e-5
+        if not rim.any():
+            expected = np.full(size, near[0])
+            expected[:min(size, len(near))] = near[:size]
+            assert group.tolist() == expected.tolist()
+
+
+def test_sampling_and_grouping_count_beyond_sixteen_bits():
+    points = np.zeros((40000, 3), dtype=np.float32)
+    points[-2:, 0] = 7.0, 9.0
+    keys = farthest_points(points, 3)
+    assert keys.tolist() == [0, 39999, 39998]
+    assert ball_query(points, keys, 1.0, 2).tolist() == [[0, 1], [39999] * 2, [39998] * 2]

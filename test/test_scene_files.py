@@ -1,0 +1,460 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scans in files of every format, and files that are none."""
+
+import logging
+from pathlib import Path
+import warnings
+
+from hypothesis import given, settings, strategies
+import laspy
+import numpy as np
+from plyfile import PlyData, PlyElement
+import pytest
+
+from ocp_ros.geometry.voxels import voxel_downsample
+from ocp_ros.scenes.files import load_scene, SceneWarning
+from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.scenes.scene import Scene, SceneError
+
+SCANS = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'rooms'
+ROOM = generate_room(3, 2500).points
+# From a scene with z up to the same scene in a file with another axis up.
+TO_Y_UP = ([0, 2, 1], [1, 1, -1])
+TO_X_UP = ([2, 0, 1], [1, 1, 1])
+
+
+def scan(name: str) -> Path:
+    path = SCANS / name
+    if not path.exists():
+        pytest.skip(f'no real scan {path}')
+    return path
+
+
+def turned(points, turn):
+    axes, signs = turn
+    return points[:, axes] * signs
+
+
+def write_ply(path, points, text=False, kind='f4', order='xyz', **more):
+    columns = {axis: points[:, 'xyz'.index(axis)] for axis in order} | more
+    rows = np.zeros(len(points), dtype=[(name, kind) for name in columns])
+    for name, column in columns.items():
+        rows[name] = column
+    PlyData([PlyElement.describe(rows, 'vertex')], text=text).write(str(path))
+
+
+def write_pcd(path, points, kind='F', size=4, data='binary', count=None):
+    count = len(points) if count is None else count
+    header = (f'# .PCD v0.7\nVERSION 0.7\nFIELDS _ z x y\nSIZE 1 {size} {size} {size}\n'
+              f'TYPE U {kind} {kind} {kind}\nCOUNT 3 1 1 1\nWIDTH {count}\nHEIGHT 1\n'
+              f'VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA {data}\n')
+    rows = np.zeros(len(points), dtype=[('_', 'u1', 3)] + [(axis, f'f{size}') for axis in 'zxy'])
+    rows['x'], rows['y'], rows['z'] = points.T
+    lines = ''.join(f'0 0 0 {z:.7f} {x:.7f} {y:.7f}\n' for x, y, z in points.tolist())
+    path.write_bytes(header.encode() + (lines.encode() if data == 'ascii' else rows.tobytes()))
+
+
+def write_pcd_with_open3d(path, points, **options):
+    open3d = pytest.importorskip('open3d')
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points.astype(np.float64)))
+    assert open3d.io.write_point_cloud(str(path), cloud, **options)
+
+
+def write_las(path, points, offsets=(0.0, 0.0, 0.0)):
+    header = laspy.LasHeader(point_format=3, version='1.2')
+    header.scales, header.offsets = [1e-4] * 3, offsets
+    content = laspy.LasData(header)
+    content.x, content.y, content.z = points.astype(np.float64).T
+    content.write(path)
+
+
+def write_text(path, points, tail=''):
+    path.write_text(''.join(f'{x:.7f} {y:.7f} {z:.7f}{tail}\n' for x, y, z in points.tolist()))
+
+
+def write_records(path, points):
+    rows = np.zeros(len(points), dtype=[('i', 'u1'), ('z', 'f8'), ('x', 'f8'), ('y', 'f8')])
+    rows['x'], rows['y'], rows['z'] = points.T
+    np.save(path, rows)
+
+
+FORMATS = {
+    'binary.ply': write_ply,
+    'ascii.ply': lambda path, points: write_ply(path, points, text=True),
+    'double.ply': lambda path, points: write_ply(path, points, kind='f8', order='zxy'),
+    'binary.pcd': write_pcd,
+    'double.pcd': lambda path, points: write_pcd(path, points, size=8),
+    'ascii.pcd': lambda path, points: write_pcd(path, points, data='ascii'),
+    'open3d.pcd': write_pcd_with_open3d,
+    'open3d_ascii.pcd': lambda path, points: write_pcd_with_open3d(path, points, write_ascii=True),
+    'compressed.pcd': lambda path, points: write_pcd_with_open3d(path, points, compressed=True),
+    'scan.las': write_las,
+    'scan.laz': write_las,
+    'array.npy': np.save,
+    'wide.npy': lambda path, points: np.save(path, np.hstack([points, points])),
+    'records.npy': write_records,
+    'scan.xyz': write_text,
+    'colours.txt': lambda path, points: write_text(path, points, ' 12 34 56'),
+    'CAPITALS.XYZ': write_text,
+}
+
+
+@pytest.fixture(params=FORMATS)
+def room_file(request, tmp_path):
+    path = tmp_path / request.param
+    FORMATS[request.param](path, ROOM)
+    return path
+
+
+def refusal(path, **options) -> str:
+    """Load what cannot be used and return the message: one line that names the file."""
+    with pytest.raises(SceneError) as caught:
+        load_scene(path, **options)
+    message = str(caught.value)
+    assert Path(path).name in message
+    assert '\n' not in message and 'found' in message and 'expected' in message
+    return message
+
+
+def test_every_format_gives_back_the_points(room_file):
+    scene = load_scene(room_file)
+    assert scene.name == room_file.stem
+    assert scene.points.dtype == np.float32 and scene.points.flags.c_contiguous
+    np.testing.assert_allclose(scene.points, ROOM, atol=1e-4)
+
+
+def test_text_may_have_blank_lines_and_comments(tmp_path):
+    path = tmp_path / 'room.xyz'
+    write_text(path, ROOM, '  # a point')
+    path.write_text(f'# a scan\n\n{path.read_text()}\n# the end')
+    np.testing.assert_allclose(load_scene(path).points, ROOM, atol=1e-4)
+
+
+def test_an_s3dis_room_is_called_by_area_and_room(tmp_path):
+    path = tmp_path / 'Area_1' / 'office_2' / 'office_2.txt'
+    path.parent.mkdir(parents=True)
+    write_text(path, ROOM, ' 128 64 32')
+    scene = load_scene(path)
+    assert scene.name == 'Area_1_office_2'
+    np.testing.assert_allclose(scene.points, ROOM, atol=1e-4)
+
+
+def test_ply_normals_are_kept_turned_and_of_length_one(tmp_path):
+    path, normals = tmp_path / 'room.ply', 3.0 * Scene(ROOM).normals_or_estimate
+    write_ply(path, turned(ROOM, TO_Y_UP), **dict(zip(('nx', 'ny', 'nz'),
+                                                      turned(normals, TO_Y_UP).T)))
+    scene = load_scene(path, up='y')
+    np.testing.assert_allclose(scene.points, ROOM, atol=1e-6)
+    np.testing.assert_allclose(scene.normals, normals / 3.0, atol=1e-5)
+    assert load_scene(path, up='y', voxel_size=0.3).normals is None
+
+
+def test_normals_of_zero_are_not_normals(tmp_path):
+    # As 3D Gaussian splatting writes them.
+    path = tmp_path / 'splats.ply'
+    write_ply(path, ROOM, nx=0.0, ny=0.0, nz=0.0)
+    assert load_scene(path).normals is None
+
+
+def test_duplicates_go_and_their_normals_with_them(tmp_path, caplog):
+    path = tmp_path / 'room.ply'
+    heights = np.arange(1.0, 2.0 * len(ROOM) + 1.0)
+    write_ply(path, np.concatenate([ROOM, ROOM]), nx=heights, ny=0.0, nz=1.0)
+    with caplog.at_level(logging.INFO):
+        scene = load_scene(path)
+    np.testing.assert_array_equal(scene.points, ROOM)
+    np.testing.assert_allclose(scene.normals[:, 0] / scene.normals[:, 2], heights[:len(ROOM)],
+                               rtol=1e-3)
+    assert scene.spacing.min() > 0.0
+    assert f'room.ply: {len(ROOM)} of {2 * len(ROOM)} points kept' in caplog.text
+
+
+def test_scale_turns_millimetres_into_metres(tmp_path):
+    path = tmp_path / 'room.npy'
+    np.save(path, 1000.0 * ROOM.astype(np.float64))
+    np.testing.assert_allclose(load_scene(path, scale=0.001).points, ROOM, atol=1e-5)
+
+
+@pytest.mark.parametrize(('up', 'turn'), [('y', TO_Y_UP), ('x', TO_X_UP)])
+def test_up_turns_the_room_without_mirroring_it(tmp_path, up, turn):
+    path = tmp_path / 'room.npy'
+    np.save(path, turned(ROOM, turn))
+    np.testing.assert_allclose(load_scene(path, up=up).points, ROOM, atol=1e-6)
+    np.save(path, np.concatenate([ROOM, 4.0 * np.eye(3, dtype=np.float32)]))
+    assert np.linalg.det(load_scene(path, up=up).points[-3:]) == pytest.approx(64.0)
+
+
+def test_far_coordinates_keep_their_millimetres(tmp_path, caplog):
+    path, corner = tmp_path / 'utm.las', np.array([389123.0, 3956321.0, 431.0])
+    write_las(path, ROOM + corner, offsets=corner)
+    points = load_scene(path).points
+    assert (abs(points) < 130.0).all()
+    np.testing.assert_allclose(points - points[0], ROOM - ROOM[0], atol=3e-4)
+    assert 'utm.las: found coordinates far from the origin; subtracted (389100, 3956300, 400)' in (
+        caplog.text)
+
+
+def test_down_sampling_is_logged(tmp_path, caplog):
+    path = tmp_path / 'room.npy'
+    np.save(path, ROOM)
+    with caplog.at_level(logging.INFO):
+        coarse = load_scene(path, voxel_size=0.4)
+        few = load_scene(path, max_points=800)
+        same = load_scene(path, max_points=len(ROOM))
+    np.testing.assert_array_equal(coarse.points, voxel_downsample(ROOM, 0.4))
+    assert 700 < len(few) <= 800
+    np.testing.assert_array_equal(same.points, ROOM)
+    assert f'room.npy: {len(coarse)} of {len(ROOM)} points kept on a 0.400 m voxel grid' in (
+        caplog.text)
+    assert caplog.text.count('voxel grid') == 2
+
+
+@pytest.mark.parametrize('name', ['ascii.ply', 'binary.ply', 'ascii.pcd', 'binary.pcd',
+                                  'compressed.pcd', 'array.npy', 'scan.xyz'])
+def test_points_that_are_not_finite_are_refused_or_dropped_but_never_silently(
+        tmp_path, caplog, name):
+    path, points = tmp_path / name, ROOM.copy()
+    points[7, 1], points[9] = np.nan, np.inf
+    FORMATS[name](path, points)
+    assert 'found 2 of' in refusal(path) and '(--drop-nonfinite)' in refusal(path)
+    with caplog.at_level(logging.INFO):
+        scene = load_scene(path, drop_nonfinite=True)
+    np.testing.assert_allclose(scene.points, np.delete(ROOM, [7, 9], axis=0), atol=1e-4)
+    assert f'{name}: {len(ROOM) - 2} of {len(ROOM)} points kept' in caplog.text
+
+
+@pytest.mark.parametrize('share', [0.003, 0.5, 0.97])
+def test_a_truncated_file_is_refused(room_file, share):
+    content = room_file.read_bytes()
+    size = int(share * len(content))
+    if room_file.suffix in ('.xyz', '.XYZ', '.txt'):
+        # Within the second number of a line, where text shows that it broke off.
+        size = content.index(b'\n', size) + 14
+    room_file.write_bytes(content[:size])
+    message = refusal(room_file)
+    assert 'again' in message or 'in line' in message
+
+
+def test_an_empty_file_is_refused(room_file):
+    room_file.write_bytes(b'')
+    assert 'found an empty file' in refusal(room_file)
+
+
+def test_content_of_another_kind_is_refused(room_file):
+    room_file.write_bytes(b'GIF89a\x00\xff\n' * 300)
+    assert 'cannot be read' in refusal(room_file) or 'in line 1;' in refusal(room_file)
+
+
+@settings(deadline=None, max_examples=60)
+@given(name=strategies.sampled_from(sorted(set(FORMATS) - {'open3d.pcd', 'open3d_ascii.pcd'})),
+       seed=strategies.integers(0, 1 << 20))
+def test_flipped_bytes_give_a_scene_or_a_refusal(tmp_path_factory, name, seed):
+    path, rng = tmp_path_factory.mktemp('flipped') / name, np.random.default_rng(seed)
+    FORMATS[name](path, ROOM[:300])
+    content = bytearray(path.read_bytes())
+    # The point counts of LAS are spared: a wrong one may ask for all memory there is.
+    first = 248 if path.suffix in ('.las', '.laz') else 0
+    for at in rng.integers(first, len(content), 3):
+        content[at] = rng.integers(256)
+    path.write_bytes(content)
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore')
+        try:
+            assert len(load_scene(path)) >= 100
+        except SceneError as error:
+            assert name in str(error)
+
+
+def test_fewer_than_a_hundred_points_are_refused(room_file):
+    FORMATS[room_file.name](room_file, ROOM[:99])
+    assert 'found 99 points; expected at least 100' in refusal(room_file)
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    assert 'found no such file' in refusal(tmp_path / 'nowhere.ply')
+    assert 'check the path' in refusal(tmp_path / 'nowhere.ply')
+
+
+def test_a_folder_is_refused_and_the_file_inside_named(tmp_path):
+    folder = tmp_path / 'office_1'
+    folder.mkdir()
+    assert 'found a folder' in refusal(folder) and '.ply' in refusal(folder)
+    write_text(folder / 'office_1.txt', ROOM)
+    assert 'such as office_1.txt' in refusal(folder)
+
+
+def test_a_file_that_the_disk_does_not_give_is_refused(tmp_path, monkeypatch):
+    path = tmp_path / 'room.npy'
+    np.save(path, ROOM)
+
+    def fail(*_, **__):
+        raise PermissionError(13, 'Permission denied')
+
+    monkeypatch.setattr(np.lib.format, 'read_array', fail)
+    assert 'Permission denied' in refusal(path) and 'check its permissions' in refusal(path)
+
+
+@pytest.mark.parametrize(('name', 'hint'), [
+    ('room.plly', 'did you mean .ply?'), ('room.pdc', 'did you mean .pcd?'),
+    ('room.obj', 'convert it'), ('room.e57', 'convert it'), ('room', 'convert it')])
+def test_an_unknown_suffix_is_refused_with_the_known_ones(tmp_path, name, hint):
+    path = tmp_path / name
+    write_text(path, ROOM)
+    message = refusal(path)
+    assert hint in message
+    assert 'expected one of .las .laz .npy .pcd .ply .txt .xyz;' in message
+
+
+@pytest.mark.parametrize(('broken', 'found'), [
+    ('1.0 2.\x100 3.0 1 2 3', r'2.\x100'), ('1.0 2.0', "'1.0 2.0'"), ('x y z', "'x y z'"),
+    ('1.0,2.0,3.0', "'1.0,2.0,3.0'")])
+def test_a_broken_line_is_named_with_its_number(tmp_path, broken, found):
+    # As in some copies of S3DIS: Area_5/hallway_6 has a control character within a number.
+    path = tmp_path / 'hallway_6.txt'
+    write_text(path, ROOM, ' 1 2 3')
+    lines = path.read_text().splitlines()
+    path.write_text('\n'.join(['# S3DIS', '', *lines[:1500], broken, *lines[1500:]]) + '\n')
+    message = refusal(path)
+    assert found in message and 'in line 1503;' in message
+    assert 'sed -i 1503d hallway_6.txt' in message
+
+
+def test_a_broken_colour_does_not_matter(tmp_path):
+    path = tmp_path / 'hallway_6.txt'
+    write_text(path, ROOM, ' 185\x10187 184')
+    np.testing.assert_allclose(load_scene(path).points, ROOM, atol=1e-4)
+
+
+def test_text_without_numbers_is_refused(tmp_path):
+    path = tmp_path / 'room.xyz'
+    path.write_text('# only\n\n# comments\n')
+    assert 'found no points' in refusal(path)
+
+
+@pytest.mark.parametrize('name', ['binary.ply', 'ascii.pcd', 'scan.laz', 'array.npy', 'scan.xyz'])
+def test_millimetres_are_refused_with_the_remedy(tmp_path, name):
+    path = tmp_path / name
+    FORMATS[name](path, 1000.0 * ROOM)
+    message = refusal(path)
+    assert 'look like millimetres; scale it (--scale 0.001)' in message
+
+
+def test_what_is_too_small_or_flat_is_refused(tmp_path):
+    path = tmp_path / 'room.npy'
+    np.save(path, 0.001 * ROOM)
+    assert '--scale, 1000' in refusal(path)
+    np.save(path, ROOM * [1, 0, 1])
+    assert 'the cloud is flat' in refusal(path)
+    np.save(path, np.repeat(ROOM[::300], 50, axis=0))
+    assert 'duplicates' in refusal(path) and 'denser scan' in refusal(path)
+    np.save(path, ROOM)
+    assert 'smaller voxel_size' in refusal(path, voxel_size=5.0)
+
+
+def test_arrays_that_are_not_points_are_refused(tmp_path):
+    path = tmp_path / 'room.npy'
+    for array, found in ((ROOM[:900, :2], '(900, 2)'), (ROOM[:900].ravel(), '(2700,)'),
+                         (ROOM.astype(str), '<U'), (ROOM.astype(complex), 'complex')):
+        np.save(path, array)
+        assert found in refusal(path)
+    np.save(path, np.array([{'a': 1}] * 200, dtype=object), allow_pickle=True)
+    assert 'allow_pickle=False' in refusal(path)
+    with path.open('wb') as file:
+        np.savez(file, ROOM)
+    assert 'cannot be read' in refusal(path)
+
+
+def test_fields_other_than_coordinates_are_refused(tmp_path):
+    path = tmp_path / 'room.ply'
+    write_ply(path, ROOM, order='xy', r=0.0)
+    assert 'found the fields x y r and no z' in refusal(path)
+    rows = np.zeros(3, dtype=[('x', 'f4')])
+    PlyData([PlyElement.describe(rows, 'face')]).write(str(path))
+    assert 'found no vertices' in refusal(path)
+    rows = np.zeros(0, dtype=[('x', 'f4'), ('y', 'f4'), ('z', 'f4')])
+    PlyData([PlyElement.describe(rows, 'vertex')]).write(str(path))
+    assert 'found no points' in refusal(path)
+
+
+def test_normals_that_are_no_numbers_are_refused(tmp_path):
+    names, text = ['x', 'y', 'z', 'nx', 'ny', 'nz'], [*['f4'] * 3, *['U4'] * 3]
+    rows = np.zeros(len(ROOM), dtype=list(zip(names, text)))
+    rows['x'], rows['y'], rows['z'] = ROOM.T
+    rows['nx'] = rows['ny'] = rows['nz'] = 'up'
+    np.save(tmp_path / 'room.npy', rows)
+    assert 'found content that cannot be read' in refusal(tmp_path / 'room.npy')
+    rows = np.zeros(len(ROOM), dtype=[*zip('xyz', ['f4'] * 3), *zip(names[3:], 'OOO')])
+    rows['x'], rows['y'], rows['z'] = ROOM.T
+    for name in names[3:]:
+        rows[name][:] = [np.zeros(2, np.float32)] * len(ROOM)
+    PlyData([PlyElement.describe(rows, 'vertex')]).write(str(tmp_path / 'room.ply'))
+    assert 'found content that cannot be read' in refusal(tmp_path / 'room.ply')
+
+
+@pytest.mark.parametrize('data', ['ascii', 'binary'])
+def test_a_pcd_with_another_number_of_points_than_it_says_is_refused(tmp_path, data):
+    path = tmp_path / 'room.pcd'
+    write_pcd(path, ROOM, data=data, count=len(ROOM) + 1)
+    assert 'export it again' in refusal(path)
+
+
+@pytest.mark.parametrize('options', [
+    {'voxel_size': -0.1}, {'voxel_size': 1e-5}, {'voxel_size': np.nan}, {'max_points': -1},
+    {'max_points': 10}, {'scale': 0.0}, {'scale': np.inf}, {'scale': 1e308}, {'up': 'w'}])
+def test_options_without_a_meaning_are_refused(tmp_path, options):
+    path = tmp_path / 'room.npy'
+    np.save(path, ROOM)
+    option, value = next(iter(options.items()))
+    assert f'found {option}={value!r}; expected' in refusal(path, **options)
+
+
+@pytest.mark.parametrize('name', ['washitsu.ply', 'office_open.ply', 'living_room_open.ply',
+                                  'office_floor.ply', 'room_scan1.pcd', 'room_scan2.pcd'])
+def test_real_scans_load_and_only_turned_ones_warn(tmp_path, name):
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        scene = load_scene(scan(name), max_points=15000)
+    assert scene.name == name[:-4]
+    assert 10000 < len(scene) <= 15000
+    assert scene.spacing.min() > 0.0 and 2.0 < scene.size[2] < 4.5
+    for up, turn in (('y', TO_Y_UP), ('x', TO_X_UP)):
+        path = tmp_path / f'{up}.npy'
+        np.save(path, turned(scene.points, turn))
+        with pytest.warns(SceneWarning, match=f'{up}.npy: found .* across {up}; .*--up {up}'):
+            load_scene(path)
+
+
+def test_the_full_room_has_the_size_that_is_known():
+    np.testing.assert_allclose(load_scene(scan('washitsu.ply')).size, [3.7, 2.6, 2.5], atol=0.15)
+
+
+def test_a_real_hall_with_y_up_warns_until_it_is_turned():
+    path = scan('indoor.laz')
+    with pytest.warns(SceneWarning, match='indoor.laz: .* across y; expected z up; .*--up y'):
+        load_scene(path, max_points=2000)
+    scene = load_scene(path, up='y', max_points=15000)
+    assert scene.size[2] == pytest.approx(9.4, abs=0.5)
+
+
+def test_a_real_mesh_with_y_up_warns_until_it_is_turned(tmp_path):
+    open3d = pytest.importorskip('open3d')
+    mesh = open3d.io.read_triangle_mesh(str(scan('washitsu_mesh_y_up.obj')))
+    path = tmp_path / 'washitsu.npy'
+    np.save(path, np.asarray(mesh.sample_points_uniformly(30000).points))
+    with pytest.warns(SceneWarning, match='washitsu.npy: .*--up y'):
+        load_scene(path)
+    assert load_scene(path, up='y').size[2] == pytest.approx(2.55, abs=0.15)
+
+
+def test_a_compressed_pcd_reads_as_open3d_reads_it():
+    open3d = pytest.importorskip('open3d')
+    path = scan('room_scan1.pcd')
+    expected = np.asarray(open3d.io.read_point_cloud(str(path)).points, dtype=np.float32)
+    _, first = np.unique(expected, axis=0, return_index=True)
+    np.testing.assert_array_equal(load_scene(path).points, expected[np.sort(first)])
+
+
+def test_the_depth_camera_frame_says_how_many_points_are_nan():
+    path = scan('../clouds/primesense_office1.pcd')
+    assert '307,200 points with NaN' in refusal(path)
+    assert len(load_scene(path, drop_nonfinite=True, voxel_size=0.05)) > 1000
