@@ -8,11 +8,22 @@ import pytest
 from ocp_ros.agent.observed import Observed, thinned
 from ocp_ros.agent.sight import directions, Sight
 from ocp_ros.agent.world import ERROR, FLOOR, POINTS, ROWS, WorldInputs
+from ocp_ros.geometry.blocks import pack
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.sensors import SENSORS
+from ocp_ros.planners.annealing import annealed, between
 from ocp_ros.planners.lookahead import Lookahead
 from ocp_ros.planners.online import HandRule, matched, ThenLookahead
-from ocp_ros.planners.sites import kinds_of, most_places, Sites
+from ocp_ros.planners.sites import (
+    ANYWHERE,
+    Candidates,
+    COLD,
+    EXCHANGES,
+    HOT,
+    kinds_of,
+    most_places,
+    Sites,
+)
 from ocp_ros.simulation.space import Space
 
 MAX_STEP, MAX_RANGE, MARGIN, TURNS = 0.5, 3.0, 0.1, 12
@@ -137,6 +148,41 @@ def test_cameras_take_places_of_their_kind_only():
         values.append(sites.value(chosen))
         assert all(site in sites._of_kind[kind] for site, kind in zip(chosen, sites.kind_of))
     assert (np.diff(values) <= 0.0).all()
+
+
+@pytest.mark.parametrize('weight', [0.0, 0.01])
+@pytest.mark.parametrize('kinds', [1, 2])
+def test_annealing_agrees_with_its_twin(kinds, weight):
+    sight = rig()
+    model = Observed(CLOUD, sight.placement[:, :3], 4.0, 2000, 16)
+    space = Space.of(CLOUD, 1.9, 3, MARGIN)
+    places, unseen = space.grid(20), pack(model.cells % 3 > 0)
+    if kinds == 1:
+        found = Candidates(model, places, space, unseen, weight)
+    else:
+        found = Sites(model, space.placement(places), None, sight, unseen, weight)
+    kind_of, (own, firsts) = [0, kinds - 1, 0], found._own
+
+    def exchanged(chosen):
+        trial, camera = list(chosen), int(twin.integers(3))
+        if twin.random() < ANYWHERE:
+            of_kind = own[firsts[kind_of[camera]]:firsts[kind_of[camera] + 1]]
+            trial[camera] = int(twin.choice(of_kind))
+        else:
+            near = found._near[trial[camera]]
+            trial[camera] = int(twin.choice(near[near >= 0]))
+        return trial
+
+    start = found.fill(3)[::-1] if kinds == 1 else found.fill(3)
+    for seed in range(3):
+        rng, twin = np.random.default_rng(seed), np.random.default_rng(seed)
+        expected = annealed(start, found.value, exchanged, [
+            model.depth_error.worst * between(HOT, COLD, step / EXCHANGES)
+            for step in range(EXCHANGES)], twin)
+        assert found.anneal(start, rng) == expected
+        # They drew as often, so what is drawn next is the same.
+        assert rng.bit_generator.state == twin.bit_generator.state
+        start = [int(found._own[0][firsts[kind]]) for kind in kind_of]
 
 
 def test_nobody_is_matched_with_a_place_of_another_kind():

@@ -59,7 +59,7 @@ def _list_candidates(projection, order, half_sides, rows, columns, ends, indices
                 ends[cell] += 1
 
 
-class _Trees(NamedTuple):
+class Trees(NamedTuple):
     """
     The lists of all pixels as trees, parents before children, each (T,).
 
@@ -86,7 +86,7 @@ def _grow(pixels, starts, indices, depths, far, longest):
     :param depths: (L,) float32, their distances, metres.
     :param far: metres.
     :param longest: points of the longest list.
-    :returns: the fields of :class:`_Trees`.
+    :returns: the fields of :class:`Trees`.
     """
     most = indices.shape[0]
     point, end = np.empty(most, dtype=np.uint32), np.empty(most, dtype=np.uint32)
@@ -116,8 +116,14 @@ def _grow(pixels, starts, indices, depths, far, longest):
 
 
 @njit(cache=True, nogil=True)
-def _error(trees, seen):
-    """Sum the depth that the pixels of all viewpoints lose; seen: packed bits."""
+def lost_depth(trees, seen):
+    """
+    Sum the depth that the pixels of all viewpoints lose.
+
+    :param trees: of a :class:`DepthError`.
+    :param seen: (W,) uint64, packed bits of the points.
+    :returns: metres; the error is this divided by the pixels of a map.
+    """
     total, node = 0.0, np.uint32(0)
     while node < trees.point.shape[0]:
         point = trees.point[node]
@@ -155,12 +161,15 @@ class DepthError:
     :param bounds: (2, 3), lowest and highest corner, metres.
     :param rows: rows of the depth maps; they have twice as many columns.
     :param cube_scale: half the side of a point's cube in multiples of its spacing.
+    :ivar trees: for kernels that ask :func:`lost_depth` many times.
+    :ivar pixels: of a map.
     """
 
     def __init__(self, points: np.ndarray, spacing: np.ndarray, bounds: np.ndarray, rows: int,
                  cube_scale: float) -> None:
         self.far = float(np.linalg.norm(bounds[1] - bounds[0]))
         self.shape = (rows, 2 * rows)
+        self.pixels = rows * 2 * rows
         self._count = len(points)
         self.viewpoints = viewpoints(bounds)
         half_sides = (cube_scale * spacing).astype(np.float32)
@@ -170,12 +179,12 @@ class DepthError:
             end = trees.end + np.uint32(sum(len(before.end) for before in grown))
             grown.append(trees._replace(end=end))
             self._maps.append(depth_map)
-        self._trees = _Trees(*(np.concatenate(field) for field in zip(*grown)))
+        self.trees = Trees(*(np.concatenate(field) for field in zip(*grown)))
         #: The error of seeing nothing, metres.
         self.worst = self(no_bits(len(points)))
 
     def _viewpoint(self, points: np.ndarray, half_sides: np.ndarray,
-                   position: np.ndarray) -> tuple[_Trees, np.ndarray]:
+                   position: np.ndarray) -> tuple[Trees, np.ndarray]:
         """List the candidates of every pixel of one viewpoint, and draw its depth map."""
         rows, columns = self.shape
         projection = Projection.empty(len(points))
@@ -198,7 +207,7 @@ class DepthError:
         depth = np.full(rows * columns, self.far, dtype=np.float32)
         depth[pixels] = depths[starts[pixels]]
         depth.setflags(write=False)
-        trees = _Trees(*_grow(pixels, starts, indices, depths, self.far, int(counts.max())))
+        trees = Trees(*_grow(pixels, starts, indices, depths, self.far, int(counts.max())))
         return trees, depth.reshape(self.shape)
 
     def depth_map(self, viewpoint: int) -> np.ndarray:
@@ -217,7 +226,7 @@ class DepthError:
         :param seen: (W,) uint64, packed bits of the points.
         :returns: metres: the sum over the viewpoints of the mean over the pixels.
         """
-        return _error(self._trees, seen) / (self.shape[0] * self.shape[1])
+        return lost_depth(self.trees, seen) / self.pixels
 
     def by_point(self, seen: np.ndarray) -> np.ndarray:
         """
@@ -227,10 +236,10 @@ class DepthError:
         :returns: (N,) metres, in the order of the points; their sum is the error.
         """
         lost = np.zeros(self._count)
-        _lost_at(self._trees, seen, lost)
-        return lost / (self.shape[0] * self.shape[1])
+        _lost_at(self.trees, seen, lost)
+        return lost / self.pixels
 
     @property
     def nbytes(self) -> int:
         """Return the bytes held for the scene."""
-        return sum(array.nbytes for array in (*self._trees, *self._maps))
+        return sum(array.nbytes for array in (*self.trees, *self._maps))

@@ -33,7 +33,7 @@ PILOTS = 16
 State = TypeVar('State')
 
 
-def between(first: float, last: float, share: float) -> float:
+def between(first: float, last: float, share: float | np.ndarray) -> float | np.ndarray:
     """Fall from the first to the last by a constant factor."""
     return first * (last / first) ** share
 

@@ -3,6 +3,7 @@
 
 from collections.abc import Sequence
 
+from numba import njit
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -10,8 +11,9 @@ from ocp_ros.agent.observed import Observed
 from ocp_ros.agent.sight import fixed_views, Sight
 from ocp_ros.geometry.blocks import count_bits
 from ocp_ros.geometry.cameras import rotation_matrix
+from ocp_ros.geometry.depth_error import lost_depth
 from ocp_ros.geometry.threads import mapped
-from ocp_ros.planners.annealing import annealed, between
+from ocp_ros.planners.annealing import between
 from ocp_ros.simulation.simulator import View
 from ocp_ros.simulation.space import Space
 
@@ -27,6 +29,58 @@ YAWS, PITCHES = 8, 2
 SITES = 2000
 #: Metres that a turn by one radian counts as, where neighbours are sought.
 PER_RADIAN = 0.5
+
+
+@njit(cache=True, nogil=True)
+def _annealed(chosen, seen, covered, trees, pixels, weight, kind_of, own, firsts, near,
+              temperatures, rng):
+    """
+    Exchange one of a choice after another, and return the best choice that came by.
+
+    :param chosen: (K,) int64, where to begin.
+    :param seen: (S, W) uint64, packed bits of the points that each site sees.
+    :param covered: (S, V) uint64, packed bits of the unseen cells that each covers.
+    :param trees: of the depth error.
+    :param pixels: of its maps.
+    :param weight: what covering a cell is worth, metres.
+    :param kind_of: (K,) int64, the kind of site that each camera takes.
+    :param own: (S,) int64, the sites, those of a kind next to each other.
+    :param firsts: (kinds + 1,) int64, where those of a kind begin in ``own``.
+    :param near: (S, N) int64, the sites of its kind that differ least from each; -1 for no more.
+    :param temperatures: one for each proposal, metres.
+    :param rng: numpy.random.Generator.
+    """
+    all_seen, all_covered = np.empty_like(seen[0]), np.empty_like(covered[0])
+    trial, state, best = chosen.copy(), chosen.copy(), chosen.copy()
+    value = best_value = 0.0
+    for step in range(-1, len(temperatures)):
+        if step >= 0:
+            trial[:] = state
+            camera = rng.integers(0, len(trial))
+            first, last = firsts[kind_of[camera]], firsts[kind_of[camera] + 1]
+            neighbours = 0
+            for site in near[trial[camera]]:
+                neighbours += site >= 0
+            if rng.random() < ANYWHERE or not neighbours:
+                trial[camera] = own[first + rng.integers(0, last - first)]
+            else:
+                trial[camera] = near[trial[camera], rng.integers(0, neighbours)]
+        all_seen[:], all_covered[:] = seen[trial[0]], covered[trial[0]]
+        for site in trial[1:]:
+            all_seen |= seen[site]
+            all_covered |= covered[site]
+        trial_value = lost_depth(trees, all_seen) / pixels
+        if weight:
+            trial_value -= weight * count_bits(all_covered)
+        if step < 0:
+            value = best_value = trial_value
+            continue
+        rise = trial_value - value
+        if rise <= 0.0 or rng.random() < np.exp(-rise / temperatures[step]):
+            state[:], value = trial, trial_value
+            if value < best_value:
+                best[:], best_value = state, value
+    return best
 
 
 class Candidates:
@@ -48,7 +102,8 @@ class Candidates:
         self.model, self.places, self.weight = model, places, weight
         self._see(mapped(model.look, space.placement(places)), fixed, unseen)
         apart = ((places[:, None] - places[None]) ** 2).sum(axis=-1)
-        self._near = np.argsort(apart, axis=1, kind='stable')[:, 1:NEIGHBOURS + 1]
+        self._near = np.argsort(apart, axis=1, kind='stable')[:, 1:NEIGHBOURS + 1].copy()
+        self._own = np.arange(len(places)), np.array([0, len(places)])
 
     def _see(self, views: list[View], fixed: Sequence[View], unseen: np.ndarray) -> None:
         """Keep what each would see, what cameras in place see included."""
@@ -81,20 +136,15 @@ class Candidates:
 
     def anneal(self, chosen: list[int], rng: np.random.Generator) -> list[int]:
         """Return the best choice that annealing from another one finds, which may be that one."""
-        worst = self.model.depth_error.worst
-        temperatures = (worst * between(HOT, COLD, step / EXCHANGES) for step in range(EXCHANGES))
-        return annealed(chosen, self.value, lambda trial: self._exchanged(trial, rng),
-                        temperatures, rng)
+        error = self.model.depth_error
+        temperatures = error.worst * between(HOT, COLD, np.arange(EXCHANGES) / EXCHANGES)
+        return _annealed(np.array(chosen), self._seen, self._covered, error.trees, error.pixels,
+                         self.weight, self._kinds(len(chosen)), *self._own, self._near,
+                         temperatures, rng).tolist()
 
-    def _exchanged(self, chosen: list[int], rng: np.random.Generator) -> list[int]:
-        """Exchange one of a choice for a neighbour or for any other place."""
-        trial, camera = list(chosen), int(rng.integers(len(chosen)))
-        if rng.random() < ANYWHERE:
-            trial[camera] = int(rng.integers(len(self.places)))
-        else:
-            near = self._near[trial[camera]]
-            trial[camera] = int(near[rng.integers(len(near))])
-        return trial
+    def _kinds(self, cameras: int) -> np.ndarray:
+        """Return the kind of site that each camera takes: there is one."""
+        return np.zeros(cameras, dtype=np.int64)
 
 
 class Sites(Candidates):
@@ -134,7 +184,12 @@ class Sites(Candidates):
         self.sites, self.places = np.array(sites), np.array(sites)[:, :2]
         self._of_kind = [np.flatnonzero(np.array(of_kind) == kind) for kind in range(len(firsts))]
         self._see(views, fixed_views(model, sight), unseen)
-        self._near = [self._neighbours(own) for own in self._of_kind]
+        self._near = np.full((len(sites), NEIGHBOURS + 1), -1)
+        for own in self._of_kind:
+            near = self._neighbours(own)
+            self._near[own, :near.shape[1]] = near
+        self._own = (np.concatenate(self._of_kind),
+                     np.cumsum([0, *(len(own) for own in self._of_kind)]))
 
     def _neighbours(self, own: np.ndarray) -> np.ndarray:
         """List for each site of a kind those of the kind that differ least from it."""
@@ -155,17 +210,9 @@ class Sites(Candidates):
             seen, covered = seen | self._seen[chosen[-1]], covered | self._covered[chosen[-1]]
         return chosen
 
-    def _exchanged(self, chosen: list[int], rng: np.random.Generator) -> list[int]:
-        """Exchange one of a choice for a neighbour or for any other site of its kind."""
-        trial, camera = list(chosen), int(rng.integers(len(chosen)))
-        kind = self.kind_of[camera]
-        own = self._of_kind[kind]
-        if rng.random() < ANYWHERE:
-            trial[camera] = int(own[rng.integers(len(own))])
-        else:
-            near = self._near[kind][np.searchsorted(own, trial[camera])]
-            trial[camera] = int(near[rng.integers(len(near))])
-        return trial
+    def _kinds(self, cameras: int) -> np.ndarray:
+        """Return the kind of site that each camera takes."""
+        return self.kind_of[:cameras]
 
 
 def kinds_of(sight: Sight) -> tuple[np.ndarray, list[int]]:
