@@ -161,16 +161,15 @@ def test_annealing_agrees_with_its_twin(kinds, weight):
         found = Candidates(model, places, space, unseen, weight)
     else:
         found = Sites(model, space.placement(places), None, sight, unseen, weight)
-    kind_of, (own, firsts) = [0, kinds - 1, 0], found._own
+    kind_of = [0, kinds - 1, 0]
 
     def exchanged(chosen):
         trial, camera = list(chosen), int(twin.integers(3))
+        own = found._of_kind[kind_of[camera]]
         if twin.random() < ANYWHERE:
-            of_kind = own[firsts[kind_of[camera]]:firsts[kind_of[camera] + 1]]
-            trial[camera] = int(twin.choice(of_kind))
+            trial[camera] = int(twin.choice(own))
         else:
-            near = found._near[trial[camera]]
-            trial[camera] = int(twin.choice(near[near >= 0]))
+            trial[camera] = int(twin.choice(found._near[trial[camera]][:len(own)]))
         return trial
 
     start = found.fill(3)[::-1] if kinds == 1 else found.fill(3)
@@ -182,7 +181,7 @@ def test_annealing_agrees_with_its_twin(kinds, weight):
         assert found.anneal(start, rng) == expected
         # They drew as often, so what is drawn next is the same.
         assert rng.bit_generator.state == twin.bit_generator.state
-        start = [int(found._own[0][firsts[kind]]) for kind in kind_of]
+        start = [int(found._of_kind[kind][0]) for kind in kind_of]
 
 
 def test_nobody_is_matched_with_a_place_of_another_kind():

@@ -32,6 +32,12 @@ PER_RADIAN = 0.5
 
 
 @njit(cache=True, nogil=True)
+def _worth(seen, covered, trees, pixels, weight):
+    """Return what seeing points and covering unseen cells, packed bits each, is worth, metres."""
+    return lost_depth(trees, seen) / pixels - weight * count_bits(covered)
+
+
+@njit(cache=True, nogil=True)
 def _annealed(chosen, seen, covered, trees, pixels, weight, kind_of, own, firsts, near,
               temperatures, rng):
     """
@@ -46,7 +52,8 @@ def _annealed(chosen, seen, covered, trees, pixels, weight, kind_of, own, firsts
     :param kind_of: (K,) int64, the kind of site that each camera takes.
     :param own: (S,) int64, the sites, those of a kind next to each other.
     :param firsts: (kinds + 1,) int64, where those of a kind begin in ``own``.
-    :param near: (S, N) int64, the sites of its kind that differ least from each; -1 for no more.
+    :param near: (S, N) int64, the sites of its kind that differ least from each; in a row, no more
+        count than there are of the kind.
     :param temperatures: one for each proposal, metres.
     :param rng: numpy.random.Generator.
     """
@@ -58,9 +65,7 @@ def _annealed(chosen, seen, covered, trees, pixels, weight, kind_of, own, firsts
             trial[:] = state
             camera = rng.integers(0, len(trial))
             first, last = firsts[kind_of[camera]], firsts[kind_of[camera] + 1]
-            neighbours = 0
-            for site in near[trial[camera]]:
-                neighbours += site >= 0
+            neighbours = min(near.shape[1], last - first)
             if rng.random() < ANYWHERE or not neighbours:
                 trial[camera] = own[first + rng.integers(0, last - first)]
             else:
@@ -69,9 +74,7 @@ def _annealed(chosen, seen, covered, trees, pixels, weight, kind_of, own, firsts
         for site in trial[1:]:
             all_seen |= seen[site]
             all_covered |= covered[site]
-        trial_value = lost_depth(trees, all_seen) / pixels
-        if weight:
-            trial_value -= weight * count_bits(all_covered)
+        trial_value = _worth(all_seen, all_covered, trees, pixels, weight)
         if step < 0:
             value = best_value = trial_value
             continue
@@ -103,7 +106,7 @@ class Candidates:
         self._see(mapped(model.look, space.placement(places)), fixed, unseen)
         apart = ((places[:, None] - places[None]) ** 2).sum(axis=-1)
         self._near = np.argsort(apart, axis=1, kind='stable')[:, 1:NEIGHBOURS + 1].copy()
-        self._own = np.arange(len(places)), np.array([0, len(places)])
+        self._of_kind = [np.arange(len(places))]
 
     def _see(self, views: list[View], fixed: Sequence[View], unseen: np.ndarray) -> None:
         """Keep what each would see, what cameras in place see included."""
@@ -120,17 +123,18 @@ class Candidates:
 
     def _value(self, seen: np.ndarray, covered: np.ndarray) -> float:
         """Return what seeing points and covering cells, packed bits each, is worth, metres."""
-        error = self.model.depth_error(seen)
-        return error - self.weight * int(count_bits(covered)) if self.weight else error
+        error = self.model.depth_error
+        return _worth(seen, covered, error.trees, error.pixels, self.weight)
 
     def fill(self, cameras: int) -> list[int]:
-        """Choose so many, one after the other, each the best that is left."""
+        """Choose for one camera after the other, each the best that is left."""
         chosen: list[int] = []
         seen, covered = np.zeros_like(self._seen[0]), np.zeros_like(self._covered[0])
-        for _ in range(cameras):
-            values = [self._value(seen | one, covered | other)
-                      for one, other in zip(self._seen, self._covered)]
-            chosen.append(int(np.argmin(values)))
+        for kind in self._kinds(cameras):
+            own = self._of_kind[kind]
+            values = [self._value(seen | self._seen[site], covered | self._covered[site])
+                      for site in own]
+            chosen.append(int(own[np.argmin(values)]))
             seen, covered = seen | self._seen[chosen[-1]], covered | self._covered[chosen[-1]]
         return chosen
 
@@ -138,9 +142,10 @@ class Candidates:
         """Return the best choice that annealing from another one finds, which may be that one."""
         error = self.model.depth_error
         temperatures = error.worst * between(HOT, COLD, np.arange(EXCHANGES) / EXCHANGES)
+        firsts = np.cumsum([0, *(len(own) for own in self._of_kind)])
         return _annealed(np.array(chosen), self._seen, self._covered, error.trees, error.pixels,
-                         self.weight, self._kinds(len(chosen)), *self._own, self._near,
-                         temperatures, rng).tolist()
+                         self.weight, self._kinds(len(chosen)), np.concatenate(self._of_kind),
+                         firsts, self._near, temperatures, rng).tolist()
 
     def _kinds(self, cameras: int) -> np.ndarray:
         """Return the kind of site that each camera takes: there is one."""
@@ -184,12 +189,10 @@ class Sites(Candidates):
         self.sites, self.places = np.array(sites), np.array(sites)[:, :2]
         self._of_kind = [np.flatnonzero(np.array(of_kind) == kind) for kind in range(len(firsts))]
         self._see(views, fixed_views(model, sight), unseen)
-        self._near = np.full((len(sites), NEIGHBOURS + 1), -1)
+        self._near = np.zeros((len(sites), NEIGHBOURS + 1), dtype=np.int64)
         for own in self._of_kind:
             near = self._neighbours(own)
             self._near[own, :near.shape[1]] = near
-        self._own = (np.concatenate(self._of_kind),
-                     np.cumsum([0, *(len(own) for own in self._of_kind)]))
 
     def _neighbours(self, own: np.ndarray) -> np.ndarray:
         """List for each site of a kind those of the kind that differ least from it."""
@@ -197,18 +200,6 @@ class Sites(Candidates):
         tree = cKDTree(np.hstack([self.sites[own, :3], PER_RADIAN * forward]))
         _, near = tree.query(tree.data, min(NEIGHBOURS + 1, len(own)))
         return own[near.reshape(len(own), -1)]
-
-    def fill(self, cameras: int) -> list[int]:
-        """Choose for one camera after the other, each the best that is left."""
-        chosen: list[int] = []
-        seen, covered = np.zeros_like(self._seen[0]), np.zeros_like(self._covered[0])
-        for kind in self.kind_of[:cameras]:
-            own = self._of_kind[kind]
-            values = [self._value(seen | self._seen[site], covered | self._covered[site])
-                      for site in own]
-            chosen.append(int(own[np.argmin(values)]))
-            seen, covered = seen | self._seen[chosen[-1]], covered | self._covered[chosen[-1]]
-        return chosen
 
     def _kinds(self, cameras: int) -> np.ndarray:
         """Return the kind of site that each camera takes."""

@@ -109,8 +109,7 @@ class Placement:
 
 def created_by(command: str, planner: str = '') -> dict[str, str]:
     """Return who made a placement, and which planner found it if any did, for its file."""
-    return {'date': timestamp(),
-            'command': command, 'version': __version__,
+    return {'date': timestamp(), 'command': command, 'version': __version__,
             **({'planner': planner} if planner else {})}
 
 
