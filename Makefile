@@ -5,7 +5,7 @@ RUN := $(VENV)/bin/python
 READY := $(VENV)/.ready
 OUT ?= out
 
-.PHONY: help demo train-demo train test lint format bench fuzz soak benchmark rooms colcon clean
+.PHONY: help demo train-demo train test lint format bench fuzz soak endings benchmark rooms colcon clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 14
@@ -42,6 +42,9 @@ fuzz: $(READY)  ## send nodes messages that lie: make fuzz [MESSAGES=100000]
 
 soak: $(READY)  ## play, kill nodes and lie to them: make soak [MINUTES=5] [KILLS=100, in place of minutes]
 	$(RUN) -m ocp_ros.nodes.soak --out "$(OUT)" $(if $(MINUTES),--minutes $(MINUTES)) $(if $(KILLS),--kills $(KILLS))
+
+endings: $(READY)  ## end nodes in every way that users do and count crashes: make endings [ENDINGS=500]
+	$(RUN) tools/stress_endings --out "$(OUT)/endings" $(if $(ENDINGS),--endings $(ENDINGS))
 
 benchmark: $(READY)  ## compare all planners in all test rooms: two hours on two cores; goes on where it stopped
 	$(RUN) -m ocp_ros.cli benchmark --preset full --out "$(OUT)/benchmark" --report docs/benchmark

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every node's ``main`` does when its end comes at an awkward moment."""
 
+from contextlib import suppress
 import os
+import select
+import signal
 import subprocess
 import sys
 
@@ -11,11 +14,16 @@ pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
 
 import rclpy
 from rclpy.node import Node
+from rclpy.signals import get_current_signal_handlers_options, SignalHandlerOptions
 from std_msgs.msg import Float64
 
 from ocp_ros.nodes.network import ASKED, LOCALHOST, stay_local
+from ocp_ros.nodes.processes import free_domain
 from ocp_ros.nodes.runner import run, undisturbed
 from ocp_ros.scenes.scene import SceneError
+
+#: Seconds after which a process that shall end hangs.
+HANGS = 300.0
 
 
 @pytest.fixture(autouse=True)
@@ -56,6 +64,71 @@ def test_an_interrupt_that_a_library_turns_into_another_error_ends_it_with_0():
     # In a process of its own: rclpy shuts its context down from another thread, at its leisure.
     done = subprocess.run([sys.executable, '-c', INTERRUPTED], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_no_native_thread_handles_signals_and_all_is_saved_before_ros_is_taken_down():
+    seen = []
+
+    class Saving(Node):
+        def stop(self):
+            seen.extend([get_current_signal_handlers_options(), rclpy.ok(), self.count_publishers('a')])
+            # An impatient user.
+            signal.raise_signal(signal.SIGINT)
+            seen.append('saved')
+
+    def make_node():
+        node = Saving('saving')
+        node.create_timer(0.0, lambda: signal.raise_signal(signal.SIGTERM))
+        return node
+
+    assert run(make_node, []) == 0
+    assert seen == [SignalHandlerOptions.NO, True, 0, 'saved'] and not rclpy.ok()
+
+
+def test_an_interrupt_that_a_callback_takes_for_an_error_of_its_own_ends_a_node():
+    def callback():
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+    def make_node():
+        node = Node('deaf')
+        node.create_timer(0.0, callback)
+        return node
+
+    assert run(make_node, []) == 0
+
+
+#: Starts a node, tells its process id, and waits to be killed.
+PARENT = """
+import sys
+from pathlib import Path
+from ocp_ros.nodes.processes import free_domain, NodeProcess
+
+domain, holder = free_domain()
+node = NodeProcess('policy_node', domain, Path(sys.argv[1]), {})
+# From here on the node alone holds it.
+holder.close()
+print(domain, node.process.pid, flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.mark.parametrize('early', [True, False])
+def test_a_node_ends_with_its_parent_and_keeps_its_domain_until_then(tmp_path, early):
+    log = tmp_path / 'log'
+    parent = subprocess.Popen([sys.executable, '-c', PARENT, str(log)], text=True,
+                              stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    taken, pid = map(int, parent.stdout.readline().split())
+    ended = os.pidfd_open(pid)
+    while not early and 'weights' not in log.read_text():
+        assert not select.select([ended], [], [], 0.05)[0], log.read_text()
+    domain, holder = free_domain()
+    holder.close()
+    assert domain != taken
+    parent.kill()
+    parent.communicate()
+    assert select.select([ended], [], [], HANGS)[0], 'the node lives on'
+    os.close(ended)
 
 
 def test_any_other_error_of_the_middleware_is_not_hidden():

@@ -161,9 +161,13 @@ class PolicyNode(Node):
         self._finality.say(self._step, self.config)
         return answer
 
+    def stop(self) -> None:
+        """Stop commanding, before anything of ROS is taken down."""
+        self._commander.close()
+
     def destroy_node(self) -> None:
         """Stop commanding before the node goes."""
-        self._commander.close()
+        self.stop()
         super().destroy_node()
 
     def _why(self) -> str:

@@ -13,7 +13,7 @@ import subprocess
 import sys
 
 from ocp_ros.nodes.network import LOCALHOST
-from ocp_ros.nodes.runner import ENDING, undisturbed
+from ocp_ros.nodes.runner import ENDING, PARENT, undisturbed
 
 #: Seconds that a node has to end when it is told to: plenty, but for a machine with other work.
 PATIENCE = 60.0
@@ -25,7 +25,8 @@ def free_domain() -> tuple[int, socket.socket]:
     """
     Find a ROS domain that no other process of this kind uses.
 
-    :returns: the domain id, and a bound socket that keeps it taken while it is open.
+    :returns: the domain id, and a bound socket that keeps it taken while it is open. Node
+        processes inherit it: those that outlive who has started them keep the domain.
     """
     for domain in range(1, 101):
         holder = socket.socket()
@@ -34,6 +35,7 @@ def free_domain() -> tuple[int, socket.socket]:
         except OSError:
             holder.close()
             continue
+        holder.set_inheritable(True)
         return domain, holder
     raise RuntimeError('found no free ROS domain between 1 and 100; stop some running demos')
 
@@ -63,6 +65,8 @@ class NodeProcess:
     """
     One node in a process of its own; its output goes to a file.
 
+    It ends with the process that has started it, however that one dies.
+
     :param name: the node's module in ``ocp_ros.nodes``.
     :param domain: ROS domain id.
     :param log: file for its output.
@@ -84,8 +88,10 @@ class NodeProcess:
         with open(log, 'wb') as file:
             self.process = subprocess.Popen(
                 arguments, stdout=file, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
+                close_fds=False,
                 env={**LOCALHOST, **os.environ, 'ROS_DOMAIN_ID': str(domain),
-                     'PYTHONUNBUFFERED': '1', 'PYTHONFAULTHANDLER': '1'})
+                     PARENT: str(os.getpid()), 'PYTHONUNBUFFERED': '1',
+                     'PYTHONFAULTHANDLER': '1'})
 
     def check(self) -> None:
         """
@@ -133,12 +139,9 @@ def stopped_at_the_end(processes: list[NodeProcess]) -> Iterator[None]:
         yield
     finally:
         with undisturbed():
-            codes = {}
-            # One after the other, the first to start last: Fast DDS may crash where a node takes
-            # down a publisher at the moment that somebody who hears it leaves as well.
-            for process in reversed(processes):
+            for process in processes:
                 process.interrupt()
-                codes[process.name] = process.wait()
+            codes = {process.name: process.wait() for process in processes}
     if any(codes.values()):
         raise RuntimeError(f'found the exit codes {codes}; expected 0 from every node')
 

@@ -1,8 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every node's ``main`` does: start, spin, and end with code 0 when they are told to."""
+"""
+What every node's ``main`` does: start, spin, and end with code 0 when they are told to.
+
+A node handles its signals itself. The handlers of rclpy wake the executor from a native thread,
+which reads the list of guard conditions without a lock (``rclpy/src/rclpy/signal_handler.cpp``,
+``trigger_guard_conditions``). Where the machine is busy, that thread runs late, when the executor
+has taken its guard condition out of the list and freed both: the process dies of SIGSEGV, whatever
+the main thread does at that moment. ``tools/stress_endings`` looks for such crashes.
+"""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+import ctypes
 import logging
 import os
 import signal
@@ -13,6 +22,7 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from ocp_ros.agent.checkpoint import CheckpointError
@@ -22,6 +32,14 @@ from ocp_ros.scenes.scene import SceneError
 
 #: Ctrl-C, a polite kill, and a terminal that is closed.
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+#: Environment variable with the process id of who started a node that ends with it.
+PARENT = 'OCP_ROS_PARENT'
+#: Seconds after which an idle executor looks for signals.
+LOOK = 0.1
+#: ``PR_SET_PDEATHSIG`` of prctl(2).
+DEATH_SIGNAL = 1
+#: What rclpy raises where it cannot read its arguments, or cannot start.
+REFUSALS = (rclpy_implementation.RCLError, rclpy_implementation.RCLInvalidROSArgsError)
 #: What a user can put right: told in one sentence, exit code 2.
 USER_ERRORS = (CheckpointError, ConfigurationError, SceneError, FileNotFoundError,
                InvalidParameterTypeException, InvalidParameterValueException)
@@ -61,9 +79,57 @@ def refusal(error: Exception) -> str:
             'expected -p name:=value or --params-file FILE')
 
 
+def end_with_parent() -> None:
+    """Let this process be told to end when its parent dies, where the parent asks for it."""
+    parent = os.environ.get(PARENT)
+    if parent is None or sys.platform != 'linux':
+        return
+    ctypes.CDLL(None).prctl(DEATH_SIGNAL, signal.SIGTERM)
+    if str(os.getppid()) != parent:
+        # It has died already.
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+def interrupt_on_signals() -> list[int]:
+    """
+    Raise KeyboardInterrupt at the first signal that ends a node, and ignore those that follow.
+
+    :returns: a list that gets the number of that signal.
+    """
+    received: list[int] = []
+
+    def interrupt(number, frame):
+        # What is saved from here on must not be lost to a second Ctrl-C.
+        ignore_signals()
+        received.append(number)
+        raise KeyboardInterrupt
+
+    for number in ENDING:
+        # nohup ignores SIGHUP before a node starts, and so it stays.
+        if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, interrupt)
+    return received
+
+
+def spin(executor: SingleThreadedExecutor, received: list[int]) -> None:
+    """
+    Spin until a signal comes.
+
+    A wait in native code ends often enough to notice it. An interrupt in the middle of a compiled
+    kernel becomes another error, which whoever called the kernel may take for one of its own.
+
+    :param received: gets the number of the signal.
+    """
+    while not received:
+        executor.spin_once(timeout_sec=LOOK)
+
+
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     """
     Run one node until it is told to stop.
+
+    What the node has to save is saved first, by its ``stop`` where it has one; then ROS is taken
+    down.
 
     :param make_node: builds the node.
     :param args: command line, None for that of the process.
@@ -73,57 +139,50 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     logging.basicConfig(format='[%(levelname)s] [%(name)s]: %(message)s')
     logging.getLogger('ocp_ros').setLevel(logging.INFO)
     logging.captureWarnings(True)
-    name, node, interrupts, alone = make_node.__name__, None, [], stay_local()
-
-    def interrupt(number, frame):
-        interrupts.append(number)
-        raise KeyboardInterrupt
-
-    # Before rclpy sets its own handler, which calls this one.
-    signal.signal(signal.SIGINT, interrupt)
-    if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
-        # A terminal that is closed ends a node like any other who tells it to; nohup does not.
-        signal.signal(signal.SIGHUP, lambda *_: os.kill(os.getpid(), signal.SIGTERM))
+    name, node, executor, alone = make_node.__name__, None, None, stay_local()
+    received = interrupt_on_signals()
     try:
+        end_with_parent()
         left = remove_ros_args(sys.argv if args is None else ['', *args])[1:]
-        rclpy.init(args=args)
-    except (rclpy_implementation.RCLError,
-            rclpy_implementation.RCLInvalidROSArgsError) as error:
-        print(f'{name}: {refusal(error)}', file=sys.stderr)
-        return 2
-    if left:
-        print(f'{name}: found the arguments {" ".join(left)}; expected parameters '
-              'after --ros-args, such as --ros-args -p name:=value', file=sys.stderr)
-        rclpy.try_shutdown()
-        return 2
-    executor = SingleThreadedExecutor()
-    try:
+        if left:
+            print(f'{name}: found the arguments {" ".join(left)}; expected parameters '
+                  'after --ros-args, such as --ros-args -p name:=value', file=sys.stderr)
+            return 2
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        executor = SingleThreadedExecutor()
         node = make_node()
         if alone:
             node.get_logger().info('nodes of this machine are heard, and no others; '
                                    'ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET reaches farther')
         executor.add_node(node)
-        executor.spin()
+        spin(executor, received)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except USER_ERRORS as error:
         print(f'{name}: {error}', file=sys.stderr)
         return 2
     except Exception as error:
-        if about_security(error):
+        if isinstance(error, REFUSALS) and executor is None or about_security(error):
             print(f'{name}: {refusal(error)}', file=sys.stderr)
             return 2
-        # A signal comes at any moment: in the middle of a callback, where the context is gone from
-        # one line to the next, or of a conversion, which turns the interrupt into another error.
-        if rclpy.ok() and not interrupts:
+        # A signal comes at any moment: in the middle of a conversion, which turns the interrupt
+        # into another error, or of a callback while somebody shuts the context down.
+        if rclpy.ok() and not received:
             raise
     finally:
-        # The process ends here: a second Ctrl-C must not lose what was learned.
         ignore_signals()
-        executor.shutdown()
+        take_down(node, executor)
+    return 0
+
+
+def take_down(node: Node | None, executor: SingleThreadedExecutor | None) -> None:
+    """Save what a node has to save, then end executor, node and context, in this order."""
+    try:
+        if hasattr(node, 'stop'):
+            node.stop()
+    finally:
+        if executor is not None:
+            executor.shutdown()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
-        # rclpy has put back the handlers that it had found.
-        ignore_signals()
-    return 0

@@ -144,9 +144,13 @@ class TrainerNode(Node):
             return health.ERROR, f'training stopped: {learner.failure!r}', values
         return health.OK, 'training', values
 
+    def stop(self) -> None:
+        """Stop training and save, before anything of ROS is taken down."""
+        self.learner.close()
+
     def destroy_node(self) -> None:
         """Save before the node goes."""
-        self.learner.close()
+        self.stop()
         super().destroy_node()
 
 

@@ -151,7 +151,7 @@ class Learner:
             return None
 
     def close(self) -> None:
-        """Stop training and save what was learned."""
+        """Stop training and save what was learned; a second call finds nothing left to do."""
         while self._thread.is_alive():
             try:
                 self._inbox.put(None, timeout=0.1)
@@ -163,6 +163,7 @@ class Learner:
             self.log.save()
             if self.updates > self._first_update:
                 self._save()
+                self._first_update = self.updates
 
     def _work(self) -> None:
         """Train whenever there is something to learn from."""
