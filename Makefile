@@ -33,7 +33,7 @@ format: $(READY)  ## mend what ruff can mend
 	$(VENV)/bin/ruff check --fix .
 
 bench: $(READY)  ## measure fidelity and speed of the engine, and the nodes: how fast turns are answered and learned from
-	$(RUN) -m ocp_ros.cli bench --preset full --out "$(OUT)/bench.json" --page docs/bench.md
+	$(RUN) -m ocp_ros.cli bench --preset full --out docs/bench.json --page docs/bench.md
 	$(RUN) -m ocp_ros.report.visibility --out docs/visibility.png
 	$(RUN) -m ocp_ros.nodes.bench --out "$(OUT)/bench_ros.json"
 

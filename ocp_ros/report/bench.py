@@ -18,10 +18,11 @@ def bench(arguments: argparse.Namespace) -> dict[str, Any]:
 
     :returns: what was measured, and the files ``written``.
     """
-    result = measure_engine(EXTENTS[arguments.preset])
+    result = {**measure_engine(EXTENTS[arguments.preset]),
+              'command': f'ocp bench --preset {arguments.preset}'}
     write_atomically(arguments.out, json.dumps(result, indent=2) + '\n')
     if arguments.page:
-        write_atomically(arguments.page, page(result, arguments.preset))
+        write_atomically(arguments.page, page(result))
     return {**result, 'written': [path for path in (arguments.out, arguments.page) if path]}
 
 
@@ -39,7 +40,7 @@ def show(result: dict[str, Any]) -> None:
         console.print(f'{name}: {result[name]:.1f}')
 
 
-def page(result: dict[str, Any], preset: str) -> str:
+def page(result: dict[str, Any]) -> str:
     """Write the figures as a page of the documentation."""
     rows = '\n'.join(
         f'| {row["density"]:,} | {row["method"].replace("_", " ")} | {row["precision"]:.3f} | '
@@ -51,7 +52,7 @@ def page(result: dict[str, Any], preset: str) -> str:
         f'{row["seconds_to_build"]:.1f} |' for row in result['scale'])
     return f"""# The engine, measured
 
-Made by `ocp bench --preset {preset}` on {result["date"]}.
+Made by `{result["command"]}` on {result["date"]}.
 {result["rooms"]} generated rooms, {result["positions"]}
 places of a camera in each with nothing within {CLEARANCE} m, range {result["range"]:.0f} m. Truth
 is ray casting of the rooms' meshes; every method judges the same cameras in the same process on

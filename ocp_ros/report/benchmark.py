@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 
-from ocp_ros.planners.registry import KNOWS, ONLINE
+from ocp_ros.planners.registry import KNOWS, OFFLINE, ONLINE
 from ocp_ros.report.room import INK, PALE_INK
 
 #: Told apart with any kind of colour vision, repeated with another line where there are more.
@@ -156,7 +156,8 @@ def page(summary: dict[str, Any]) -> str:
         'rooms, each the mean over rotations and seeds, with a 95 % bootstrap interval over '
         'rooms. *Ratio* is to the best known of all methods, seeds and budgets; *gap closed* is '
         '(random - method) / (random - best known), random being a placement drawn at random. '
-        '*Wins* are rooms in which no other planner of the same budget was better.', '']
+        '*Wins* are rooms in which no other planner of the same budget was better.', '',
+        compared(summary), '']
     for budget in budgets_of(summary):
         heading = f'{int(budget):,} evaluations' if int(budget) else \
             'Online: turn by turn, knowing only what was seen'
@@ -199,6 +200,13 @@ def page(summary: dict[str, Any]) -> str:
               'can do better.', '', 'Versions: ' + ', '.join(
                   f'{name} {version}' for name, version in summary['versions'].items()) + '.', '']
     return '\n'.join(lines)
+
+
+def compared(summary: dict[str, Any]) -> str:
+    """Say how many of all planners are compared, and which are not."""
+    left_out = [spaced(name) for name in (*OFFLINE, *ONLINE) if name not in summary['planners']]
+    text = f'Compared are {len(summary["planners"])} of {len(OFFLINE) + len(ONLINE)} planners'
+    return text + (f'; left out: {"; ".join(left_out)}.' if left_out else '.')
 
 
 def _agreement(summary: dict[str, Any]) -> list[str]:

@@ -4,12 +4,15 @@
 import argparse
 from collections.abc import Sequence
 from datetime import date
+import json
 from pathlib import Path
 import sys
+from typing import Any
 
 from matplotlib.figure import Figure
 import numpy as np
 
+from ocp_ros.atomic import write_atomically
 from ocp_ros.benchmark.likeness import (
     generated,
     likeness,
@@ -66,12 +69,32 @@ def titled(seed: int, points: int) -> tuple[str, Scene]:
             generate_room(seed, points))
 
 
-def page(scans: Sequence[str], command: str) -> str:
-    """Measure the rooms and write the sheet as Markdown."""
-    made = summary(generated(MEASURED, POINTS))
+def measured(scans: Sequence[str], command: str) -> dict[str, Any]:
+    """
+    Measure generated rooms beside real ones.
+
+    :param scans: files of real ones.
+    :param command: which measures them again.
+    :returns: the 10th, 50th and 90th percentile of each figure of ``generated`` rooms, the figures
+        of each ``real`` one, and the shares of ``kinds`` of surfaces in generated ones, per cent.
+    """
     scenes = [load_cached(name, max_points=POINTS) for name in scans]
-    real = {scene.name: likeness(scene) for scene in scenes}
-    columns = {name: summary([figures]) for name, figures in real.items()}
+    real = {scene.name: summary([likeness(scene)]) for scene in scenes}
+    shares = 100.0 * shares_of_kinds(MEASURED, POINTS)
+    return {'command': command, 'date': date.today().isoformat(),
+            'generated': summary(generated(MEASURED, POINTS)),
+            'real': {name: {figure: values[1] for figure, values in figures.items()}
+                     for name, figures in real.items()},
+            'kinds': {kind: float(share) for kind, share in zip(KINDS, shares)}}
+
+
+def page(rooms: dict[str, Any]) -> str:
+    """
+    Write the sheet as Markdown.
+
+    :param rooms: of :func:`measured`.
+    """
+    real = rooms['real']
     lines = [
         '# Generated rooms', '', '`generate_room(seed)` makes offices, conference rooms, lounges, '
         'hallways, storage rooms and open offices:', 'L-shapes, niches, columns, beams, '
@@ -83,13 +106,13 @@ def page(scans: Sequence[str], command: str) -> str:
         '    ocp rooms preview 5 17 scan.ply --out out/rooms.png',
         '    ocp rooms make 5 17 --out rooms     # scans and meshes as PLY', '',
         '![Twelve generated rooms](rooms.png)', '', '## Are they like real ones?', '',
-        f'Measured on {date.today().isoformat()} by', '', f'    {command}', '',
+        f'Measured on {rooms["date"]} by', '', f'    {rooms["command"]}', '',
         f'Seeds {MEASURED[0]} to {MEASURED[-1]}, {POINTS:,} points each, and real scans at hand. '
         'Of generated rooms the 10th percentile, the',
         'median and the 90th. *Floor* is where a camera may hang.', '',
         '| figure | generated | ' + ' | '.join(real) + ' |', '|---|---|' + '---|' * len(real)]
-    for figure, (low, middle, high) in made.items():
-        cells = [f'{columns[name][figure][1]:.1f}' for name in real]
+    for figure, (low, middle, high) in rooms['generated'].items():
+        cells = [f'{figures[figure]:.1f}' for figures in real.values()]
         lines.append(f'| {figure} | {low:.1f}, **{middle:.1f}**, {high:.1f} | '
                      + ' | '.join(cells) + ' |')
     lines += ['', f'S3DIS has {S3DIS_ROOMS} rooms with over {S3DIS_FLOOR:,.0f} m² of floor, '
@@ -98,9 +121,8 @@ def page(scans: Sequence[str], command: str) -> str:
               'Points by class, in per cent; those of S3DIS are', "Open3D-ML's class weights:",
               '', '| class | S3DIS | generated |', '|---|---|---|']
     published = 100.0 * np.array(S3DIS_POINTS) / sum(S3DIS_POINTS)
-    shares = 100.0 * shares_of_kinds(MEASURED, POINTS)
     lines += [f'| {kind} | {theirs:.1f} | {ours:.1f} |'
-              for kind, theirs, ours in zip(KINDS, published, shares)]
+              for (kind, ours), theirs in zip(rooms['kinds'].items(), published)]
     return '\n'.join([*lines, ''])
 
 
@@ -114,9 +136,11 @@ def main(args: list[str] | None = None) -> int:
         ' --scans FOLDER' if options.scans else '')
     try:
         scans = rooms_in(options.scans) if options.scans else []
-        text = page([*scans, *rooms_of_s3dis()], command)
+        rooms = measured([*scans, *rooms_of_s3dis()], command)
         draw_sheet(options.out / 'rooms.png', [titled(seed, 40000) for seed in SHOWN])
-        (options.out / 'rooms.md').write_text(text)
+        write_atomically(options.out / 'rooms.json', json.dumps(
+            rooms, indent=1, ensure_ascii=False) + '\n')
+        write_atomically(options.out / 'rooms.md', page(rooms))
     except (SceneError, OSError) as error:
         print(f'rooms: {error}', file=sys.stderr)
         return 2

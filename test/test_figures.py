@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each published figure comes from docs/figures.json, and pages show what is there."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+
+from conftest import ROOT
+from hypothesis import given
+from hypothesis import strategies as st
+import pytest
+
+from ocp_ros.benchmark import published
+from ocp_ros.planners.registry import OFFLINE, ONLINE
+
+#: Numbers with a unit, decimals, shares and counts: what is measured mostly looks so.
+MEASURED = re.compile(
+    r'(?<![\w.,/-])\d[\d,]*(?:\.\d+)?(?:e-?\d+)?\s?'
+    r'(?:%|(?:m|cm|mm|ms|ns|s|MB|GB|minutes?|hours?|seconds?|times|per second)\b)'
+    r'|(?<![\w.,])\d+\.\d+|\bp = ?\d\S*|(?<![\w.,])\d+ of \d+\b')
+#: By page and section what is told to a program or given by others, and so is not measured.
+GIVEN = {
+    ('README.md', ''): [
+        r'2110\.11106', r'Apache-2\.0', r'Python 3\.10 to 3\.13', r'range of 4 m', r'2 cm off',
+        r'at most 0\.5 m'],
+    ('models/README.md', ''): [
+        r'2110\.11106', r'range 4 m', r'height 1\.9 m', r'at most 0\.5 m', r'\d\.\d x \d\.\d m',
+        r'37 x 14 m', r'18 m from the middle', r'30 turns of 0\.5 m lead 15 m', r'95 % from',
+        r'moves by 0\.04, 0\.15 or 0\.5 m'],
+    ('docs/training.md', 'Statistics'): [],
+    ('docs/training.md', 'What it costs'): [],
+    ('docs/ros.md', 'What is tested for'): [r'grown by 20 MB'],
+    ('docs/ros.md', 'How fast it is'): [r'load 2\.2'],
+    ('docs/plan.md', 'How many do I need?'): [r'range of\s4 m', r'95 % of the error'],
+    ('docs/planners.md', 'Why BPSO stays behind'): [],
+    ('docs/engine.md', 'Speed'): [],
+}
+WORDS = re.findall(r'\w+', """
+    one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen
+    sixteen seventeen eighteen nineteen twenty""")
+
+
+def tree(tmp_path):
+    """Return a copy of all that has figures or shows them."""
+    for path in [*published.pages(ROOT), *ROOT.glob('docs/**/*.json'),
+                 *ROOT.glob('models/*.json')]:
+        copy = tmp_path / path.relative_to(ROOT)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(path, copy)
+    return tmp_path
+
+
+def tool(name, *arguments):
+    """Run a tool of the repository."""
+    return subprocess.run([sys.executable, str(ROOT / 'tools' / name), *arguments],
+                          capture_output=True, text=True)
+
+
+def change(path, old, new):
+    """Change one place of a file."""
+    text = path.read_text()
+    assert old in text, old
+    path.write_text(text.replace(old, new, 1))
+
+
+def test_figures_and_pages_agree():
+    # tools/figures check prints the same.
+    assert published.faults(ROOT) == []
+
+
+def test_the_file_is_as_the_tool_writes_it(tmp_path):
+    root = tree(tmp_path)
+    published.save(root, published.load(root))
+    assert (root / published.FILE).read_text() == (ROOT / published.FILE).read_text()
+
+
+@pytest.mark.parametrize(('page', 'section'), GIVEN)
+def test_every_measured_number_has_a_figure(page, section):
+    text = published.unbound((ROOT / page).read_text(), published.load(ROOT))
+    if section:
+        text = re.split(rf'^##+ {re.escape(section)}$', text, flags=re.M)[1].split('\n## ')[0]
+    # Commands are what somebody types; their numbers are settings.
+    text = re.sub(r'^    .*$|`[^`]*`|\]\([^)]*\)', '', text, flags=re.M)
+    for pattern in GIVEN[page, section]:
+        assert re.search(pattern, text), f'{page} no longer says {pattern}'
+        text = re.sub(pattern, '', text)
+    left = [found.group() for found in MEASURED.finditer(text)]
+    assert left == [], 'bind them to docs/figures.json, or name them in GIVEN'
+
+
+def test_a_new_number_is_found_by_the_sweep():
+    for number in ('0.93', '12 ms', '3 %', '9 of 10', 'p = 0.04', '1.5 times', '4 minutes'):
+        assert MEASURED.search(f'it takes {number} at most'), number
+    for number in ('four cameras', 'room 3000', '30 turns', '2026-11-21', '10,000 evaluations'):
+        assert not MEASURED.search(f'with {number} at most'), number
+
+
+def test_the_generated_pages_are_what_their_files_say():
+    from ocp_ros.report import bench, benchmark, rooms
+    for page, write in (('docs/bench.md', bench.page), ('docs/rooms.md', rooms.page),
+                        ('docs/benchmark/README.md', benchmark.page)):
+        data = {'docs/benchmark/README.md': 'docs/benchmark/summary.json'}.get(
+            page, page.replace('.md', '.json'))
+        assert write(json.loads((ROOT / data).read_text())) == (ROOT / page).read_text(), page
+
+
+def test_rooms_are_measured_into_what_their_page_is_written_from(monkeypatch):
+    from ocp_ros.report import rooms
+    monkeypatch.setattr(rooms, 'MEASURED', range(4000, 4002))
+    monkeypatch.setattr(rooms, 'POINTS', 1500)
+    found = json.loads(json.dumps(rooms.measured([], 'a command')))
+    kept = published.read(ROOT, 'docs/rooms.json')
+    assert list(found['generated']) == list(kept['generated'])
+    assert list(found['kinds']) == list(kept['kinds'])
+    assert '    a command\n' in rooms.page(found)
+
+
+def test_every_page_counts_the_planners_as_the_registry_does():
+    count = len(OFFLINE) + len(ONLINE)
+    compared = len(published.read(ROOT, 'docs/benchmark/summary.json')['planners'])
+    stated = []
+    for path in [*published.pages(ROOT), ROOT / 'CHANGELOG.rst', ROOT / 'setup.py',
+                 ROOT / 'package.xml', ROOT / 'Makefile']:
+        text = path.read_text().lower()
+        for part, number in re.findall(
+                rf'(?:\b({"|".join(WORDS)}|\d+) of (?:the |all )?)?'
+                rf'\b({"|".join(WORDS)}|\d+) planners\b', text):
+            stated.append(path.name)
+            assert number in (WORDS[count - 1], str(count)), path
+            assert part in ('', WORDS[compared - 1], str(compared)), path
+    assert {'README.md', 'CHANGELOG.rst'} <= set(stated)
+
+
+def test_what_room_3000_changes_follows_from_the_comparison():
+    summary = published.read(ROOT, 'docs/benchmark/summary.json')
+    known = {room: figures['best_known'] for room, figures in summary['rooms'].items()}
+    total, rest = sum(known.values()), sum(known.values()) - known['3000']
+    changes = {(name, budget): abs((run['sum'] - run['rooms']['3000']) / rest - run['sum'] / total)
+               for name, runs in summary['planners'].items() for budget, run in runs.items()}
+    greedy = [change for (name, _), change in changes.items() if name == 'greedy_coverage']
+    others = [change for (name, _), change in changes.items() if name != 'greedy_coverage']
+    figures = published.load(ROOT)
+    for key, value in (('greedy_coverage', max(greedy)), ('most', max(others))):
+        assert figures[f'without_room_3000.{key}']['value'] == pytest.approx(value, abs=1e-12)
+
+
+def test_the_sizes_of_weights_are_those_of_the_files():
+    for name in ('default', 'paper'):
+        size = (ROOT / 'models' / f'{name}.safetensors').stat().st_size
+        assert published.load(ROOT)[f'{name}.size_mb']['value'] == pytest.approx(1e-6 * size)
+
+
+@pytest.mark.parametrize(('page', 'old', 'new', 'says'), [
+    ('README.md', '1.02<!--=benchmark.lookahead', '1.03<!--=benchmark.lookahead', 'found 1.03'),
+    ('README.md', '<!--row=cma_es--> | 3.37', '<!--row=cma_es--> | 3.38', 'found 3.38'),
+    ('README.md', '<!--row=cma_es-->', '', 'without a name'),
+    ('README.md', '=benchmark.lookahead.over_cma_es_10000', '=benchmark.lookahead.over',
+     'no such figure'),
+    ('README.md', '<!--=benchmark.lookahead.over', ' times<!--=benchmark.lookahead.over',
+     'right before the marker'),
+    ('models/README.md', '0.86 to 1.11<!--', '0.85 to 1.11<!--', 'found 0.85'),
+    ('docs/plan.md', '0.0525 (0.0517, 0.0533)', '0.0525 (0.0517, 0.0534)', 'found 0.0534'),
+    ('docs/training.md', '| 0.061, 3,000 |', '| 0.061 |', 'found 1 numbers; expected 2'),
+    ('docs/figures.json', '"unit": "m", "command": "tools/', '"unit": "m", "order": "tools/',
+     'found no command'),
+    ('docs/figures.json', '\n "fuzz.lies"', '\n "Fuzz.lies"', 'letters that no key has'),
+    ('docs/figures.json', '/planners/lookahead/0/sum', '/planners/nobody/0/sum',
+     'correct the pointer'),
+    ('docs/benchmark/summary.json', '"ratio_to_best_known": 1.1', '"ratio_to_best_known": 1.2',
+     'run tools/figures derive'),
+    ('docs/training.md', '<!--=sampling.all_100000_ms-->', '', 'found on no page'),
+])
+def test_a_change_in_one_place_alone_is_found(tmp_path, page, old, new, says):
+    root = tree(tmp_path)
+    change(root / page, old, new)
+    assert any(says in fault for fault in published.faults(root))
+    done = tool('figures', '--root', str(root), 'check')
+    assert done.returncode == 1 and says in done.stdout
+
+
+@given(value=st.floats(-1e7, 1e7), digits=st.integers(0, 6))
+def test_a_number_agrees_with_the_value_that_it_rounds_and_with_no_other(value, digits):
+    text = f'{value:,.{digits}f}'
+    assert published.agrees(text, value)
+    assert not published.agrees(text, value + 1.01 * 10.0 ** -digits + 1e-9)
+    assert not published.agrees(text, value - 1.01 * 10.0 ** -digits - 1e-9)
+
+
+def repository(tmp_path):
+    """Return a copy of the tree with a commit."""
+    root = tree(tmp_path)
+    for command in (['init', '-q'], ['add', '.'], [
+            '-c', 'user.name=a', '-c', 'user.email=a@b', 'commit', '-q', '-m', 'a']):
+        subprocess.run(['git', '-C', str(root), *command], check=True, capture_output=True)
+    return root
+
+
+def test_a_measured_figure_is_recorded(tmp_path):
+    root = repository(tmp_path)
+    done = tool('figures', '--root', str(root), 'set', 'fuzz.lies', '100019', '--unit', 'messages',
+                '--command', 'make fuzz')
+    assert done.returncode == 0, done.stderr
+    figure = published.load(root)['fuzz.lies']
+    assert figure['value'] == 100019 and figure['commit'] == published.commit(root)
+    assert re.fullmatch(r'\d{4}-\d\d-\d\d', figure['date']) and figure['command'] == 'make fuzz'
+    assert ['docs/ros.md' in fault and '100,018' in fault for fault in published.faults(root)
+            ] == [True]
+    change(root / 'docs/ros.md', '100,018', '100,019')
+    assert published.faults(root) == []
+    published.record(root, 'house.floors', 2, 'floors', 'a look', internal=True)
+    published.record(root, 'house.floors', [2, 3], 'floors', 'a look')
+    assert published.faults(root) == []
+
+
+@pytest.mark.parametrize(('name', 'value', 'says'), [
+    ('paper.turns', '7', 'follows from models/paper.json'),
+    ('Fuzz', '7', 'expected small letters'),
+    ('fuzz.lies', 'seven', 'expected a number'),
+    ('fuzz.lies', '[]', 'expected a number')])
+def test_what_cannot_be_recorded_is_refused(tmp_path, name, value, says):
+    root = tree(tmp_path)
+    done = tool('figures', '--root', str(root), 'set', name, value, '--unit', '1', '--command',
+                'make fuzz')
+    assert done.returncode == 2 and says in done.stderr
+    assert published.load(root) == published.load(ROOT)
+
+
+def test_derived_figures_follow_their_file(tmp_path):
+    root = repository(tmp_path)
+    change(root / 'models/paper.json', '"interactions": 10000', '"interactions": 12345')
+    assert tool('figures', '--root', str(root), 'derive').returncode == 0
+    assert published.load(root)['paper.turns']['value'] == 12345
+    assert any('expected 12345' in fault for fault in published.faults(root))
+
+
+def test_the_house_is_measured(tmp_path):
+    root = repository(tmp_path)
+    (root / 'ocp_ros' / 'a').mkdir(parents=True)
+    (root / 'ocp_ros' / 'a' / '__init__.py').write_text('')
+    (root / 'ocp_ros' / '__init__.py').write_text('')
+    (root / 'ocp_ros' / 'one.py').write_text('class A:\n\n    class B:\n        pass\n')
+    (root / 'ocp_ros' / 'a' / 'one.py').write_text('class B: pass\n')
+    done = tool('house', '--root', str(root))
+    assert done.returncode == 0, done.stderr
+    figures = published.load(root)
+    assert {key: figures[f'house.{key}']['value'] for key in (
+        'lines', 'modules', 'base_name_collisions', 'class_name_collisions')} == {
+            'lines': 5, 'modules': 4, 'base_name_collisions': 1, 'class_name_collisions': 1}
+    assert published.faults(root) == []
