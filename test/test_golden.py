@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What the engine and plain searches answer is what they answered before.
+
+``tools/golden`` compares all answers bit for bit, on the machine that stored them. Elsewhere the
+last bits differ: kernels are compiled with fused operations and reordered sums for the processor
+at hand, and libraries choose their own. So floats are compared to a millionth here, and hashes,
+which tell the last bit, not at all.
+"""
+
+from importlib.machinery import SourceFileLoader
+from importlib.util import module_from_spec, spec_from_loader
+import json
+
+from conftest import ROOT
+import pytest
+
+TOLERANCE = 1e-6
+#: Searches that choose among scores far apart: rounding does not lead them elsewhere, as it may
+#: lead those that accept by chance.
+STEADY = ('random', 'regular_grid', 'greedy_coverage', 'greedy_error')
+
+
+@pytest.fixture(scope='module')
+def golden():
+    """Return tools/golden as a module."""
+    loader = SourceFileLoader('golden', str(ROOT / 'tools' / 'golden'))
+    module = module_from_spec(spec_from_loader('golden', loader))
+    loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope='module')
+def stored(golden):
+    """Return the stored answers."""
+    return json.loads(golden.STORED.read_text())
+
+
+def test_the_engine_answers_as_it_did(golden, stored, tmp_path):
+    found = dict(golden.engine_answers(tmp_path))
+    assert list(golden.differences(stored['engine'], found, TOLERANCE)) == []
+
+
+def test_plain_searches_find_what_they_found(golden, stored, tmp_path):
+    found = dict(golden.benchmark(tmp_path, STEADY, golden.ROOMS[:1]))
+    expected = {key: stored['offline'][key] for key in found}
+    assert list(golden.differences(expected, found, TOLERANCE)) == []
+
+
+def test_every_planner_is_stored(golden, stored):
+    from ocp_ros.planners.methods import PLANNERS
+    from ocp_ros.planners.registry import OFFLINE, ONLINE
+    for section, names in (('offline', OFFLINE), ('online', ONLINE)):
+        kept = {key.partition(',')[0] for key in stored[section]}
+        assert kept - {'environment'} == set(names)
+    assert {f'ceiling by {name}' for name in PLANNERS} <= stored['rigs'].keys()
+
+
+def test_each_difference_is_a_line(golden):
+    before = {'a': {'error': 1.0, 'sha256': 'x', 'at': [0.0, 2]}, 'gone': {'error': 1.0}}
+    now = {'a': {'error': 1.0 + 1e-15, 'sha256': 'y', 'at': [-0.0, 3]}, 'new': {'error': 1.0}}
+    assert list(golden.differences(before, before)) == []
+    assert list(golden.differences(before, now)) == [
+        'a: error: found 1.000000000000001; expected 1.0',
+        'a: sha256: found "y"; expected "x"', 'a: at.0: found -0.0; expected 0.0',
+        'a: at.1: found 3; expected 2', 'gone: found no answer', 'new: found an unknown answer']
+    # Whole numbers and texts are never near.
+    assert list(golden.differences(before, now, 1e-9)) == [
+        'a: at.1: found 3; expected 2', 'gone: found no answer', 'new: found an unknown answer']
+
+
+def test_stored_answers_have_a_line_each(golden, stored):
+    text = golden.STORED.read_text()
+    assert golden.text_of(stored) == text and len(text) < 300_000
