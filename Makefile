@@ -14,13 +14,13 @@ $(READY): tools/setup setup.py $(wildcard requirements/*.txt)
 	tools/setup $(VENV)
 
 demo: $(READY)  ## place cameras over real ROS: make demo [ROOM=scan.ply] [CAMERAS=4] [HEIGHT=1.9] [SCALE=1.0] [UP=z] [DROP_NONFINITE=1] [MODEL=default]
-	$(RUN) -m ocp_ros.nodes.demo --out "$(OUT)" $(if $(ROOM),--room "$(ROOM)") $(if $(CAMERAS),--cameras $(CAMERAS)) $(if $(HEIGHT),--height $(HEIGHT)) $(if $(SCALE),--scale $(SCALE)) $(if $(UP),--up $(UP)) $(if $(DROP_NONFINITE),--drop-nonfinite) $(if $(MODEL),--model $(MODEL))
+	$(RUN) -m ocp_ros.demo.demo --out "$(OUT)" $(if $(ROOM),--room "$(ROOM)") $(if $(CAMERAS),--cameras $(CAMERAS)) $(if $(HEIGHT),--height $(HEIGHT)) $(if $(SCALE),--scale $(SCALE)) $(if $(UP),--up $(UP)) $(if $(DROP_NONFINITE),--drop-nonfinite) $(if $(MODEL),--model $(MODEL))
 
 train-demo: $(READY)  ## the same with trainer_node in the loop: weights arrive in every policy_node: make train-demo [PAIRS=1] [TURNS=400]
-	$(RUN) -m ocp_ros.nodes.train_demo --out "$(OUT)" $(if $(PAIRS),--pairs $(PAIRS)) $(if $(TURNS),--turns $(TURNS))
+	$(RUN) -m ocp_ros.demo.train_demo --out "$(OUT)" $(if $(PAIRS),--pairs $(PAIRS)) $(if $(TURNS),--turns $(TURNS))
 
 train: $(READY)  ## train the shipped model again
-	$(RUN) -m ocp_ros.cli train --config config/train/default.yaml --out "$(OUT)/train" --model models/default.safetensors
+	$(RUN) -m ocp_ros.cli.main train --config config/train/default.yaml --out "$(OUT)/train" --model models/default.safetensors
 
 test: $(READY)  ## run all tests, on up to four cores
 	$(RUN) -m pytest -n auto --maxprocesses 4 --dist worksteal
@@ -33,24 +33,24 @@ format: $(READY)  ## mend what ruff can mend
 	$(VENV)/bin/ruff check --fix .
 
 bench: $(READY)  ## measure fidelity and speed of the engine, and the nodes: how fast turns are answered and learned from
-	$(RUN) -m ocp_ros.cli bench --preset full --out docs/bench.json --page docs/bench.md
-	$(RUN) -m ocp_ros.report.visibility --out docs/visibility.png
-	$(RUN) -m ocp_ros.nodes.bench --out "$(OUT)/bench_ros.json"
+	$(RUN) -m ocp_ros.cli.main bench --preset full --out docs/bench.json --page docs/bench.md
+	$(RUN) -m ocp_ros.report.drawing.visibility_picture --out docs/visibility.png
+	PYTHONPATH=test $(RUN) -m system.node_bench --out "$(OUT)/bench_ros.json"
 
 fuzz: $(READY)  ## send nodes messages that lie: make fuzz [MESSAGES=100000]
-	$(RUN) -m ocp_ros.nodes.fuzz --out "$(OUT)" $(if $(MESSAGES),--messages $(MESSAGES))
+	PYTHONPATH=test $(RUN) -m system.fuzz --out "$(OUT)" $(if $(MESSAGES),--messages $(MESSAGES))
 
 soak: $(READY)  ## play, kill nodes and lie to them: make soak [MINUTES=5] [KILLS=100, in place of minutes]
-	$(RUN) -m ocp_ros.nodes.soak --out "$(OUT)" $(if $(MINUTES),--minutes $(MINUTES)) $(if $(KILLS),--kills $(KILLS))
+	PYTHONPATH=test $(RUN) -m system.soak --out "$(OUT)" $(if $(MINUTES),--minutes $(MINUTES)) $(if $(KILLS),--kills $(KILLS))
 
 endings: $(READY)  ## end nodes in every way that users do and count crashes: make endings [ENDINGS=500]
 	$(RUN) tools/stress_endings --out "$(OUT)/endings" $(if $(ENDINGS),--endings $(ENDINGS))
 
 benchmark: $(READY)  ## compare all planners in all test rooms: two hours on two cores; goes on where it stopped
-	$(RUN) -m ocp_ros.cli benchmark --preset full --out "$(OUT)/benchmark" --report docs/benchmark
+	$(RUN) -m ocp_ros.cli.main benchmark --preset full --out "$(OUT)/benchmark" --report docs/benchmark
 
 rooms: $(READY)  ## draw and measure generated rooms: make rooms [SCANS=folder]
-	$(RUN) -m ocp_ros.report.rooms --out docs $(if $(SCANS),--scans "$(SCANS)")
+	$(RUN) -m ocp_ros.report.room_sheet --out docs $(if $(SCANS),--scans "$(SCANS)")
 
 colcon: $(READY)  ## build with colcon and start the installed nodes once
 	tools/check_install $(VENV)

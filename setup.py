@@ -41,12 +41,12 @@ setup(
     extras_require={'test': ['pytest', 'pytest-timeout', 'hypothesis'], 'ray': ['ray']},
     entry_points={
         'console_scripts': [
-            'sim_node = ocp_ros.nodes.sim_node:main',
-            'policy_node = ocp_ros.nodes.policy_node:main',
-            'trainer_node = ocp_ros.nodes.trainer_node:main',
-            'demo = ocp_ros.nodes.demo:main',
-            'train_demo = ocp_ros.nodes.train_demo:main',
-            'ocp = ocp_ros.cli:main',
+            'sim_node = ocp_ros.ros.sim_node:main',
+            'policy_node = ocp_ros.ros.policy_node:main',
+            'trainer_node = ocp_ros.ros.trainer_node:main',
+            'demo = ocp_ros.demo.demo:main',
+            'train_demo = ocp_ros.demo.train_demo:main',
+            'ocp = ocp_ros.cli.main:main',
         ],
     },
 )

@@ -10,13 +10,13 @@ import time
 import numpy as np
 import pytest
 
+from ocp_ros.agent.agent_config import AgentConfig, INPUTS
 from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.config import AgentConfig, INPUTS
 from ocp_ros.agent.encoder import Encoder
-from ocp_ros.configuration import ConfigurationError
-from ocp_ros.scenes.files import save_scene
-from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.scene_files import save_scene
+from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.util.settings import ConfigurationError
 
 ROOT = Path(__file__).resolve().parent.parent
 #: Parameters of a simulation that plays a turn in milliseconds.
@@ -88,8 +88,8 @@ def batch(*encoded):
 def domain(tmp_path_factory):
     """Hold a ROS domain that no other test process uses."""
     pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
-    from ocp_ros.nodes.network import LOCALHOST
-    from ocp_ros.nodes.processes import free_domain
+    from ocp_ros.demo.node_processes import free_domain
+    from ocp_ros.ros.runtime.network import LOCALHOST
     os.environ.update(LOCALHOST)
     os.environ['ROS_LOG_DIR'] = str(tmp_path_factory.mktemp('ros'))
     number, holder = free_domain()
@@ -179,8 +179,8 @@ class Probe:
         from geometry_msgs.msg import PoseArray
         from sensor_msgs.msg import PointCloud2
 
-        from ocp_ros.nodes import qos, topics
-        from ocp_ros.nodes.policy_node import PolicyNode
+        from ocp_ros.ros.interface import qos, topics
+        from ocp_ros.ros.policy_node import PolicyNode
         self.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
         policy = self.graph.add(PolicyNode, **parameters)
         self.clouds = self.publisher(PointCloud2, topics.OBSERVATION, qos.LOOP)
@@ -191,15 +191,15 @@ class Probe:
         """Publish a turn: points (N, 3) and a PoseArray, which gets the stamp in nanoseconds."""
         from std_msgs.msg import Header
 
-        from ocp_ros.nodes.conversions import cloud_to_msg, ns_to_stamp
+        from ocp_ros.ros.interface.conversions import cloud_to_msg, ns_to_stamp
         poses.header = Header(stamp=ns_to_stamp(stamp), frame_id='map')
         self.poses.publish(poses)
         self.clouds.publish(cloud_to_msg(points, poses.header))
 
     def command(self, stamp):
         """Return the latest command that answers a turn, waiting for the first."""
-        from ocp_ros.nodes import topics
-        from ocp_ros.nodes.conversions import stamp_to_ns
+        from ocp_ros.ros.interface import topics
+        from ocp_ros.ros.interface.conversions import stamp_to_ns
 
         def found():
             return [message for message in self.received[topics.CAMERA_COMMANDS]

@@ -12,6 +12,7 @@ import torch
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.distributions import Choices
 from ocp_ros.agent.encoder import Encoder, order_of
+from ocp_ros.agent.move_effects import CHOICES, DIRECTIONS, LONGEST, MOVES
 from ocp_ros.agent.networks import (
     Actor,
     CriticHead,
@@ -23,9 +24,8 @@ from ocp_ros.agent.networks import (
 from ocp_ros.agent.observation import encode
 from ocp_ros.agent.policy import Policy
 from ocp_ros.agent.sampling import ball_query, farthest_points
-from ocp_ros.agent.world import CHOICES, DIRECTIONS, LONGEST, MOVES
-from ocp_ros.resources import find_model
-from ocp_ros.simulation.moves import bounded_moves
+from ocp_ros.rig.motion import bounded_moves
+from ocp_ros.util.resources import find_model
 
 seeds = st.integers(0, 2 ** 32 - 1)
 #: The moves that the network chooses among, in units of the longest step.

@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ocp_ros.agent.aim import Aim
-from ocp_ros.agent.observed import Observed
-from ocp_ros.agent.sight import directions, Sight
+from ocp_ros.agent.heading_planner import HeadingPlanner
+from ocp_ros.agent.partial_map import PartialMap
+from ocp_ros.agent.rig_state import directions, RigState
 from ocp_ros.geometry.blocks import count_bits
 from ocp_ros.geometry.cameras import angle_between, CameraModel, heading_of, rotation_matrix
-from ocp_ros.geometry.sensors import SENSORS
-from ocp_ros.simulation.config import EngineConfig, EpisodeConfig, RigConfig, SimulationConfig
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.rig.motion import turned_towards, way_between
+from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.moves import turned_towards, way_between
+from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 
 MODEL = SENSORS['realsense_d455'].model
@@ -65,7 +67,7 @@ def test_no_camera_is_turned_farther_than_it_may_be(now, goal, reach):
     CameraModel(0.0, 9.0, 2.0 * np.pi, 0.5)])
 def test_many_directions_at_once_see_what_each_would_see(room, model):
     position = np.append(room.bounds.mean(axis=0)[:2], 1.9)
-    known = Observed(room.points, position[None], 4.0, 6000, 32, around=2.0)
+    known = PartialMap(room.points, position[None], 4.0, 6000, 32, around=2.0)
     ways = np.concatenate([directions((-0.3, 1.2), 7, 2), [[0.3, 0.2, 0.5]]])
     counts = []
     for heading, view in zip(ways, known.look_many(position, ways, model.lens), strict=True):
@@ -81,7 +83,7 @@ def test_air_around_a_camera_counts_though_nothing_is_known_of_it():
     room = box_room()
     half = room.points[room.points[:, 0] > 3.0]
     position = np.array([[2.5, 2.0, 1.9]])
-    without, around = (Observed(half, position, 4.0, 6000, 32, around=far) for far in (0.0, 2.0))
+    without, around = (PartialMap(half, position, 4.0, 6000, 32, around=far) for far in (0.0, 2.0))
     assert set(without.cells) < set(around.cells)
     behind = CameraModel(0.0, 4.0, 1.5, 1.0).lens
     back = np.append(position[0], [np.pi, 0.0, 0.0])
@@ -111,7 +113,7 @@ class Played:
             errors.append(found.depth_error)
             if turn < self.turns and aim is not None:
                 cloud = self.episode.scene.points[seen.mask]
-                sight = Sight(placement, self.models, self.movable, PITCH)
+                sight = RigState(placement, self.models, self.movable, PITCH)
                 self.headings = aim(cloud, sight, self.positions, max_turn, turn, self.turns)
                 self.trail.append(self.headings.copy())
         return errors
@@ -127,7 +129,7 @@ def test_a_rig_that_faces_a_wall_looks_around_first(room, number):
     still = Played(room, (MODEL, MODEL), np.zeros((2, 3)), positions)
     turned = Played(room, (MODEL, MODEL), np.zeros((2, 3)), positions)
     before = still.play(None)[-1]
-    after = turned.play(Aim((MODEL, MODEL), 2, PITCH, MARGIN))
+    after = turned.play(HeadingPlanner((MODEL, MODEL), 2, PITCH, MARGIN))
     # Nearly as good as the best of all pairs of directions, with the whole room known.
     simulator, grid = turned.episode.simulator, directions(PITCH, 16, 3)
     one, other = ([simulator.look(np.append(at, way), camera).seen for way in grid]
@@ -145,7 +147,7 @@ def test_who_sees_all_around_stays_as_it_is_and_the_roll_of_all_stays(room):
     middle = np.append(room.bounds.mean(axis=0)[:2], 1.9)
     begun = np.array([[0.3, 0.2, 0.1], [0.5, 0.1, -0.4]])
     played = Played(room, (ALL_AROUND, MODEL), begun, [middle, middle + [0.3, 0.0, 0.0]], 4)
-    aim = Aim(played.models, 2, PITCH, MARGIN)
+    aim = HeadingPlanner(played.models, 2, PITCH, MARGIN)
     played.play(aim)
     assert aim.aimed == [1]
     trail = np.array(played.trail)
@@ -160,16 +162,16 @@ def test_a_goal_is_nearly_the_best_beside_what_a_camera_in_place_sees():
     at = np.array([[3.0, 2.0, 1.9], [1.0, 1.0, 1.9]])
     fixed = np.array([0.0, 0.3, 0.0])
     models = MODEL, MODEL
-    model = Observed(room.points, at, 6.0, 12000, 64)
+    model = PartialMap(room.points, at, 6.0, 12000, 64)
     known = model.look(np.append(at[1], fixed), MODEL.lens)
     grid = np.array([(yaw, pitch, 0.0) for yaw in np.arange(0.0, 2.0 * np.pi, np.pi / 12)
                      for pitch in np.linspace(*PITCH, 6)])
     errors = [model.error([known, view]) for view in model.look_many(at[0], grid, MODEL.lens)]
     found = {}
     for movable in (1, 2):
-        aim = Aim(models[:movable], 1, PITCH, MARGIN)
+        aim = HeadingPlanner(models[:movable], 1, PITCH, MARGIN)
         placement = np.hstack([at, [np.zeros(3), fixed]])[:movable]
-        sight = Sight(placement, models[:movable], 1, PITCH)
+        sight = RigState(placement, models[:movable], 1, PITCH)
         (yaw, *rest), *_ = aim(room.points, sight, at[:movable], 3.2, 11, 12)
         found[movable] = model.error([
             known, model.look(np.array([*at[0], yaw, *rest]), MODEL.lens)])
@@ -184,8 +186,8 @@ def test_a_goal_is_nearly_the_best_beside_what_a_camera_in_place_sees():
 def test_goals_are_within_reach_before_the_turns_are_used_up(turn, max_turn, heading):
     room, now = box_room(), heading * [1.0, 1.0, 1.0]
     now[1] = np.clip(now[1], *PITCH)
-    aim, at = Aim((MODEL,), 1, PITCH, MARGIN), np.array([[3.0, 2.0, 1.9]])
-    sight = Sight(np.hstack([at, now[None]]), (MODEL,), 1, PITCH)
+    aim, at = HeadingPlanner((MODEL,), 1, PITCH, MARGIN), np.array([[3.0, 2.0, 1.9]])
+    sight = RigState(np.hstack([at, now[None]]), (MODEL,), 1, PITCH)
     found = aim(room.points, sight, at, max_turn, turn, 11)
     assert np.linalg.norm(way_between(now, found[0])) <= max_turn + 1e-9
     assert PITCH[0] - 1e-9 <= found[0, 1] <= PITCH[1] + 1e-9
@@ -195,8 +197,11 @@ def test_goals_are_within_reach_before_the_turns_are_used_up(turn, max_turn, hea
 @pytest.mark.parametrize('cloud', ['one wall', 'one wall askew', 'one point'])
 def test_where_there_is_no_room_to_judge_cameras_sweep_to_the_left(cloud):
     points = flat_clouds()[cloud].astype(np.float32)
-    aim, at = Aim((MODEL, ALL_AROUND), 2, PITCH, MARGIN), np.array([[1.0, 1.0, 1.9]] * 2)
-    now = np.array([[3.0, -0.1, 0.0], [1.0, 0.0, 0.0]])
-    found = aim(points, Sight(np.hstack([at, now]), (MODEL, ALL_AROUND), 2, PITCH), at, 0.4, 0, 9)
+    aim, at = HeadingPlanner((MODEL, ALL_AROUND), 2, PITCH, MARGIN), np.array([[1.0, 1.0,
+                                                                                1.9]] * 2)
+    now = np.array([[3.0, -0.1, 0.0], [1.0, 0.0,
+                                       0.0]])
+    found = aim(points, RigState(np.hstack([at, now]), (MODEL, ALL_AROUND), 2, PITCH), at, 0.4, 0,
+                9)
     assert 0.3 < way_between(now[0], found[0])[0] <= 0.4 and found[0, 1] > -0.1
     np.testing.assert_array_equal(found[1], now[1])

@@ -17,8 +17,10 @@ from std_msgs.msg import Header, String
 
 from ocp_ros.geometry.blocks import Subset
 from ocp_ros.geometry.cameras import angle_between, heading_of, Pose, rotation_matrix
-from ocp_ros.nodes import qos, topics
-from ocp_ros.nodes.conversions import (
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.ros.interface import qos, topics
+from ocp_ros.ros.interface.conversions import (
     cloud_to_msg,
     moved_to,
     msg_to_poses,
@@ -27,15 +29,15 @@ from ocp_ros.nodes.conversions import (
     positions_to_msg,
     stamp_to_ns,
 )
-from ocp_ros.nodes.finality import Finality
-from ocp_ros.nodes.frames import OPTICAL
-from ocp_ros.nodes.instructions import instructions, STAY
-from ocp_ros.nodes.policy_config import PolicyNodeConfig
-from ocp_ros.nodes.policy_node import PolicyNode
-from ocp_ros.nodes.sim_node import SimNode
-from ocp_ros.nodes.turns import HOLD, Turns
-from ocp_ros.simulation.config import EngineConfig, EpisodeConfig, RigConfig, SimulationConfig
+from ocp_ros.ros.interface.frames import OPTICAL
+from ocp_ros.ros.policy.convergence import Convergence
+from ocp_ros.ros.policy.instructions import instructions, STAY
+from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
+from ocp_ros.ros.policy.turns import HOLD, Turns
+from ocp_ros.ros.policy_node import PolicyNode
+from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 
 SMALL = {'scene__points': 3000, 'engine__preset': 'fast', 'engine__error_rows': 32,
@@ -375,7 +377,7 @@ def test_live_cameras_are_turned_and_waited_for(graph, probe, rig_file, room):
 
 
 def test_cameras_that_are_turned_do_not_stand_still(probe):
-    finality, config = Finality(probe.node), PolicyNodeConfig()
+    finality, config = Convergence(probe.node), PolicyNodeConfig()
     finality.moved(0.0, 0.1, config)
     assert finality.still == 0
     finality.moved(0.0, 0.0, config)

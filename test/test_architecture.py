@@ -13,16 +13,16 @@ import ocp_ros
 
 PACKAGE = ROOT / 'ocp_ros'
 #: Each layer may import itself, those before it and the modules that stand beside the layers.
-LAYERS = ['geometry', 'scenes', 'simulation', 'agent', 'planners', 'training', 'benchmark',
-          'report', 'nodes']
-BESIDE = {'atomic', 'configuration', 'documents', 'resources', '__version__'}
+LAYERS = ['util', 'geometry', 'scenes', 'rig', 'simulation', 'agent', 'planners', 'training',
+          'evaluation', 'report', 'ros', 'demo', 'cli']
+BESIDE = {'__version__'}
 #: Packages that only some layers may import at all.
 ONLY = {
-    'rclpy': {'nodes'}, 'tf2_ros': {'nodes'}, 'sensor_msgs': {'nodes'},
-    'geometry_msgs': {'nodes'}, 'rosbags': {'nodes'},
-    'stable_baselines3': {'training'}, 'torch': {'agent', 'training', 'nodes'},
+    'rclpy': {'ros', 'demo'}, 'tf2_ros': {'ros'}, 'sensor_msgs': {'ros', 'demo'},
+    'geometry_msgs': {'ros', 'demo'}, 'rosbags': {'ros'},
+    'stable_baselines3': {'training'}, 'torch': {'agent', 'training', 'ros', 'util'},
     'gymnasium': {'simulation', 'training'}, 'matplotlib': {'report'},
-    'open3d': {'scenes', 'benchmark'}}
+    'open3d': {'scenes', 'evaluation'}}
 
 
 def imports(path):

@@ -7,21 +7,31 @@ import json
 import numpy as np
 import pytest
 
-from ocp_ros import cli
-from ocp_ros.benchmark import runner
-from ocp_ros.benchmark.protocol import CONTROL, Judge, mounted, MOUNTING, Protocol, run_task, Task
-from ocp_ros.benchmark.rooms import rooms_in, space_of, TEST_ROOMS
-from ocp_ros.benchmark.summary import interval, ranks, summarise
-from ocp_ros.configuration import ConfigurationError
-from ocp_ros.report.benchmark import page
-from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.cli import main as cli
+from ocp_ros.evaluation import task_runner
+from ocp_ros.evaluation.benchmark_rooms import rooms_in, space_of, TEST_ROOMS
+from ocp_ros.evaluation.protocol import (
+    BenchmarkTask,
+    CONTROL,
+    Judge,
+    mounted,
+    MOUNTING,
+    Protocol,
+    run_task,
+)
+from ocp_ros.evaluation.summary import interval, ranks, summarise
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.report.benchmark_report import page
+from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.scenes.scene import SceneError, turned
-from ocp_ros.scenes.source import make_room
-from ocp_ros.simulation.config import EngineConfig, EpisodeConfig, RigConfig, SimulationConfig
+from ocp_ros.scenes.scene_source import make_room
+from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
-from ocp_ros.simulation.space import Space
-from ocp_ros.training.config import TrainingConfig
-from ocp_ros.training.rooms import room_names
+from ocp_ros.training.training_config import TrainingConfig
+from ocp_ros.training.training_rooms import room_names
+from ocp_ros.util.settings import ConfigurationError
 
 SMALL = Protocol(rooms=('3',), rotations=(0.0,), planners=('random', 'annealing'), budgets=(5, 30),
                  seeds=2, simulation=SimulationConfig(
@@ -59,7 +69,7 @@ def test_a_folder_of_scans_is_a_set_of_rooms(tmp_path):
 
 
 def test_mounting_is_off_by_so_much_alike_for_all_and_inside():
-    space = Space(np.zeros(2), np.ones(2) * 4.0, 1.9, 3)
+    space = FreePlane(np.zeros(2), np.ones(2) * 4.0, 1.9, 3)
     placement = space.placement(np.array([[1.0, 1.0], [2.0, 3.0], [4.0, 4.0]]))
     moved = mounted(placement, 0.05, space)
     off = np.linalg.norm((moved - placement)[:, :2], axis=-1)
@@ -85,14 +95,14 @@ def test_the_judge_is_the_engine_at_its_best(room):
 
 
 def test_a_task_runs_every_budget_and_seed():
-    rows = run_task(SMALL, Task('3', 0.0, 'annealing'))
+    rows = run_task(SMALL, BenchmarkTask('3', 0.0, 'annealing'))
     assert [(row['budget'], row['seed']) for row in rows] == [(5, 0), (5, 1), (30, 0), (30, 1)]
     for row in rows:
         assert row['evaluations'] <= row['budget'] and np.shape(row['placement']) == (4, 3)
         assert row['searched'] == row['trace'][-1][2]
-    again = run_task(SMALL, Task('3', 0.0, 'annealing'))
+    again = run_task(SMALL, BenchmarkTask('3', 0.0, 'annealing'))
     assert [row['placement'] for row in again] == [row['placement'] for row in rows]
-    control = run_task(SMALL, Task('3', 0.0, CONTROL))
+    control = run_task(SMALL, BenchmarkTask('3', 0.0, CONTROL))
     assert all(row['lower_bound'] <= row['depth_error'] for row in control)
     assert control[0]['lower_bound'] <= min(row['depth_error'] for row in rows)
 
@@ -100,7 +110,7 @@ def test_a_task_runs_every_budget_and_seed():
 def test_an_online_planner_plays_an_episode_with_every_seed():
     protocol = replace(SMALL, planners=('hand_rule',), simulation=replace(
         SMALL.simulation, episode=EpisodeConfig(turns=3)))
-    rows = run_task(protocol, Task('3', 0.0, 'hand_rule'))
+    rows = run_task(protocol, BenchmarkTask('3', 0.0, 'hand_rule'))
     assert [(row['budget'], row['seed']) for row in rows] == [(0, 0), (0, 1)]
     for row in rows:
         trajectory = np.array(row['trajectory'])
@@ -136,23 +146,23 @@ def test_an_interrupted_comparison_goes_on(tmp_path, monkeypatch):
                 if len(done) == 2:
                     done.append(None)
                     raise KeyboardInterrupt
-                runner.keep_task(protocol, task, path)
+                task_runner.keep_task(protocol, task, path)
                 yield task
         return execute
 
-    monkeypatch.setattr(runner, 'run_task', run_here)
-    monkeypatch.setattr(runner, '_in_processes', here)
+    monkeypatch.setattr(task_runner, 'run_task', run_here)
+    monkeypatch.setattr(task_runner, '_in_processes', here)
     with pytest.raises(KeyboardInterrupt):
-        runner.run(SMALL, tmp_path, 1)
-    rows = runner.run(SMALL, tmp_path, 1)
+        task_runner.run(SMALL, tmp_path, 1)
+    rows = task_runner.run(SMALL, tmp_path, 1)
     assert [row['planner'] for row in rows] == [CONTROL, 'random', 'annealing']
     assert done == [CONTROL, 'random', None, 'annealing']
     with pytest.raises(ConfigurationError, match='results of another comparison'):
-        runner.run(replace(SMALL, seeds=1), tmp_path, 1)
+        task_runner.run(replace(SMALL, seeds=1), tmp_path, 1)
     # The same name, but others than those that have played.
-    monkeypatch.setattr(runner, 'find_model', lambda name: tmp_path / 'protocol.json')
+    monkeypatch.setattr(task_runner, 'find_model', lambda name: tmp_path / 'protocol.json')
     with pytest.raises(ConfigurationError, match='expected the same .* weights and version'):
-        runner.run(SMALL, tmp_path, 1)
+        task_runner.run(SMALL, tmp_path, 1)
 
 
 def rows_of(errors, budget=100):
@@ -221,12 +231,12 @@ def test_the_command_compares_and_reports(tmp_path, capsys):
 
 
 def test_another_scan_under_the_same_name_is_another_room(tmp_path):
-    task = Task(str(tmp_path / 'a.npy'), 0.0, 'random')
+    task = BenchmarkTask(str(tmp_path / 'a.npy'), 0.0, 'random')
     np.save(task.room, generate_room(1, 2000).points)
-    before = runner.name_of(task)
-    assert runner.name_of(task) == before
+    before = task_runner.name_of(task)
+    assert task_runner.name_of(task) == before
     np.save(task.room, generate_room(2, 2100).points)
-    assert runner.name_of(task) != before
+    assert task_runner.name_of(task) != before
 
 
 def test_rooms_that_are_seen_completely_have_no_ratios():
@@ -285,10 +295,10 @@ def test_a_ray_cluster_of_two_nodes_does_the_same(tmp_path):
     cluster = Cluster(initialize_head=True, head_node_args={'num_cpus': 1})
     try:
         cluster.add_node(num_cpus=1)
-        rows = runner.run(SMALL, tmp_path / 'ray', 1, cluster.address)
+        rows = task_runner.run(SMALL, tmp_path / 'ray', 1, cluster.address)
     finally:
         ray.shutdown()
         cluster.shutdown()
-    here = run_task(SMALL, Task('3', 0.0, 'annealing'))
+    here = run_task(SMALL, BenchmarkTask('3', 0.0, 'annealing'))
     assert [row['placement'] for row in rows if row['planner'] == 'annealing'] == \
         [row['placement'] for row in here]

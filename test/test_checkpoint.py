@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 import pytest
 import torch
 
+from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError, KEY, write_atomically
-from ocp_ros.agent.config import AgentConfig
-from ocp_ros.resources import find_model
+from ocp_ros.util.resources import find_model
 
 
 def test_a_checkpoint_comes_back_as_it_went(small_agent, tmp_path):

@@ -15,10 +15,10 @@ import numpy as np
 from plyfile import PlyData, PlyElement
 import pytest
 
-from ocp_ros import cli
-from ocp_ros.command_line import document
-from ocp_ros.scenes.files import save_scene
-from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.cli import main as cli
+from ocp_ros.cli.common import document
+from ocp_ros.scenes.scene_files import save_scene
+from ocp_ros.scenes.synthetic.generator import generate_room
 
 PLACEMENT = """\
 cameras:
@@ -130,7 +130,7 @@ def test_errors_are_json_where_it_is_asked_for(files, capsys, arguments, words):
 
 
 def test_the_command_line_is_read_before_what_is_slow_to_import():
-    code = 'import sys, ocp_ros.cli; ocp_ros.cli.commands(); print(*sys.modules)'
+    code = 'import sys, ocp_ros.cli.main; ocp_ros.cli.main.commands(); print(*sys.modules)'
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True,
                           env={**os.environ, 'PYTHONPATH': str(ROOT)})
     assert not {'torch', 'numba', 'scipy', 'numpy', 'matplotlib', 'rich', 'yaml'} & set(
@@ -141,14 +141,15 @@ def test_ctrl_c_ends_quietly_whatever_is_going_on(files, capsys, monkeypatch):
     def stop(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr('ocp_ros.report.score.make_room', stop)
+    monkeypatch.setattr('ocp_ros.cli.score_command.make_room', stop)
     assert cli.main(['score', 'room.ply', 'placement.yaml']) == 130
     assert capsys.readouterr() == ('', '')
 
 
 def test_bench_measures_every_method_and_writes_a_page(files, capsys, monkeypatch):
-    from ocp_ros.benchmark import engine
-    monkeypatch.setitem(engine.EXTENTS, 'smoke', engine.Extent((engine.MIDDLE,), 1, 1, (2000,)))
+    from ocp_ros.evaluation import engine_bench
+    monkeypatch.setitem(engine_bench.EXTENTS, 'smoke', engine_bench.Extent((engine_bench.MIDDLE,),
+                                                                           1, 1, (2000,)))
     code, found = printed(capsys, 'bench', '--out', 'new/bench.json', '--page', 'new/bench.md')
     assert code == 0 and found['rooms'] == found['positions'] == 1
     assert json.loads((files / 'new' / 'bench.json').read_text()).items() <= found.items()
@@ -159,7 +160,7 @@ def test_bench_measures_every_method_and_writes_a_page(files, capsys, monkeypatc
     assert 'Made by `ocp bench --preset smoke`' in text
     for row in found['visibility']:
         assert f'| 40,000 | {row["method"].replace("_", " ")} | {row["precision"]:.3f} |' in text
-    for figure in engine.FIGURES:
+    for figure in engine_bench.FIGURES:
         assert f'| `{figure}` | {found[figure]:,.1f} |' in text
 
 

@@ -10,15 +10,17 @@ from geometry_msgs.msg import PoseArray
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header, String
 
-from ocp_ros.nodes import commander, health, qos, topics
-from ocp_ros.nodes.conversions import (
+from ocp_ros.ros.interface import qos, topics
+from ocp_ros.ros.interface.conversions import (
     cloud_to_msg,
     ns_to_stamp,
     positions_to_msg,
     stamp_to_ns,
 )
-from ocp_ros.nodes.policy_node import PolicyNode
-from ocp_ros.nodes.sim_node import SimNode
+from ocp_ros.ros.policy import arbitration
+from ocp_ros.ros.policy_node import PolicyNode
+from ocp_ros.ros.runtime import diagnostics
+from ocp_ros.ros.sim_node import SimNode
 
 SMALL = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
          'engine__coverage_cell': 0.5, 'resend_period': 0.05, 'auto_reset': True}
@@ -27,8 +29,8 @@ SMALL = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 
 @pytest.fixture
 def hurried(monkeypatch):
     """Let who falls silent be forgotten soon."""
-    monkeypatch.setattr(commander, 'PERIOD', 0.1)
-    monkeypatch.setattr(commander, 'EXPIRY', 2.0)
+    monkeypatch.setattr(arbitration, 'PERIOD', 0.1)
+    monkeypatch.setattr(arbitration, 'EXPIRY', 2.0)
 
 
 def test_the_second_policy_refuses_and_takes_over_when_the_first_ends(graph, hurried, capfd):
@@ -38,8 +40,9 @@ def test_the_second_policy_refuses_and_takes_over_when_the_first_ends(graph, hur
     second = graph.add(PolicyNode)
     graph.until(lambda: second._commander.first)
     level, words, _ = second._status()
-    assert level == health.WARN and 'found /policy_node, which commands these cameras' in words
-    assert first._status()[0] == health.OK
+    assert level == diagnostics.WARN
+    assert 'found /policy_node, which commands these cameras' in words
+    assert first._status()[0] == diagnostics.OK
     answered = first._counts['turns_answered']
     graph.until(lambda: first._counts['turns_answered'] >= answered + 3)
     assert second._counts['turns_answered'] == 0
@@ -96,7 +99,7 @@ def test_all_agree_whoever_hears_whom_first(graph):
 
 def test_a_node_that_thinks_goes_on_saying_that_it_is_there(graph, probe, monkeypatch):
     """Its executor gets round to nothing meanwhile."""
-    monkeypatch.setattr(commander, 'PERIOD', 0.02)
+    monkeypatch.setattr(arbitration, 'PERIOD', 0.02)
     probe.listen(String, topics.COMMANDERS, qos.LOOP)
     words = probe.received[topics.COMMANDERS]
     thinks = PolicyNode(context=graph.context)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import yaml
 
-from ocp_ros.configuration import ConfigurationError, from_flat, from_nested, leaves, to_nested
-from ocp_ros.simulation.config import SimulationConfig
-from ocp_ros.training.config import TrainingConfig
+from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.training.train import read_config
+from ocp_ros.training.training_config import TrainingConfig
+from ocp_ros.util.settings import ConfigurationError, from_flat, from_nested, leaves, to_nested
 
 
 def test_what_is_left_out_keeps_its_default():
@@ -92,9 +92,9 @@ def test_every_shipped_training_configuration_is_valid(path):
 @pytest.mark.parametrize('name', ['sim', 'policy', 'trainer', 'live'])
 def test_every_shipped_parameter_file_is_valid(name):
     pytest.importorskip('rclpy', reason='node parameters need ROS 2 (rclpy)')
-    from ocp_ros.nodes.policy_config import PolicyNodeConfig
-    from ocp_ros.nodes.sim_node import SimNodeConfig
-    from ocp_ros.nodes.trainer_node import TrainerNodeConfig
+    from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
+    from ocp_ros.ros.sim_node import SimNodeConfig
+    from ocp_ros.ros.trainer_node import TrainerNodeConfig
     classes = {'sim_node': SimNodeConfig, 'policy_node': PolicyNodeConfig,
                'trainer_node': TrainerNodeConfig}
     content = yaml.safe_load((ROOT / 'config' / f'{name}.yaml').read_text())

@@ -8,13 +8,13 @@ from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
 
-from ocp_ros.configuration import ConfigurationError
-from ocp_ros.geometry.sensors import SENSORS
-from ocp_ros.scenes.rooms import generate_room, plan_of
+from ocp_ros.rig.feasible_region import FeasibleRegion
+from ocp_ros.rig.rig_file import rig_of
+from ocp_ros.rig.sensors import SENSORS
+from ocp_ros.rig.structure import floor_height
 from ocp_ros.scenes.scene import Scene, turned
-from ocp_ros.simulation.constraints import Allowed
-from ocp_ros.simulation.rig_file import rig_of
-from ocp_ros.simulation.surfaces import floor_height
+from ocp_ros.scenes.synthetic.generator import generate_room, plan_of
+from ocp_ros.util.settings import ConfigurationError
 
 MOUNTS = {
     'plane': {'on': 'plane', 'height': 1.9}, 'ceiling': {'on': 'ceiling'},
@@ -47,7 +47,7 @@ def furnished():
 
 def allowed_of(scene, mount='free', sensor='d455', cameras=1, **more):
     """Return the constraints of a rig."""
-    return Allowed(scene, rig_of(cameras, sensor, mount=MOUNTS[mount], **more))
+    return FeasibleRegion(scene, rig_of(cameras, sensor, mount=MOUNTS[mount], **more))
 
 
 def level(*position, yaw=0.0, pitch=0.0):
@@ -97,7 +97,7 @@ def test_the_floor_is_a_layer_and_not_the_lowest_point(rooms):
         noisy = Scene(np.concatenate([points, stray + points.min(axis=0)]).astype('f4'), 'noisy')
         assert noisy.bounds[0, 2] < floor - 0.8
         assert floor_height(noisy) == pytest.approx(floor, abs=0.03)
-        assert Allowed(noisy, rig_of(1)).candidates(D455, 5)[0, 2] == pytest.approx(
+        assert FeasibleRegion(noisy, rig_of(1)).candidates(D455, 5)[0, 2] == pytest.approx(
             floor + 1.9, abs=0.03)
 
 
@@ -256,7 +256,7 @@ def test_who_sees_all_around_may_be_turned_as_it_likes(rooms):
      r'fixed\[0\]: found a camera at \(30.00, 2.00, 2.00\), outside box; .*; correct its')])
 def test_a_rig_that_does_not_go_with_the_room_is_refused(rooms, mount, more, words):
     with pytest.raises(ConfigurationError, match=words):
-        Allowed(rooms['box'], rig_of(1, 'd455', mount=mount, **more)).candidates(D455, 10)
+        FeasibleRegion(rooms['box'], rig_of(1, 'd455', mount=mount, **more)).candidates(D455, 10)
 
 
 def test_a_scan_without_a_ceiling_offers_none(rooms):
@@ -264,7 +264,7 @@ def test_a_scan_without_a_ceiling_offers_none(rooms):
     for mount, kept in (('ceiling', points[:, 2] < 1.0), ('walls', points[:, 2] < 0.05)):
         room = Scene(np.concatenate([points[kept], [[3.0, 2.0, 2.8]] * 1]), 'open')
         with pytest.raises(ConfigurationError, match=f'found {mount}, of which open shows none'):
-            Allowed(room, rig_of(1, mount={'on': mount}))
+            FeasibleRegion(room, rig_of(1, mount={'on': mount}))
 
 
 def test_poses_of_another_shape_are_refused(rooms):
@@ -280,7 +280,7 @@ def test_each_camera_of_a_mixed_rig_has_its_own_pitch(rooms):
     rig = rig_of(1, 'd455', mount=MOUNTS['plane'], pitch=[0, 30])
     other = replace(rig, cameras=(rig.cameras[0], rig_of(1).cameras[0]))
     poses = np.concatenate([level(2, 2, 1.9, pitch=20), level(4, 2, 1.9, pitch=70)])
-    allowed = Allowed(rooms['box'], other)
+    allowed = FeasibleRegion(rooms['box'], other)
     assert allowed.broken(poses) == []
     assert len(allowed.broken(poses[::-1])) == 1
     assert allowed.broken(poses[1:], [1]) == [] and len(allowed.broken(poses[1:], [0])) == 1

@@ -15,9 +15,10 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseArray, Quaternion
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
+from system.malformed import spoilt_cloud, spoilt_fields, spoilt_poses
 
 from ocp_ros.geometry.cameras import rotation_matrix
-from ocp_ros.nodes.conversions import (
+from ocp_ros.ros.interface.conversions import (
     bytes_to_msg,
     cloud_to_msg,
     fields_to_msg,
@@ -31,7 +32,6 @@ from ocp_ros.nodes.conversions import (
     positions_to_msg,
     stamp_to_ns,
 )
-from ocp_ros.nodes.malformed import spoilt_cloud, spoilt_fields, spoilt_poses
 
 
 @st.composite

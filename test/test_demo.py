@@ -14,9 +14,9 @@ import pytest
 pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
 
 from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.nodes import demo, train_demo
-from ocp_ros.nodes.processes import NodeProcess
-from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.demo import demo, train_demo
+from ocp_ros.demo.node_processes import NodeProcess
+from ocp_ros.scenes.synthetic.generator import generate_room
 
 WASHITSU = ROOT.parent / 'shared' / 'data' / 'rooms' / 'washitsu.ply'
 READY = {'sim_node': 'cameras', 'policy_node': 'weights', 'trainer_node': 'updates so far'}
@@ -64,7 +64,7 @@ def test_a_scan_in_millimetres_in_an_awkward_path_is_scaled(tmp_path):
 
 @pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_demo_leaves_no_node_behind(tmp_path, how):
-    command = [sys.executable, '-m', 'ocp_ros.nodes.demo', '--out', str(tmp_path)]
+    command = [sys.executable, '-m', 'ocp_ros.demo.demo', '--out', str(tmp_path)]
     running = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     log = tmp_path / 'logs' / 'policy_node.log'
     while not (log.exists() and 'weights' in log.read_text()):
@@ -150,7 +150,7 @@ def test_nodes_end_with_0_when_they_are_told_to(domain, tmp_path, how):
 
 def test_a_bad_parameter_ends_a_node_with_one_sentence(domain):
     done = subprocess.run(
-        [sys.executable, '-m', 'ocp_ros.nodes.policy_node', '--ros-args', '-p', 'turnz:=3'],
+        [sys.executable, '-m', 'ocp_ros.ros.policy_node', '--ros-args', '-p', 'turnz:=3'],
         env={**os.environ, 'ROS_DOMAIN_ID': str(domain)}, capture_output=True, text=True,
         timeout=60, check=False)
     assert done.returncode == 2

@@ -10,25 +10,26 @@ import pytest
 from test_training import TINY
 import torch
 
+from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.config import AgentConfig
+from ocp_ros.agent.move_effects import CHOICES, OF_CAMERAS
 from ocp_ros.agent.policy import Policy
-from ocp_ros.agent.world import CHOICES, OF_CAMERAS
-from ocp_ros.benchmark.rooms import space_of
-from ocp_ros.configuration import ConfigurationError, from_nested
-from ocp_ros.planners.online import HandRule, Learned, play
+from ocp_ros.evaluation.benchmark_rooms import space_of
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.planners.online_planner import GreedyStep, Learned, play
 from ocp_ros.planners.registry import settings_of
-from ocp_ros.scenes.source import make_room
-from ocp_ros.simulation.config import EngineConfig, EpisodeConfig, RigConfig, SimulationConfig
-from ocp_ros.simulation.env import CameraPlacementEnv
+from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.scenes.scene_source import make_room
+from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.reward import potential
+from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.training import train as training
-from ocp_ros.training.config import DemonstrationsConfig, RoomsConfig, SacConfig, TrainingConfig
 from ocp_ros.training.demonstrations import (
     ACTIONS,
     demonstrate,
+    DemonstrationTask,
     ENDS,
     expert_of,
     fill,
@@ -39,14 +40,20 @@ from ocp_ros.training.demonstrations import (
     MOVES,
     REWARDS,
     save_round,
-    Task,
     tasks_of,
     turns_played,
     Walk,
 )
-from ocp_ros.training.encoded import CameraByCamera
+from ocp_ros.training.encoded_environment import CameraByCamera
 from ocp_ros.training.sac import actor_checkpoint, make_sac
 from ocp_ros.training.train import train
+from ocp_ros.training.training_config import (
+    DemonstrationsConfig,
+    RoomsConfig,
+    SacConfig,
+    TrainingConfig,
+)
+from ocp_ros.util.settings import ConfigurationError, from_nested
 
 TURNS, MOST = 6, 3
 SIMULATION = SimulationConfig(rig=RigConfig(cameras=MOST), episode=EpisodeConfig(turns=TURNS),
@@ -70,8 +77,8 @@ def config_of(agent, **shown):
 
 def task_of(agent, number=0, expert_moves=0.5, **shown):
     """Return an episode that a policy with random weights plays too."""
-    return Task(config_of(agent, **shown), '1000', (1, 0, number), expert_moves,
-                random_checkpoint(agent).to_bytes())
+    return DemonstrationTask(config_of(agent, **shown), '1000', (1, 0, number), expert_moves,
+                             random_checkpoint(agent).to_bytes())
 
 
 def environment_of(task):
@@ -176,7 +183,7 @@ def test_the_hand_rule_is_imitated_as_it_plays(small_agent):
     shown = demonstrate(replace(task, weights=b''))
     env, _ = environment_of(task)
     episode = env.unwrapped.episode
-    online = HandRule(*settings_of(SIMULATION, np.random.default_rng(0)))
+    online = GreedyStep(*settings_of(SIMULATION, np.random.default_rng(0)))
     outcome = play(online, episode)
     assert shown[ENDS][0, 0] == pytest.approx(outcome.depth_error[-1], rel=1e-3)
     assert outcome.depth_error[-1] < 0.9 * outcome.depth_error[0]

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from ocp_ros.agent.distributions import Choices, NEAR, SquashedGaussian
-from ocp_ros.agent.world import CHOICES, LONGEST
+from ocp_ros.agent.move_effects import CHOICES, LONGEST
 
 seeds = st.integers(0, 2 ** 32 - 1)
 #: The moves that the network chooses among, in units of the longest step.

@@ -32,7 +32,7 @@ def test_every_sensor_is_in_the_tables_as_it_is():
 
 def test_every_topic_and_field_is_documented():
     pytest.importorskip('rclpy', reason='topics need ROS 2 (rclpy)')
-    from ocp_ros.nodes import topics
+    from ocp_ros.ros.interface import topics
     text = (ROOT / 'docs' / 'ros.md').read_text()
     names = [value for name, value in vars(topics).items() if name.isupper()]
     for name in [n for n in names if isinstance(n, str)] + [
@@ -72,8 +72,8 @@ def yaml_example(page, first):
 
 
 def test_the_example_of_a_rig_has_every_key_and_each_is_explained(tmp_path):
-    from ocp_ros.simulation.rig_file import load_rig
-    from ocp_ros.simulation.schemas import CAMERA, FIXED, NO_GO, REGION, RIG
+    from ocp_ros.rig.rig_file import load_rig
+    from ocp_ros.rig.schemas import CAMERA, FIXED, NO_GO, REGION, RIG
     (tmp_path / 'rig.yaml').write_text(yaml_example('docs/rig.md', 'cameras:'))
     rig = load_rig(tmp_path / 'rig.yaml')
     assert set(rig.document.data) == set(RIG['properties']) and len(rig.all_cameras) == 5
@@ -84,8 +84,8 @@ def test_the_example_of_a_rig_has_every_key_and_each_is_explained(tmp_path):
 
 
 def test_the_example_of_a_placement_is_one_and_every_key_is_explained(tmp_path):
-    from ocp_ros.simulation.placement_file import load_placement
-    from ocp_ros.simulation.schemas import ENGINE, PLACED, PLACEMENT, ROOM
+    from ocp_ros.rig.placement_file import load_placement
+    from ocp_ros.rig.schemas import ENGINE, PLACED, PLACEMENT, ROOM
     (tmp_path / 'placement.yaml').write_text(yaml_example('docs/placement.md', 'cameras:'))
     assert load_placement(tmp_path / 'placement.yaml').poses.shape == (2, 6)
     text = ''.join((ROOT / 'docs' / page).read_text() for page in ('placement.md', 'rig.md'))
@@ -107,7 +107,7 @@ def test_the_example_with_a_plan_runs(capsys):
 
 
 def test_every_option_of_plan_is_explained():
-    from ocp_ros.cli import parser
+    from ocp_ros.cli.main import parser
     text = (ROOT / 'docs' / 'plan.md').read_text()
     plan = next(action for action in parser()._actions if action.choices).choices['plan']
     for option in (name for action in plan._actions for name in action.option_strings):
@@ -136,7 +136,7 @@ def test_the_readmes_python_example_runs(tmp_path, monkeypatch, capsys):
     import numpy as np
     from plyfile import PlyData, PlyElement
 
-    from ocp_ros.scenes.rooms import generate_room
+    from ocp_ros.scenes.synthetic.generator import generate_room
     points = generate_room(1, 3000).points.astype(np.float32)
     rows = points.view([(axis, 'f4') for axis in 'xyz']).ravel()
     PlyData([PlyElement.describe(rows, 'vertex')]).write(str(tmp_path / 'room.ply'))
@@ -163,12 +163,12 @@ CHEAP = {('score',), ('view',), ('rooms', 'list'), ('rooms', 'make'), ('rooms', 
 
 @pytest.mark.parametrize('command', commands(), ids=' '.join)
 def test_every_command_in_the_documentation_can_be_run(command, tmp_path, monkeypatch, capsys):
-    from ocp_ros import cli
+    from ocp_ros.cli import main as cli
     cli.parser().parse_args(command)
     if not CHEAP & {command[:1], command[:2]}:
         return
-    from ocp_ros.scenes.files import save_scene
-    from ocp_ros.scenes.rooms import generate_room
+    from ocp_ros.scenes.scene_files import save_scene
+    from ocp_ros.scenes.synthetic.generator import generate_room
     room = generate_room(8, 1500)
     for name in ('room.ply', 'scan.ply', 'scans/room-8.ply', 'scans/room-9.ply'):
         save_scene(room, tmp_path / name)
@@ -221,9 +221,9 @@ def test_the_index_lists_every_page():
 def test_the_picture_of_the_architecture_shows_the_layers_and_topics_there_are():
     from test_architecture import LAYERS
 
-    from ocp_ros.nodes import topics
-    from ocp_ros.report import architecture
-    assert list(architecture.LAYERS) == LAYERS
+    from ocp_ros.report.drawing import architecture_picture
+    from ocp_ros.ros.interface import topics
+    assert list(architecture_picture.LAYERS) == LAYERS
     names = {value for name, value in vars(topics).items()
              if name.isupper() and isinstance(value, str)}
-    assert {topic for _, _, shown, _ in architecture.TOPICS for topic in shown} == names
+    assert {topic for _, _, shown, _ in architecture_picture.TOPICS for topic in shown} == names

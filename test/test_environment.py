@@ -12,19 +12,15 @@ import pytest
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 from ocp_ros.geometry.blocks import Subset
-from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.rig.motion import bounded_moves, kept_inside
+from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.scenes.scene import Scene, SceneError
-from ocp_ros.simulation.config import (
-    EngineConfig,
-    EpisodeConfig,
-    RewardConfig,
-    RigConfig,
-    SimulationConfig,
-)
-from ocp_ros.simulation.env import CameraPlacementEnv
+from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.moves import bounded_moves, kept_inside
 from ocp_ros.simulation.reward import potential, reward
+from ocp_ros.simulation.simulation_config import EpisodeConfig, RewardConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 
 SMALL = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=32, coverage_cell=0.5))

@@ -8,13 +8,13 @@ import runpy
 import numpy as np
 import pytest
 
-from ocp_ros.benchmark.paired import NEGLIGIBLE, pairs
-from ocp_ros.benchmark.protocol import CONTROL
-from ocp_ros.cli import main
-from ocp_ros.report.training import band, grouped
-from ocp_ros.report.training import main as draw
-from ocp_ros.scenes.files import save_scene
-from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.cli.main import main
+from ocp_ros.evaluation.paired import NEGLIGIBLE, pairs
+from ocp_ros.evaluation.protocol import CONTROL
+from ocp_ros.report.drawing.training_curves import band, grouped
+from ocp_ros.report.drawing.training_curves import main as draw
+from ocp_ros.scenes.scene_files import save_scene
+from ocp_ros.scenes.synthetic.generator import generate_room
 
 
 def rows(errors):

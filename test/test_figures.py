@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 import pytest
 
-from ocp_ros.benchmark import published
+from ocp_ros.evaluation import published_figures
 from ocp_ros.planners.registry import OFFLINE, ONLINE
 
 #: Numbers with a unit, decimals, shares and counts: what is measured mostly looks so.
@@ -44,7 +44,7 @@ WORDS = re.findall(r'\w+', """
 
 def tree(tmp_path):
     """Return a copy of all that has figures or shows them."""
-    for path in [*published.pages(ROOT), *ROOT.glob('docs/**/*.json'),
+    for path in [*published_figures.pages(ROOT), *ROOT.glob('docs/**/*.json'),
                  *ROOT.glob('models/*.json')]:
         copy = tmp_path / path.relative_to(ROOT)
         copy.parent.mkdir(parents=True, exist_ok=True)
@@ -67,18 +67,19 @@ def change(path, old, new):
 
 def test_figures_and_pages_agree():
     # tools/figures check prints the same.
-    assert published.faults(ROOT) == []
+    assert published_figures.faults(ROOT) == []
 
 
 def test_the_file_is_as_the_tool_writes_it(tmp_path):
     root = tree(tmp_path)
-    published.save(root, published.load(root))
-    assert (root / published.FILE).read_text() == (ROOT / published.FILE).read_text()
+    published_figures.save(root, published_figures.load(root))
+    before = (ROOT / published_figures.FILE).read_text()
+    assert (root / published_figures.FILE).read_text() == before
 
 
 @pytest.mark.parametrize(('page', 'section'), GIVEN)
 def test_every_measured_number_has_a_figure(page, section):
-    text = published.unbound((ROOT / page).read_text(), published.load(ROOT))
+    text = published_figures.unbound((ROOT / page).read_text(), published_figures.load(ROOT))
     if section:
         text = re.split(rf'^##+ {re.escape(section)}$', text, flags=re.M)[1].split('\n## ')[0]
     # Commands are what somebody types; their numbers are settings.
@@ -98,30 +99,31 @@ def test_a_new_number_is_found_by_the_sweep():
 
 
 def test_the_generated_pages_are_what_their_files_say():
-    from ocp_ros.report import bench, benchmark, rooms
-    for page, write in (('docs/bench.md', bench.page), ('docs/rooms.md', rooms.page),
-                        ('docs/benchmark/README.md', benchmark.page)):
+    from ocp_ros.cli import bench_command
+    from ocp_ros.report import benchmark_report, room_sheet
+    for page, write in (('docs/bench.md', bench_command.page), ('docs/rooms.md', room_sheet.page),
+                        ('docs/benchmark/README.md', benchmark_report.page)):
         data = {'docs/benchmark/README.md': 'docs/benchmark/summary.json'}.get(
             page, page.replace('.md', '.json'))
         assert write(json.loads((ROOT / data).read_text())) == (ROOT / page).read_text(), page
 
 
 def test_rooms_are_measured_into_what_their_page_is_written_from(monkeypatch):
-    from ocp_ros.report import rooms
-    monkeypatch.setattr(rooms, 'MEASURED', range(4000, 4002))
-    monkeypatch.setattr(rooms, 'POINTS', 1500)
-    found = json.loads(json.dumps(rooms.measured([], 'a command')))
-    kept = published.read(ROOT, 'docs/rooms.json')
+    from ocp_ros.report import room_sheet
+    monkeypatch.setattr(room_sheet, 'MEASURED', range(4000, 4002))
+    monkeypatch.setattr(room_sheet, 'POINTS', 1500)
+    found = json.loads(json.dumps(room_sheet.measured([], 'a command')))
+    kept = published_figures.read(ROOT, 'docs/rooms.json')
     assert list(found['generated']) == list(kept['generated'])
     assert list(found['kinds']) == list(kept['kinds'])
-    assert '    a command\n' in rooms.page(found)
+    assert '    a command\n' in room_sheet.page(found)
 
 
 def test_every_page_counts_the_planners_as_the_registry_does():
     count = len(OFFLINE) + len(ONLINE)
-    compared = len(published.read(ROOT, 'docs/benchmark/summary.json')['planners'])
+    compared = len(published_figures.read(ROOT, 'docs/benchmark/summary.json')['planners'])
     stated = []
-    for path in [*published.pages(ROOT), ROOT / 'CHANGELOG.rst', ROOT / 'setup.py',
+    for path in [*published_figures.pages(ROOT), ROOT / 'CHANGELOG.rst', ROOT / 'setup.py',
                  ROOT / 'package.xml', ROOT / 'Makefile']:
         text = path.read_text().lower()
         for part, number in re.findall(
@@ -134,14 +136,14 @@ def test_every_page_counts_the_planners_as_the_registry_does():
 
 
 def test_what_room_3000_changes_follows_from_the_comparison():
-    summary = published.read(ROOT, 'docs/benchmark/summary.json')
+    summary = published_figures.read(ROOT, 'docs/benchmark/summary.json')
     known = {room: figures['best_known'] for room, figures in summary['rooms'].items()}
     total, rest = sum(known.values()), sum(known.values()) - known['3000']
     changes = {(name, budget): abs((run['sum'] - run['rooms']['3000']) / rest - run['sum'] / total)
                for name, runs in summary['planners'].items() for budget, run in runs.items()}
     greedy = [change for (name, _), change in changes.items() if name == 'greedy_coverage']
     others = [change for (name, _), change in changes.items() if name != 'greedy_coverage']
-    figures = published.load(ROOT)
+    figures = published_figures.load(ROOT)
     for key, value in (('greedy_coverage', max(greedy)), ('most', max(others))):
         assert figures[f'without_room_3000.{key}']['value'] == pytest.approx(value, abs=1e-12)
 
@@ -149,7 +151,8 @@ def test_what_room_3000_changes_follows_from_the_comparison():
 def test_the_sizes_of_weights_are_those_of_the_files():
     for name in ('default', 'paper'):
         size = (ROOT / 'models' / f'{name}.safetensors').stat().st_size
-        assert published.load(ROOT)[f'{name}.size_mb']['value'] == pytest.approx(1e-6 * size)
+        figure = published_figures.load(ROOT)[f'{name}.size_mb']
+        assert figure['value'] == pytest.approx(1e-6 * size)
 
 
 @pytest.mark.parametrize(('page', 'old', 'new', 'says'), [
@@ -175,7 +178,7 @@ def test_the_sizes_of_weights_are_those_of_the_files():
 def test_a_change_in_one_place_alone_is_found(tmp_path, page, old, new, says):
     root = tree(tmp_path)
     change(root / page, old, new)
-    assert any(says in fault for fault in published.faults(root))
+    assert any(says in fault for fault in published_figures.faults(root))
     done = tool('figures', '--root', str(root), 'check')
     assert done.returncode == 1 and says in done.stdout
 
@@ -183,9 +186,9 @@ def test_a_change_in_one_place_alone_is_found(tmp_path, page, old, new, says):
 @given(value=st.floats(-1e7, 1e7), digits=st.integers(0, 6))
 def test_a_number_agrees_with_the_value_that_it_rounds_and_with_no_other(value, digits):
     text = f'{value:,.{digits}f}'
-    assert published.agrees(text, value)
-    assert not published.agrees(text, value + 1.01 * 10.0 ** -digits + 1e-9)
-    assert not published.agrees(text, value - 1.01 * 10.0 ** -digits - 1e-9)
+    assert published_figures.agrees(text, value)
+    assert not published_figures.agrees(text, value + 1.01 * 10.0 ** -digits + 1e-9)
+    assert not published_figures.agrees(text, value - 1.01 * 10.0 ** -digits - 1e-9)
 
 
 def repository(tmp_path):
@@ -202,16 +205,16 @@ def test_a_measured_figure_is_recorded(tmp_path):
     done = tool('figures', '--root', str(root), 'set', 'fuzz.lies', '100019', '--unit', 'messages',
                 '--command', 'make fuzz')
     assert done.returncode == 0, done.stderr
-    figure = published.load(root)['fuzz.lies']
-    assert figure['value'] == 100019 and figure['commit'] == published.commit(root)
+    figure = published_figures.load(root)['fuzz.lies']
+    assert figure['value'] == 100019 and figure['commit'] == published_figures.commit(root)
     assert re.fullmatch(r'\d{4}-\d\d-\d\d', figure['date']) and figure['command'] == 'make fuzz'
-    assert ['docs/ros.md' in fault and '100,018' in fault for fault in published.faults(root)
-            ] == [True]
+    assert ['docs/ros.md' in fault and '100,018' in fault
+            for fault in published_figures.faults(root)] == [True]
     change(root / 'docs/ros.md', '100,018', '100,019')
-    assert published.faults(root) == []
-    published.record(root, 'house.floors', 2, 'floors', 'a look', internal=True)
-    published.record(root, 'house.floors', [2, 3], 'floors', 'a look')
-    assert published.faults(root) == []
+    assert published_figures.faults(root) == []
+    published_figures.record(root, 'house.floors', 2, 'floors', 'a look', internal=True)
+    published_figures.record(root, 'house.floors', [2, 3], 'floors', 'a look')
+    assert published_figures.faults(root) == []
 
 
 @pytest.mark.parametrize(('name', 'value', 'says'), [
@@ -224,15 +227,15 @@ def test_what_cannot_be_recorded_is_refused(tmp_path, name, value, says):
     done = tool('figures', '--root', str(root), 'set', name, value, '--unit', '1', '--command',
                 'make fuzz')
     assert done.returncode == 2 and says in done.stderr
-    assert published.load(root) == published.load(ROOT)
+    assert published_figures.load(root) == published_figures.load(ROOT)
 
 
 def test_derived_figures_follow_their_file(tmp_path):
     root = repository(tmp_path)
     change(root / 'models/paper.json', '"interactions": 10000', '"interactions": 12345')
     assert tool('figures', '--root', str(root), 'derive').returncode == 0
-    assert published.load(root)['paper.turns']['value'] == 12345
-    assert any('expected 12345' in fault for fault in published.faults(root))
+    assert published_figures.load(root)['paper.turns']['value'] == 12345
+    assert any('expected 12345' in fault for fault in published_figures.faults(root))
 
 
 def test_the_house_is_measured(tmp_path):
@@ -244,8 +247,8 @@ def test_the_house_is_measured(tmp_path):
     (root / 'ocp_ros' / 'a' / 'one.py').write_text('class B: pass\n')
     done = tool('house', '--root', str(root))
     assert done.returncode == 0, done.stderr
-    figures = published.load(root)
+    figures = published_figures.load(root)
     assert {key: figures[f'house.{key}']['value'] for key in (
         'lines', 'modules', 'base_name_collisions', 'class_name_collisions')} == {
             'lines': 5, 'modules': 4, 'base_name_collisions': 1, 'class_name_collisions': 1}
-    assert published.faults(root) == []
+    assert published_figures.faults(root) == []

@@ -13,12 +13,17 @@ from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
 from std_msgs.msg import Header
 
 from ocp_ros.geometry.cameras import Pose, rotation_matrix
-from ocp_ros.nodes.conversions import MessageError, msg_to_poses, ns_to_stamp, positions_to_msg
-from ocp_ros.nodes.frames import in_range, placed, Rig, Transforms
+from ocp_ros.ros.interface.conversions import (
+    MessageError,
+    msg_to_poses,
+    ns_to_stamp,
+    positions_to_msg,
+)
+from ocp_ros.ros.interface.frames import in_range, LiveRig, placed, Transforms
 
 POSES = [Pose(np.array([1.0, 2.0, 1.9]), rotation_matrix(0.5 * np.pi, 0.0, 0.0)),
          Pose(np.array([4.0, 2.0, 1.9]), rotation_matrix(0.0, 0.5 * np.pi, 0.0))]
-RIG = Rig('map', POSES, since=10)
+RIG = LiveRig('map', POSES, since=10)
 
 
 @pytest.fixture
@@ -61,7 +66,7 @@ def test_a_cloud_of_a_camera_is_placed_by_its_pose(no_tf2, frame, row, expected)
 def test_it_is_placed_as_messages_have_it(no_tf2):
     message = positions_to_msg(np.array([[1.0, 2.0, 3.0]]), Header(),
                                np.array([[0.3, -0.2, 0.1]]))
-    found, _ = placed(points([2, 0, 0]), 'camera_0', Rig('map', msg_to_poses(message)), no_tf2)
+    found, _ = placed(points([2, 0, 0]), 'camera_0', LiveRig('map', msg_to_poses(message)), no_tf2)
     np.testing.assert_allclose(
         found[0], [1, 2, 3] + 2.0 * rotation_matrix(0.3, -0.2, 0.1)[:, 0], atol=1e-6)
 
@@ -151,6 +156,6 @@ def test_what_is_too_far_out_for_numbers_is_out_of_range(no_tf2):
     turned = [Pose(np.array([1e300, 0.0, 0.0]), POSES[0].rotation),
               Pose(np.zeros(3), rotation_matrix(0.7, 0.7, 0.7))]
     for number, kept in ((0, 0), (1, 1)):
-        found, seen_from = placed(cloud, f'camera_{number}', Rig('map', turned), no_tf2)
+        found, seen_from = placed(cloud, f'camera_{number}', LiveRig('map', turned), no_tf2)
         assert len(in_range(found, seen_from, 0.0, 100.0)) == kept
     assert len(in_range(cloud, np.array([[1e300, 0.0, 0.0]]), 0.0, 100.0)) == 0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from ocp_ros.agent.fusion import FEWEST, FusedCloud
+from ocp_ros.agent.cloud_fusion import FEWEST, FusedCloud
 
 
 @st.composite

@@ -9,11 +9,7 @@ import pytest
 pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
 
 from std_msgs.msg import Header, UInt8MultiArray
-
-from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
-from ocp_ros.nodes import topics
-from ocp_ros.nodes.conversions import cloud_to_msg, MessageError, msg_to_cloud
-from ocp_ros.nodes.fuzz_targets import (
+from system.fuzz_targets import (
     BATCH,
     Fuzzer,
     FuzzError,
@@ -21,10 +17,14 @@ from ocp_ros.nodes.fuzz_targets import (
     PolicyTarget,
     SimTarget,
 )
-from ocp_ros.nodes.malformed import known_lies, spoilt_weights
-from ocp_ros.nodes.policy_node import PolicyNode
-from ocp_ros.nodes.sim_node import SimNode
-from ocp_ros.nodes.trainer_node import TrainerNode
+from system.malformed import known_lies, spoilt_weights
+
+from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
+from ocp_ros.ros.interface import topics
+from ocp_ros.ros.interface.conversions import cloud_to_msg, MessageError, msg_to_cloud
+from ocp_ros.ros.policy_node import PolicyNode
+from ocp_ros.ros.sim_node import SimNode
+from ocp_ros.ros.trainer_node import TrainerNode
 
 SIM = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
        'engine__coverage_cell': 0.5, 'rig__cameras': 3, 'auto_reset': True}

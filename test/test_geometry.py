@@ -25,7 +25,7 @@ from ocp_ros.geometry.cameras import CameraModel, Pose, rotation_matrix
 from ocp_ros.geometry.clouds import fixed_size
 from ocp_ros.geometry.coverage import coverable_cell, coverage_grid, space_coverage
 from ocp_ros.geometry.normals import edge_aware_normals
-from ocp_ros.geometry.sensors import SENSORS
+from ocp_ros.rig.sensors import SENSORS
 
 seeds = st.integers(0, 2 ** 32 - 1)
 

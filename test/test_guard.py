@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from ocp_ros.agent.guard import ABOVE, Guard
+from ocp_ros.agent.constraint_filter import ABOVE, ConstraintFilter
+from ocp_ros.rig.feasible_region import FeasibleRegion
+from ocp_ros.rig.rig_file import rig_of
+from ocp_ros.rig.structure import floor_height
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.simulation.constraints import Allowed
-from ocp_ros.simulation.rig_file import rig_of
-from ocp_ros.simulation.surfaces import floor_height
 
 MARGIN = 0.1
 FIXED = {'sensor': 'omnidirectional', 'position': [3.0, 2.0, 1.9]}
@@ -47,7 +47,7 @@ def turns(draw):
 @given(turns())
 def test_every_command_holds_or_the_camera_stays(drawn):
     rig, seen, positions, moves, max_step = drawn
-    guard, scene = Guard(rig, MARGIN), Scene(seen, 'seen')
+    guard, scene = ConstraintFilter(rig, MARGIN), Scene(seen, 'seen')
     for targets in moves:
         found, _ = guard(seen, positions, targets, max_step)
         check(rig, scene, positions, found, max_step)
@@ -56,7 +56,7 @@ def test_every_command_holds_or_the_camera_stays(drawn):
         # The judge of whole rooms agrees, where it can judge one of which a part is seen.
         moved = np.abs(positions - drawn[2]).max(axis=1) > 0.0
         top = float(max(drawn[2][:, 2].max(), positions[:, 2].max())) + ABOVE
-        assert Allowed(scene, rig, top).allowed(positions[moved]).all()
+        assert FeasibleRegion(scene, rig, top).allowed(positions[moved]).all()
 
 
 def check(rig, scene, before, after, max_step):
@@ -86,7 +86,7 @@ def check(rig, scene, before, after, max_step):
 def test_a_target_too_near_to_a_wall_is_moved_to_the_nearest_place(keep_clear, expected):
     rig = rig_of(1, 'omnidirectional', keep_clear=keep_clear, mount=MOUNTS[0])
     position, target = np.array([[0.9, 2.0, 1.9]]), np.array([[0.2, 2.0, 1.9]])
-    found, held = Guard(rig, MARGIN)(box_room().points, position, target, 1.0)
+    found, held = ConstraintFilter(rig, MARGIN)(box_room().points, position, target, 1.0)
     assert not held
     # The known floor ends a cell before the wall.
     assert expected - 1e-3 <= found[0, 0] <= expected + 0.1
@@ -97,7 +97,7 @@ def test_a_target_that_is_allowed_is_left_as_it_is():
     rig = rig_of(2, 'omnidirectional', mount=MOUNTS[0], spacing=0.5)
     positions = np.array([[2.0, 2.0, 1.9], [3.0, 2.0, 1.9]])
     targets = positions + [[-0.1, 0.234, 0.0], [0.3, -0.1, 0.0]]
-    found, held = Guard(rig, MARGIN)(box_room().points, positions, targets, 0.5)
+    found, held = ConstraintFilter(rig, MARGIN)(box_room().points, positions, targets, 0.5)
     np.testing.assert_array_equal(found, targets)
     assert not held
 
@@ -106,7 +106,7 @@ def test_a_camera_with_nowhere_to_go_stays_and_says_so():
     rig = rig_of(1, 'omnidirectional', mount=MOUNTS[0],
                  no_go=[{'box': [[0.0, 0.0, 0.0], [6.0, 4.0, 3.0]]}])
     position = np.array([[2.0, 2.0, 1.9]])
-    found, held = Guard(rig, MARGIN)(box_room().points, position, position + 0.1, 0.5)
+    found, held = ConstraintFilter(rig, MARGIN)(box_room().points, position, position + 0.1, 0.5)
     np.testing.assert_array_equal(found, position)
     assert len(held) == 1 and 'found no allowed place within 0.5 m' in held[0]
 
@@ -115,7 +115,7 @@ def test_cameras_stay_while_what_they_hang_on_was_not_seen():
     rig = rig_of(1, 'omnidirectional', mount={'on': 'ceiling'})
     points = box_room().points
     position = np.array([[2.0, 2.0, 2.7]])
-    guard = Guard(rig, MARGIN)
+    guard = ConstraintFilter(rig, MARGIN)
     found, held = guard(points[points[:, 2] < 1.5], position, position + [[0.3, 0.0, 0.0]], 0.5)
     np.testing.assert_array_equal(found, position)
     assert 'all cameras stay' in held[0] and 'ceiling' in held[0]
@@ -127,7 +127,7 @@ def test_cameras_that_do_not_see_above_themselves_can_move():
     rig = rig_of(1, 'realsense_d455', mount={'on': 'plane', 'height': 2.2})
     points = box_room().points
     position = np.array([[2.0, 2.0, 2.2]])
-    found, held = Guard(rig, MARGIN)(
+    found, held = ConstraintFilter(rig, MARGIN)(
         points[points[:, 2] < 1.6], position, position + [[0.3, 0.0, 0.0]], 0.5)
     assert not held and found[0, 0] == pytest.approx(2.3)
 
@@ -136,7 +136,7 @@ def test_crowded_cameras_part():
     rig = rig_of(4, 'omnidirectional', mount={'on': 'plane', 'height': 1.9}, spacing=0.6)
     middle = np.array([3.0, 2.0, 1.9])
     positions = middle + np.array([[0.1, 0, 0], [-0.1, 0, 0], [0, 0.1, 0], [0, -0.1, 0]])
-    guard = Guard(rig, MARGIN)
+    guard = ConstraintFilter(rig, MARGIN)
     for _ in range(4):
         positions, _ = guard(box_room().points, positions, positions, 0.5)
     apart = np.linalg.norm(positions[:, None] - positions, axis=2)[np.triu_indices(4, 1)]

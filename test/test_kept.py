@@ -9,13 +9,13 @@ pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
 from geometry_msgs.msg import PoseArray
 from std_msgs.msg import Header
 
-from ocp_ros import cli
+from ocp_ros.cli import main as cli
 from ocp_ros.geometry.cameras import CameraModel
-from ocp_ros.geometry.sensors import SENSORS
-from ocp_ros.nodes import qos, topics
-from ocp_ros.nodes.conversions import positions_to_msg
-from ocp_ros.scenes.files import save_scene
-from ocp_ros.simulation.placement_file import load_placement
+from ocp_ros.rig.placement_file import load_placement
+from ocp_ros.rig.sensors import SENSORS
+from ocp_ros.ros.interface import qos, topics
+from ocp_ros.ros.interface.conversions import positions_to_msg
+from ocp_ros.scenes.scene_files import save_scene
 
 POSITIONS = np.array([[4.0, 4.0, 1.9], [5.0, 4.0, 1.9], [4.0, 5.0, 1.9]])
 HEADINGS = np.deg2rad([[30.0, 10.0, 0.0], [-100.0, 20.0, 90.0], [40.0, 0.0, 0.0]])

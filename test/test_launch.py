@@ -34,8 +34,8 @@ def test_a_launch_file_starts_its_nodes(name, given, nodes, monkeypatch):
 
 
 def test_the_arguments_for_live_cameras_are_parameters():
-    from ocp_ros.configuration import leaves
-    from ocp_ros.nodes.policy_config import PolicyNodeConfig
+    from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
+    from ocp_ros.util.settings import leaves
     text = (ROOT / 'launch' / 'live.launch.py').read_text()
     found = re.findall(r"^    \('\w+', '(\w+)', (\w+), ", text, re.M)
     assert len(found) == 5

@@ -13,8 +13,7 @@ import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
-from ocp_ros.training.config import SacConfig
-from ocp_ros.training.encoded import encoded_space
+from ocp_ros.training.encoded_environment import encoded_space
 from ocp_ros.training.experience import (
     Choice,
     Experience,
@@ -23,7 +22,8 @@ from ocp_ros.training.experience import (
     to_bytes,
 )
 from ocp_ros.training.learner import Learner, LearnerConfig
-from ocp_ros.training.log import TransitionLog
+from ocp_ros.training.training_config import SacConfig
+from ocp_ros.training.transition_log import TransitionLog
 from ocp_ros.training.transitions import Assembler, Reward, Transition
 
 SAC = SacConfig(learning_starts=12, batch_size=8, buffer_size=400, device='cpu')

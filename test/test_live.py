@@ -18,11 +18,12 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ocp_ros.configuration import ConfigurationError
 from ocp_ros.geometry.blocks import Subset
 from ocp_ros.geometry.cameras import rotation_matrix
-from ocp_ros.nodes import health, qos, topics
-from ocp_ros.nodes.conversions import (
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.ros.interface import qos, topics
+from ocp_ros.ros.interface.conversions import (
     cloud_to_msg,
     msg_to_cloud,
     msg_to_positions,
@@ -30,13 +31,15 @@ from ocp_ros.nodes.conversions import (
     positions_to_msg,
     stamp_to_ns,
 )
-from ocp_ros.nodes.decider import Decider
-from ocp_ros.nodes.instructions import FINAL, instructions, STAY
-from ocp_ros.nodes.policy_config import PolicyNodeConfig
-from ocp_ros.nodes.policy_node import PolicyNode
-from ocp_ros.simulation.config import EngineConfig, RigConfig, SimulationConfig
+from ocp_ros.ros.policy.decider import Decider
+from ocp_ros.ros.policy.instructions import FINAL, instructions, STAY
+from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
+from ocp_ros.ros.policy_node import PolicyNode
+from ocp_ros.ros.runtime import diagnostics
 from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.util.settings import ConfigurationError
 
 S = 1_000_000_000
 CAMERAS = 3
@@ -158,7 +161,7 @@ def test_a_live_rig_comes_to_its_final_placement(live, room):
     assert policy._counts['refused_messages'] == 0
     live.wait_for_turns(10)
     level, message, values = policy._status()
-    assert (level, message) == (health.OK, 'placement is final')
+    assert (level, message) == (diagnostics.OK, 'placement is final')
     assert (values['silent_topics'], values['late_turns'], values['clock_jumps']) == ('', 0, 0)
     # It holds the cameras.
     np.testing.assert_allclose(msg_to_positions(live.last(topics.CAMERA_COMMANDS)),
@@ -207,15 +210,15 @@ def test_one_silent_camera_does_not_stop_the_others(live, capfd):
     rig.silent = {1}
     live.last(topics.PLACEMENT)
     live.graph.until(lambda: policy._status()[:2] == (
-        health.WARN, 'no clouds: points_1 (nothing came)'))
+        diagnostics.WARN, 'no clouds: points_1 (nothing came)'))
     assert policy._status()[2]['silent_topics'] == 'points_1'
     live.listen(DiagnosticArray, '/diagnostics', 10)
     policy._health.publish()
-    assert live.last('/diagnostics').status[0].level == health.WARN
+    assert live.last('/diagnostics').status[0].level == diagnostics.WARN
     assert 'no clouds: points_1 (nothing came); expected a cloud' in capfd.readouterr().err
     # It is welcome back.
     rig.silent = set()
-    live.graph.until(lambda: policy._status()[0] == health.OK)
+    live.graph.until(lambda: policy._status()[0] == diagnostics.OK)
 
 
 def test_a_rig_that_does_not_arrive_is_commanded_from_where_it_is(live, capfd):
@@ -269,7 +272,7 @@ def test_a_camera_that_sends_nonsense_does_not_stop_the_others(live, capfd, spoi
     live.wait_for_turns(3)
     assert policy._counts['refused_messages'] >= 3
     live.graph.until(lambda: policy._status()[:2] == (
-        health.WARN, 'no clouds: points_0 (nothing usable)'))
+        diagnostics.WARN, 'no clouds: points_0 (nothing usable)'))
     assert 'message refused: ' + words in capfd.readouterr().err
 
 
@@ -320,7 +323,7 @@ def test_nobody_says_where_the_cameras_are(live):
     rig, policy = live.start(cloud_timeout=0.1)
     graph = live.graph
     graph.remove(rig)
-    graph.until(lambda: policy._status()[:2] == (health.WARN, 'nothing on camera_poses'))
+    graph.until(lambda: policy._status()[:2] == (diagnostics.WARN, 'nothing on camera_poses'))
 
 
 def test_live_cameras_need_no_simulation(live):
@@ -370,7 +373,7 @@ def test_a_person_who_has_hung_a_camera_a_little_off_is_told_what_is_left(live):
     assert expected.count('camera') == 1
     live.last(topics.INSTRUCTIONS)
     live.graph.until(lambda: live.received[topics.INSTRUCTIONS][-1].data == expected)
-    assert policy._status()[0] == health.OK
+    assert policy._status()[0] == diagnostics.OK
     rig.go()
     live.wait_for_turns(2)
 

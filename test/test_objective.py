@@ -6,15 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ocp_ros.configuration import ConfigurationError
 from ocp_ros.geometry.blocks import pack
-from ocp_ros.geometry.sensors import SENSORS
+from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.planners.scorer import Scorer
+from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.rig.rig_file import rig_of
+from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.scenes.scene import SceneError
-from ocp_ros.simulation.config import EngineConfig, RigConfig, SimulationConfig
 from ocp_ros.simulation.objective import MUST, Objective, simulator_of
-from ocp_ros.simulation.rig_file import rig_of
+from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.util.settings import ConfigurationError
 
 ENGINE = EngineConfig(preset='fast', error_rows=32)
 FIXED = [{'sensor': 'kinect_v2', 'position': [4.0, 4.0, 2.2], 'yaw': 200, 'pitch': 20}]

@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 
 from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.observed import cells_of_the_air, Memory, NO_CELL, Observed, thinned
+from ocp_ros.agent.partial_map import cells_of_the_air, LookHistory, NO_CELL, PartialMap, thinned
 from ocp_ros.agent.policy import Policy
 from ocp_ros.geometry.blocks import unpack
 from ocp_ros.geometry.visibility import FINE
 from ocp_ros.planners.lookahead import Lookahead
-from ocp_ros.planners.online import HandRule, Learned, Online, play, ThenLookahead
-from ocp_ros.resources import find_model
+from ocp_ros.planners.online_planner import GreedyStep, Learned, Online, play, ThenLookahead
+from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.simulation.config import EpisodeConfig, RigConfig, SimulationConfig
 from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.util.resources import find_model
 
 MAX_STEP, MAX_RANGE, MARGIN = 0.5, 4.0, 0.1
 #: Three cameras cannot see all of the small room: where they stand makes a difference.
@@ -44,13 +45,13 @@ def learned(seed=0):
 
 def then_lookahead(seed=0):
     """Return the hand rule with lookahead in the last turns."""
-    return ThenLookahead(HandRule(*settings(seed)), Lookahead(*settings(seed)))
+    return ThenLookahead(GreedyStep(*settings(seed)), Lookahead(*settings(seed)))
 
 
 MADE = {
     'wanderer': lambda seed=0: Wanderer(*settings(seed)),
     'learned': learned,
-    'hand rule': lambda seed=0: HandRule(*settings(seed)),
+    'hand rule': lambda seed=0: GreedyStep(*settings(seed)),
     'lookahead': lambda seed=0: Lookahead(*settings(seed)),
     'then lookahead': then_lookahead}
 
@@ -149,7 +150,7 @@ def test_lookahead_alone_in_the_last_turn_stays_within_reach(room):
     online, positions = Lookahead(*settings()), np.array([[1.0, 1.0, 1.9], [2.0, 2.0, 1.9]])
     moves = online.move(room.points, positions, 29, 30)
     assert np.linalg.norm(moves, axis=1).max() <= MAX_STEP + 1e-9
-    model = Observed(room.points, positions, MAX_RANGE, 25000, 64, FINE)
+    model = PartialMap(room.points, positions, MAX_RANGE, 25000, 64, FINE)
     moved = positions + np.pad(moves, ((0, 0), (0, 1)))
     before, after = (model.error([model.look(position) for position in placed])
                      for placed in (positions, moved))
@@ -234,7 +235,7 @@ def test_a_huge_cloud_has_no_more_cells_than_it_may():
 
 def test_what_was_covered_stays_covered(room):
     corner = room.bounds[0] + [0.6, 0.6, 1.9]
-    model, memory = Observed(room.points, corner[None], MAX_RANGE, 6000, 32), Memory()
+    model, memory = PartialMap(room.points, corner[None], MAX_RANGE, 6000, 32), LookHistory()
     left = []
     for position in (corner, room.bounds[1] - [0.6, 0.6, 0.8], corner):
         memory.visit(position[None])
@@ -245,13 +246,13 @@ def test_what_was_covered_stays_covered(room):
 
 def test_what_was_covered_stays_covered_when_cells_grow():
     hall = box_room(40.0, 30.0, 4.0).points
-    corner, memory, here = hall[(hall[:, 0] < 20.0) & (hall[:, 1] < 20.0)], Memory(), (
+    corner, memory, here = hall[(hall[:, 0] < 20.0) & (hall[:, 1] < 20.0)], LookHistory(), (
         np.array([[10.0, 10.0, 2.0]]))
-    small, large = (Observed(cloud, here, 8.0, 6000, 32) for cloud in (corner, hall))
+    small, large = (PartialMap(cloud, here, 8.0, 6000, 32) for cloud in (corner, hall))
     assert (small.edge, large.edge) == (0.5, 1.0)
     memory.visit(here)
     memory.unseen(small)
-    fresh = Memory()
+    fresh = LookHistory()
     fresh.visit(here)
     # Whoever saw the whole hall from the beginning remembers nearly the same.
     one, other = (unpack(found.unseen(large), len(large.cells)) for found in (memory, fresh))

@@ -5,10 +5,10 @@ from matplotlib.image import imread
 import numpy as np
 import pytest
 
-from ocp_ros.report.picture import draw_placement
-from ocp_ros.report.room import _ceiling, _surface
-from ocp_ros.report.visibility import main
-from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.report.drawing.placement_picture import draw_placement
+from ocp_ros.report.drawing.room_drawing import _ceiling, _surface
+from ocp_ros.report.drawing.visibility_picture import main
+from ocp_ros.scenes.synthetic.generator import generate_room
 
 POINTS = generate_room(1, 3000).points
 CENTRE = np.append(POINTS.mean(axis=0)[:2], 1.9)

@@ -17,16 +17,16 @@ from scipy.spatial.transform import Rotation
 import yaml
 
 from ocp_ros.geometry.cameras import rotation_matrix
+from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.report.exports import launch_of, rviz_of, table_of, xacro_of
+from ocp_ros.report.findings import scores_of
 from ocp_ros.report.installer import instructions, walls_around, words_for
-from ocp_ros.report.verdict import scores_of
-from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.rig.feasible_region import FeasibleRegion
+from ocp_ros.rig.placement_file import load_placement, placement_of, save_placement
+from ocp_ros.rig.rig_file import load_rig, rig_of
 from ocp_ros.scenes.scene import Scene, turned
-from ocp_ros.simulation.config import EngineConfig
-from ocp_ros.simulation.constraints import Allowed
+from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.objective import Objective, simulator_of
-from ocp_ros.simulation.placement_file import load_placement, placement_of, save_placement
-from ocp_ros.simulation.rig_file import load_rig, rig_of
 
 MIXED = """\
 cameras:
@@ -135,7 +135,7 @@ def test_a_placement_written_by_hand_needs_little(room, tmp_path):
     assert len(rig.cameras) == 2 and len(rig.fixed) == 1
     assert rig.mount.on == 'free' and rig.mount.heights == pytest.approx((2.0, 2.2), abs=0.02)
     assert np.rad2deg(rig.pitch) == pytest.approx((0.0, 60.0)) and not rig.regions
-    assert Allowed(room, rig).broken(placement.poses) == []
+    assert FeasibleRegion(room, rig).broken(placement.poses) == []
     for mount, heights in (('plane', 1.9), ('ceiling', None)):
         made = placement_of(rig_of(2, 'd455', mount={'on': mount}), [
             [2.0, 2.0, 1.9], [4.0, 4.0, 1.9]])
@@ -212,7 +212,7 @@ def test_what_a_room_refuses_is_what_the_file_says(room, tmp_path, old, new, pla
     placement = placement_in(
         tmp_path, HAND.replace(old, new).replace('[1, 1, 2.2]', '[1, 1, 6.9]'))
     with refused_in_one_sentence(f'placement.yaml: {place}', remedy):
-        Allowed(room, placement.rig_in(room))
+        FeasibleRegion(room, placement.rig_in(room))
 
 
 def frames_of(arguments):

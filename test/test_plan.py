@@ -17,21 +17,21 @@ import pytest
 from scipy.spatial import cKDTree
 import yaml
 
-from ocp_ros.benchmark.counting import curves, needed
-from ocp_ros.cli import main
-from ocp_ros.configuration import ConfigurationError
+from ocp_ros.cli.main import main
+from ocp_ros.evaluation.camera_counts import curves, needed
 from ocp_ros.geometry.blocks import count_bits
+from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.planners.budget import Budget
-from ocp_ros.planners.pool import best_addition, clear, packed, Pool, random_sites
+from ocp_ros.planners.candidate_pool import best_addition, clear, packed, Pool, random_sites
 from ocp_ros.planners.rig_plan import RigPlanner
 from ocp_ros.planners.rig_search import search
-from ocp_ros.scenes.files import save_scene
-from ocp_ros.scenes.rooms import generate_room
-from ocp_ros.simulation.config import EngineConfig
-from ocp_ros.simulation.constraints import Allowed
+from ocp_ros.rig.feasible_region import FeasibleRegion
+from ocp_ros.rig.placement_file import load_placement
+from ocp_ros.rig.rig_file import load_rig, rig_of, with_count
+from ocp_ros.scenes.scene_files import save_scene
+from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.objective import Objective, simulator_of
-from ocp_ros.simulation.placement_file import load_placement
-from ocp_ros.simulation.rig_file import load_rig, rig_of, with_count
+from ocp_ros.util.settings import ConfigurationError
 
 FAST = EngineConfig(preset='fast', error_rows=32)
 RIG = """\
@@ -50,7 +50,7 @@ regions:
 
 def judges(scene, rig, engine=FAST):
     """Return what judges placements of a rig and holds them to its constraints."""
-    return Objective(simulator_of(scene, rig, engine), rig), Allowed(scene, rig)
+    return Objective(simulator_of(scene, rig, engine), rig), FeasibleRegion(scene, rig)
 
 
 def found_by(scene, rig, evaluations=240, seed=0, start=()):
@@ -85,7 +85,7 @@ def test_whatever_is_asked_every_camera_keeps_to_it(
     answer, objective, _ = found_by(furnished, rig, seed=seed)
     poses = answer.poses
     assert poses.shape == (len(cameras), 6)
-    assert Allowed(furnished, rig).broken(poses) == []
+    assert FeasibleRegion(furnished, rig).broken(poses) == []
     assert objective.evaluate(poses).loss == answer.loss == min(answer.losses)
     # The same by hand, in a room whose measures are known.
     x, y, z = poses[:, :3].T
@@ -161,7 +161,7 @@ def test_cameras_that_hardly_find_room_are_packed(furnished):
     rig = rig_of(4, mount=MOUNTS['plane'], spacing=2.6)
     answer, _, pool = found_by(furnished, rig, 50)
     assert len(packed(rig, pool)) == 4
-    assert Allowed(furnished, rig).broken(answer.poses) == []
+    assert FeasibleRegion(furnished, rig).broken(answer.poses) == []
 
 
 def test_one_more_camera_is_the_best_of_all_candidates(furnished):
@@ -409,7 +409,7 @@ def test_ctrl_c_while_drawing_leaves_the_placement(files, capsys, monkeypatch):
     def stop(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr('ocp_ros.report.plan.verdict', stop)
+    monkeypatch.setattr('ocp_ros.cli.plan_command.verdict', stop)
     assert main(['plan', 'room.ply', '--cameras', '2', '--evaluations', '20']) == 130
     assert capsys.readouterr().err == (
         'ocp: stopped; where the cameras hang is in out/plan/placement.yaml\n')
@@ -436,7 +436,7 @@ def test_ctrl_c_writes_the_best_so_far(files):
 INTERRUPTED = f"""
 from contextlib import suppress
 import os, signal, sys
-from ocp_ros.cli import main
+from ocp_ros.cli.main import main
 from ocp_ros.planners import rig_search
 judge = rig_search.Search.judge
 def judged(self, sites):

@@ -10,25 +10,26 @@ import numpy as np
 import pytest
 import yaml
 
-from ocp_ros.cli import main
+from ocp_ros.cli.main import main
 from ocp_ros.geometry.blocks import Subset
+from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.planners.budget import Budget
-from ocp_ros.planners.decoder import Decoder
-from ocp_ros.planners.methods import PLANNERS
-from ocp_ros.planners.online import Online
-from ocp_ros.planners.pool import Pool
+from ocp_ros.planners.candidate_pool import Pool
+from ocp_ros.planners.online_planner import Online
+from ocp_ros.planners.pose_decoder import Decoder
 from ocp_ros.planners.registry import OFFLINE, ONLINE
+from ocp_ros.planners.rig_methods import PLANNERS
 from ocp_ros.planners.rig_offline import RigScorer
 from ocp_ros.planners.rig_online import play_held
 from ocp_ros.planners.rig_plan import RigPlanner
-from ocp_ros.scenes.files import save_scene
-from ocp_ros.scenes.rooms import generate_room
-from ocp_ros.scenes.source import make_room
-from ocp_ros.simulation.config import EngineConfig, EpisodeConfig
-from ocp_ros.simulation.constraints import Allowed
+from ocp_ros.rig.feasible_region import FeasibleRegion
+from ocp_ros.rig.placement_file import placement_of, save_placement
+from ocp_ros.rig.rig_file import load_rig, rig_of, with_count
+from ocp_ros.scenes.scene_files import save_scene
+from ocp_ros.scenes.scene_source import make_room
+from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.objective import Objective, simulator_of
-from ocp_ros.simulation.placement_file import placement_of, save_placement
-from ocp_ros.simulation.rig_file import load_rig, rig_of, with_count
+from ocp_ros.simulation.simulation_config import EpisodeConfig
 
 FAST = EngineConfig(preset='fast', error_rows=32)
 EVALUATIONS, TURNS = 40, 10
@@ -78,7 +79,7 @@ def planned(files):
 
 def decoder_of(scene, rig, candidates=120):
     """Return a decoder with few candidates."""
-    objective, allowed = Objective(simulator_of(scene, rig, FAST), rig), Allowed(scene, rig)
+    objective, allowed = Objective(simulator_of(scene, rig, FAST), rig), FeasibleRegion(scene, rig)
     return Decoder(objective, allowed, Pool(objective, allowed, candidates, 600))
 
 
@@ -86,7 +87,7 @@ def decoder_of(scene, rig, candidates=120):
 def test_every_constraint_holds_and_a_file_scores_the_same(planned, files, capsys, name):
     plan = planned(name)
     poses, rig = plan.answer.poses, planned.rig
-    assert poses.shape == (3, 6) and Allowed(planned.scene, rig).broken(poses) == []
+    assert poses.shape == (3, 6) and FeasibleRegion(planned.scene, rig).broken(poses) == []
     x, y, z = poses[:, :3].T
     assert not ((x > 2.5) & (x < 4.5) & (y > 2.5) & (y < 4.5)).any() and np.ptp(z) < 0.02
     places = np.vstack([poses[:, :3], [6.0, 6.0, 2.0]])
@@ -140,7 +141,7 @@ def test_whatever_is_proposed_is_hung_where_it_may(
     sites = decode(places)
     full = decode.completed(sites)
     assert len(sites) == min(len(places), len(full))
-    judge = Allowed(furnished, rig)
+    judge = FeasibleRegion(furnished, rig)
     for hung in (sites, full):
         assert judge.broken(np.array([site.pose for site in hung]).reshape(-1, 6)) == []
     for camera, site in enumerate(full):
@@ -200,9 +201,9 @@ def test_who_leaves_cameras_out_gets_them_hung_where_they_help(furnished):
 def test_cameras_that_hardly_find_room_hang_packed(furnished):
     rig = rig_of(4, mount=MOUNTS['plane'], spacing=2.6)
     sites = decoder_of(furnished, rig)(np.repeat([[3.0, 2.0]], 4, axis=0))
-    assert Allowed(furnished, rig).broken(np.array([site.pose for site in sites])) == []
+    assert FeasibleRegion(furnished, rig).broken(np.array([site.pose for site in sites])) == []
     plan = RigPlanner(furnished, rig, FAST, Budget(evaluations=20), planner='cma_es').plan(rig)
-    assert Allowed(furnished, rig).broken(plan.answer.poses) == []
+    assert FeasibleRegion(furnished, rig).broken(plan.answer.poses) == []
 
 
 def test_planners_are_told_the_loss_the_coverage_and_what_is_seen(furnished):
@@ -235,7 +236,7 @@ def test_who_has_had_enough_gets_the_best_so_far(furnished, name):
     planner = RigPlanner(furnished, rig, FAST, budget, progress=progress, planner=name)
     plan = planner.plan(rig)
     assert len(calls) == 3 and budget.stopped
-    assert Allowed(furnished, rig).broken(plan.answer.poses) == []
+    assert FeasibleRegion(furnished, rig).broken(plan.answer.poses) == []
     if name in OFFLINE:
         assert plan.answer.evaluations == 3
         # What it had before all cameras hung is completed.

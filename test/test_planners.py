@@ -7,21 +7,23 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ocp_ros.benchmark.rooms import space_of
+from ocp_ros.evaluation.benchmark_rooms import space_of
+from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.planners.annealing import TransDimensionalAnnealing
 from ocp_ros.planners.evolution import matched, WARM_SIGMA, WarmCmaEs
 from ocp_ros.planners.greedy import fill
-from ocp_ros.planners.online import Online
+from ocp_ros.planners.online_planner import Online
+from ocp_ros.planners.particle_swarm import BinaryParticleSwarm
 from ocp_ros.planners.planner import Planner, Scores
 from ocp_ros.planners.registry import OFFLINE
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
-from ocp_ros.planners.swarm import BinaryParticleSwarm
-from ocp_ros.simulation.config import EngineConfig, EpisodeConfig, RigConfig, SimulationConfig
+from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
-from ocp_ros.simulation.space import Space
 
-SPACE = Space(np.array([-1.0, 2.0]), np.array([5.0, 6.0]), 1.9, 3)
+SPACE = FreePlane(np.array([-1.0, 2.0]), np.array([5.0, 6.0]), 1.9, 3)
 TARGETS = np.array([[0.1, 2.4], [4.3, 5.1], [2.2, 3.3]])
 #: Those that can go anywhere and have nothing to do but go on.
 CONTINUOUS = ['greedy_swap', 'tdsa', 'annealing', 'bee_colony', 'differential_evolution',
@@ -80,7 +82,7 @@ def test_a_problem_with_a_known_answer_is_solved(name):
 
 @pytest.mark.parametrize('name', sorted(set(OFFLINE) - {'random', 'regular_grid'}))
 def test_every_search_beats_chance(name):
-    space = Space(SPACE.low, SPACE.high, 1.9, 3)
+    space = FreePlane(SPACE.low, SPACE.high, 1.9, 3)
     found = np.mean([run(name, 400, seed, space=space).depth_error for seed in range(4)])
     assert found < np.mean([run('random', 400, seed).depth_error for seed in range(4)])
 
@@ -207,7 +209,7 @@ def test_tdsa_without_energy_is_a_poisson_process(cameras, rate):
         births = 0.3
 
     Free.rate = rate
-    planner = Free(Space(SPACE.low, SPACE.high, 1.9, cameras), np.random.default_rng(5), 100)
+    planner = Free(FreePlane(SPACE.low, SPACE.high, 1.9, cameras), np.random.default_rng(5), 100)
     placed, counts, places = np.empty((0, 2)), [], []
     for number in range(60000):
         step = planner.step(placed, 0.0, 1.0, 1.0)
@@ -231,7 +233,7 @@ def test_tdsa_without_energy_is_a_poisson_process(cameras, rate):
 
 
 def test_folding_keeps_a_step_symmetric_and_inside():
-    space = Space(np.zeros(2), np.array([2.0, 1.0]), 1.0, 1)
+    space = FreePlane(np.zeros(2), np.array([2.0, 1.0]), 1.0, 1)
     np.testing.assert_allclose(space.reflected(np.array([[2.5, -0.25], [-4.5, 3.25]])),
                                [[1.5, 0.25], [0.5, 0.75]])
 

@@ -20,9 +20,10 @@ from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
 from ocp_ros.agent.checkpoint import CheckpointError
 from ocp_ros.agent.encoder import Encoder
 from ocp_ros.agent.policy import Policy
-from ocp_ros.configuration import ConfigurationError
-from ocp_ros.nodes import qos, topics
-from ocp_ros.nodes.conversions import (
+from ocp_ros.planners.online_planner import play, REFINING
+from ocp_ros.rig.motion import bounded_moves
+from ocp_ros.ros.interface import qos, topics
+from ocp_ros.ros.interface.conversions import (
     bytes_to_msg,
     cloud_to_msg,
     fields_to_msg,
@@ -31,14 +32,13 @@ from ocp_ros.nodes.conversions import (
     positions_to_msg,
     stamp_to_ns,
 )
-from ocp_ros.nodes.policy_config import PLANNERS, PolicyNodeConfig
-from ocp_ros.nodes.policy_node import PolicyNode
-from ocp_ros.nodes.policy_planners import make_planner
-from ocp_ros.nodes.sim_node import SimNode
-from ocp_ros.nodes.simulated_turns import REMEMBERED
-from ocp_ros.planners.online import play, REFINING
+from ocp_ros.ros.policy.policy_config import PLANNERS, PolicyNodeConfig
+from ocp_ros.ros.policy.policy_planners import make_planner
+from ocp_ros.ros.policy.simulated_turns import REMEMBERED
+from ocp_ros.ros.policy_node import PolicyNode
+from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.moves import bounded_moves
+from ocp_ros.util.settings import ConfigurationError
 
 POSITIONS = np.array([[4.0, 4.0, 1.9], [5.0, 4.0, 1.9], [4.0, 5.0, 1.9]])
 
@@ -543,7 +543,7 @@ def test_a_model_that_is_no_model_is_refused(graph, tmp_path):
 
 def test_it_starts_without_the_heavy_packages():
     heavy = "{'open3d', 'stable_baselines3', 'matplotlib', 'gymnasium', 'cma'}"
-    code = ('import sys, ocp_ros.nodes.policy_node; '
+    code = ('import sys, ocp_ros.ros.policy_node; '
             f'found = {heavy} & set(sys.modules); sys.exit(str(found) if found else 0)')
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
                           check=False)

@@ -9,14 +9,20 @@ import pytest
 import torch
 
 from ocp_ros.geometry.blocks import no_bits
-from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.scenes.scene import turned
-from ocp_ros.simulation.config import EngineConfig, EpisodeConfig, SimulationConfig
-from ocp_ros.simulation.env import CameraPlacementEnv
-from ocp_ros.training import replay
-from ocp_ros.training.augmentation import Maps, SYMMETRIES, turn_observation
-from ocp_ros.training.encoded import action_space, encoded_space, EncodedObservation, Known
-from ocp_ros.training.replay import Rebuild, TurnReplay
+from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.simulation.environment import CameraPlacementEnv
+from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
+from ocp_ros.training import replay_buffer
+from ocp_ros.training.augmentation import SYMMETRIES, Symmetries, turn_observation
+from ocp_ros.training.encoded_environment import (
+    action_space,
+    encoded_space,
+    EncodedObservation,
+    Known,
+)
+from ocp_ros.training.replay_buffer import Rebuild, TurnReplay
 
 SIMULATION = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=16, coverage_cell=1.0),
                               episode=EpisodeConfig(turns=6))
@@ -35,7 +41,7 @@ def cloud_agent(small_agent):
 @pytest.fixture
 def unturned(monkeypatch):
     """Switch the symmetries off."""
-    monkeypatch.setattr(replay, 'symmetric', lambda batch: batch)
+    monkeypatch.setattr(replay_buffer, 'symmetric', lambda batch: batch)
 
 
 def numbered(known):
@@ -366,4 +372,5 @@ def test_each_sample_is_what_was_played_but_for_one_symmetry(rooms, cloud_agent)
                             turn_observation(after, maps)['cameras'][0])
             and torch.allclose(batch.actions[row].view(4, 2),
                                torch.from_numpy(stored[reward]).view(4, 2) @ maps.matrices[0].T)
-            for maps in (Maps.of(torch.tensor([number])) for number in range(len(SYMMETRIES))))
+            for maps in (Symmetries.of(torch.tensor([number]))
+                         for number in range(len(SYMMETRIES))))

@@ -24,12 +24,15 @@ from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header, String
 
-from ocp_ros.cli import main
-from ocp_ros.configuration import ConfigurationError
+from ocp_ros.cli.main import main
+from ocp_ros.ros.bags.replay_run import options_of, pose_of
 from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
-from ocp_ros.nodes import qos, topics
-from ocp_ros.nodes.bags import Bag, CLOUD, POSES, Recorded, TRANSFORMS
-from ocp_ros.nodes.conversions import (
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.ros.bags.bag_files import Bag, CLOUD, POSES, Recorded, TRANSFORMS
+from ocp_ros.ros.bags.bag_replay import Replay
+from ocp_ros.ros.bags.replay_options import ReplayOptions
+from ocp_ros.ros.interface import qos, topics
+from ocp_ros.ros.interface.conversions import (
     cloud_to_msg,
     msg_to_cloud,
     msg_to_poses,
@@ -37,12 +40,10 @@ from ocp_ros.nodes.conversions import (
     positions_to_msg,
     stamp_to_ns,
 )
-from ocp_ros.nodes.policy_node import PolicyNode
-from ocp_ros.nodes.replay import Replay
-from ocp_ros.nodes.replay_command import options_of, pose_of
-from ocp_ros.nodes.replay_options import ReplayOptions
-from ocp_ros.simulation.config import EngineConfig, SimulationConfig
+from ocp_ros.ros.policy_node import PolicyNode
+from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.util.settings import ConfigurationError
 
 S = 1_000_000_000
 ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_JAZZY)
@@ -377,7 +378,7 @@ def test_a_part_without_clouds_is_an_error(stage, clouds, tmp_path):
 
 
 def test_options_of_the_command_line():
-    from ocp_ros.cli import parser
+    from ocp_ros.cli.main import parser
     options = options_of(parser().parse_args([
         'replay', 'a.bag', '--pose=-1,2,1.5,90', '--frame', '/a=b', '--frame', 'c', '--rate', '2',
         '--topics', '/a:=/b']))
@@ -391,7 +392,8 @@ def test_a_signal_ends_a_loop(domain, clouds, tmp_path, number):
     recording = Recording()
     recording.add_turn(clouds, ('map', 'map'))
     path = recording.write(tmp_path, 'mcap')
-    command = [sys.executable, '-m', 'ocp_ros.cli', 'replay', str(path), '--loop', '--wait', '0.1']
+    command = [sys.executable, '-m', 'ocp_ros.cli.main', 'replay', str(path), '--loop', '--wait',
+               '0.1']
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True,
                           env={**os.environ, 'ROS_DOMAIN_ID': str(domain)}) as process:
         # It begins when it has waited in vain.

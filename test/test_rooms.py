@@ -12,14 +12,14 @@ import numpy as np
 from plyfile import PlyData
 import pytest
 
-from ocp_ros import cli
-from ocp_ros.benchmark.likeness import generated, shares_of_kinds, summary
-from ocp_ros.scenes.files import load_scene
-from ocp_ros.scenes.furniture import KINDS, placed, solid
-from ocp_ros.scenes.plan import mirrored, Plan
-from ocp_ros.scenes.room_kinds import draw_plan, ROOMS
-from ocp_ros.scenes.rooms import generate_room, mesh_of
-from ocp_ros.scenes.scanning import boxes_of, densities, exposed, free, scan, surface_of
+from ocp_ros.cli import main as cli
+from ocp_ros.evaluation.room_likeness import generated, shares_of_kinds, summary
+from ocp_ros.scenes.scene_files import load_scene
+from ocp_ros.scenes.synthetic.furniture import KINDS, placed, solid
+from ocp_ros.scenes.synthetic.generator import generate_room, mesh_of
+from ocp_ros.scenes.synthetic.room_kinds import draw_plan, ROOMS
+from ocp_ros.scenes.synthetic.room_plan import mirrored, RoomPlan
+from ocp_ros.scenes.synthetic.scanning import boxes_of, densities, exposed, free, scan, surface_of
 
 SEEDS = strategies.integers(0, 1 << 31)
 
@@ -38,7 +38,7 @@ def depth_in(points, part):
 
 def box_plan(*solids, size=(6.0, 5.0, 3.0)):
     """Return a room with given solids."""
-    return Plan('office', np.array(size), np.random.default_rng(0), list(solids))
+    return RoomPlan('office', np.array(size), np.random.default_rng(0), list(solids))
 
 
 def test_the_same_seed_gives_the_same_room():
@@ -236,7 +236,7 @@ def test_nobody_is_told_of_a_pipe_that_was_closed(tmp_path):
     os.close(read)
     try:
         done = subprocess.run(
-            [sys.executable, '-m', 'ocp_ros.cli', 'rooms', 'make', '3', '--points', '1000',
+            [sys.executable, '-m', 'ocp_ros.cli.main', 'rooms', 'make', '3', '--points', '1000',
              '--out', str(tmp_path)], stdout=write, stderr=subprocess.PIPE, text=True)
     finally:
         os.close(write)

@@ -17,9 +17,9 @@ from rclpy.node import Node
 from rclpy.signals import get_current_signal_handlers_options, SignalHandlerOptions
 from std_msgs.msg import Float64
 
-from ocp_ros.nodes.network import ASKED, LOCALHOST, stay_local
-from ocp_ros.nodes.processes import free_domain
-from ocp_ros.nodes.runner import run, undisturbed
+from ocp_ros.demo.node_processes import free_domain
+from ocp_ros.ros.runtime.network import ASKED, LOCALHOST, stay_local
+from ocp_ros.ros.runtime.node_main import run, undisturbed
 from ocp_ros.scenes.scene import SceneError
 
 #: Seconds after which a process that shall end hangs.
@@ -47,8 +47,8 @@ def test_a_signal_while_a_node_publishes_ends_it_with_0():
 
 INTERRUPTED = """
 import signal, sys
-from ocp_ros.nodes.network import ASKED, LOCALHOST, stay_local
-from ocp_ros.nodes.runner import run
+from ocp_ros.ros.runtime.network import ASKED, LOCALHOST, stay_local
+from ocp_ros.ros.runtime.node_main import run
 
 def make_node():
     try:
@@ -103,7 +103,7 @@ def test_an_interrupt_that_a_callback_takes_for_an_error_of_its_own_ends_a_node(
 PARENT = """
 import sys
 from pathlib import Path
-from ocp_ros.nodes.processes import free_domain, NodeProcess
+from ocp_ros.demo.node_processes import free_domain, NodeProcess
 
 domain, holder = free_domain()
 node = NodeProcess('policy_node', domain, Path(sys.argv[1]), {})

@@ -13,10 +13,9 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 from std_msgs.msg import Float64MultiArray, Header, String
 
-from ocp_ros.configuration import ConfigurationError, leaves
 from ocp_ros.geometry.cameras import angle_between
-from ocp_ros.nodes import qos, topics
-from ocp_ros.nodes.conversions import (
+from ocp_ros.ros.interface import qos, topics
+from ocp_ros.ros.interface.conversions import (
     cloud_to_msg,
     fields_to_msg,
     msg_to_poses,
@@ -25,9 +24,10 @@ from ocp_ros.nodes.conversions import (
     positions_to_msg,
     stamp_to_ns,
 )
-from ocp_ros.nodes.policy_config import PolicyNodeConfig
-from ocp_ros.nodes.policy_node import PolicyNode
-from ocp_ros.nodes.sim_node import SimNode, SimNodeConfig
+from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
+from ocp_ros.ros.policy_node import PolicyNode
+from ocp_ros.ros.sim_node import SimNode, SimNodeConfig
+from ocp_ros.util.settings import ConfigurationError, leaves
 
 POSITIONS = np.array([[2.0, 2.0, 1.9], [3.0, 2.0, 1.9], [2.0, 3.0, 1.9]])
 

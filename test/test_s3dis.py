@@ -5,17 +5,17 @@ import numpy as np
 from plyfile import PlyData, PlyElement
 import pytest
 
-from ocp_ros.benchmark.protocol import PRESETS
-from ocp_ros.benchmark.rooms import rooms_of_s3dis
-from ocp_ros.cli import parser
-from ocp_ros.report.compare import protocol_of
-from ocp_ros.scenes import cached
-from ocp_ros.scenes.cached import cache_folder, load_cached
-from ocp_ros.scenes.files import load_scene
-from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.cli.benchmark_command import protocol_of
+from ocp_ros.cli.main import parser
+from ocp_ros.evaluation.benchmark_rooms import rooms_of_s3dis
+from ocp_ros.evaluation.protocol import PRESETS
+from ocp_ros.scenes import scene_cache
 from ocp_ros.scenes.s3dis import chosen_rooms, rooms_of_area
 from ocp_ros.scenes.scene import SceneError
-from ocp_ros.scenes.source import make_room
+from ocp_ros.scenes.scene_cache import cache_folder, load_cached
+from ocp_ros.scenes.scene_files import load_scene
+from ocp_ros.scenes.scene_source import make_room
+from ocp_ros.scenes.synthetic.generator import generate_room
 
 
 def box(width, depth, height=2.8):
@@ -30,7 +30,7 @@ def box(width, depth, height=2.8):
 def folder(tmp_path, monkeypatch):
     """Make a small copy of the data set's folders, and a cache."""
     monkeypatch.setenv('OCP_ROS_CACHE', str(tmp_path / 'cache'))
-    monkeypatch.setattr(cached, 'LARGE', 0)
+    monkeypatch.setattr(scene_cache, 'LARGE', 0)
     rooms = {'office_2': box(6.0, 7.0), 'office_10': box(6.5, 7.0), 'WC_1': box(3.0, 3.0),
              'openspace_1': box(14.0, 12.0), 'stairs_1': box(6.0, 6.0),
              'hallway_1': box(5.0, 9.0)[box(5.0, 9.0)[:, 2] < 2.5]}
@@ -84,11 +84,11 @@ def test_the_folder_is_named_by_the_environment(folder, monkeypatch):
 def test_what_was_read_once_is_not_read_again(folder, monkeypatch):
     path = folder / 'Area_6' / 'office_2' / 'office_2.txt'
     first = load_cached(path, max_points=1000)
-    monkeypatch.setattr(cached, 'load_scene', None)
+    monkeypatch.setattr(scene_cache, 'load_scene', None)
     again = load_cached(path, max_points=1000)
     np.testing.assert_array_equal(first.points, again.points)
     assert again.name == 'Area_6_office_2' and again.normals is None
-    monkeypatch.setattr(cached, 'load_scene', load_scene)
+    monkeypatch.setattr(scene_cache, 'load_scene', load_scene)
     # Other options, another file, or a cache that broke off are read anew.
     assert len(load_cached(path, max_points=500)) < len(first)
     for kept in cache_folder().iterdir():
@@ -98,7 +98,7 @@ def test_what_was_read_once_is_not_read_again(folder, monkeypatch):
 
 def test_normals_are_kept_and_a_cache_that_cannot_be_written_does_not_matter(
         tmp_path, monkeypatch):
-    monkeypatch.setattr(cached, 'LARGE', 0)
+    monkeypatch.setattr(scene_cache, 'LARGE', 0)
     room = generate_room(30, 3000)
     path = tmp_path / 'a.ply'
     columns = np.hstack([room.points, room.normals_or_estimate]).astype(np.float32)

@@ -16,24 +16,31 @@ import torch
 
 from ocp_ros.agent.checkpoint import CheckpointError
 from ocp_ros.agent.encoder import Encoder
+from ocp_ros.agent.move_effects import WAYS
 from ocp_ros.agent.policy import Policy
-from ocp_ros.agent.world import WAYS
-from ocp_ros.scenes.rooms import generate_room
-from ocp_ros.simulation.config import EngineConfig, EpisodeConfig, RigConfig, SimulationConfig
-from ocp_ros.simulation.env import CameraPlacementEnv
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.reward import potential
+from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.training.augmentation import (
-    Maps,
     symmetric,
     SymmetricReplayBuffer,
     SYMMETRIES,
+    Symmetries,
     turn,
     turn_observation,
 )
-from ocp_ros.training.config import SacConfig
-from ocp_ros.training.encoded import CameraByCamera, encoded_space, EncodedObservation, padded
+from ocp_ros.training.encoded_environment import (
+    CameraByCamera,
+    encoded_space,
+    EncodedObservation,
+    padded,
+)
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
-from ocp_ros.training.state import load_state, save_state
+from ocp_ros.training.sac_state import load_state, save_state
+from ocp_ros.training.training_config import SacConfig
 
 SIMULATION = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=16, coverage_cell=1.0),
                               episode=EpisodeConfig(turns=6))
@@ -89,7 +96,7 @@ def seen_turned(scene, agent, matrix):
 def test_a_symmetry_is_what_the_turned_room_would_have_given(agent, number):
     scene = generate_room(8, 5000)
     straight = seen_turned(scene, agent, np.eye(2))
-    found = turn_observation(batch(straight), Maps.of(torch.tensor([number])))
+    found = turn_observation(batch(straight), Symmetries.of(torch.tensor([number])))
     expected = seen_turned(scene, agent, SYMMETRIES[number].numpy())
     assert found.keys() == expected.keys()
     for name in expected.keys() - {'directions', 'own'}:
@@ -116,7 +123,7 @@ def test_symmetries_are_eight_and_keep_lengths():
 
 @pytest.mark.parametrize('number', range(8))
 def test_directions_are_shifted_as_the_plane_is_turned(number):
-    maps, ways = Maps.of(torch.tensor([number])), torch.tensor(WAYS, dtype=torch.float32)
+    maps, ways = Symmetries.of(torch.tensor([number])), torch.tensor(WAYS, dtype=torch.float32)
     # What is told of a direction is told of the direction that the symmetry makes of it.
     told = turn_observation({'directions': turn(ways[None, None], maps.matrices)}, maps)
     torch.testing.assert_close(told['directions'][0, 0], ways)
@@ -124,7 +131,7 @@ def test_directions_are_shifted_as_the_plane_is_turned(number):
 
 def turned(encoded, number):
     """Apply a symmetry to one observation."""
-    return turn_observation(batch(encoded), Maps.of(torch.tensor([number])))
+    return turn_observation(batch(encoded), Symmetries.of(torch.tensor([number])))
 
 
 def test_the_replay_gives_back_what_was_stored_but_for_a_symmetry(env, agent):

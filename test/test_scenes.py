@@ -12,10 +12,10 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from ocp_ros.geometry.voxels import voxel_downsample, voxel_size_for
-from ocp_ros.scenes.files import load_scene, SceneWarning
 from ocp_ros.scenes.neighbours import nearest
-from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import check_points, likely_up_axis, Scene, SceneError
+from ocp_ros.scenes.scene_files import load_scene, SceneWarning
+from ocp_ros.scenes.synthetic.generator import generate_room
 
 ROOM = generate_room(3, 2500).points
 # From a scene with z up to the same scene in a file with another axis up.

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import yaml
 
-from ocp_ros.cli import main
-from ocp_ros.report.score import room_named
-from ocp_ros.report.verdict import improvements
-from ocp_ros.scenes.files import load_scene, save_scene
-from ocp_ros.scenes.rooms import generate_room
-from ocp_ros.simulation.config import EngineConfig
-from ocp_ros.simulation.constraints import Allowed
+from ocp_ros.cli.main import main
+from ocp_ros.cli.score_command import room_named
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.report.findings import improvements
+from ocp_ros.rig.feasible_region import FeasibleRegion
+from ocp_ros.rig.rig_file import load_rig, rig_of
+from ocp_ros.scenes.scene_files import load_scene, save_scene
+from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.objective import Objective, simulator_of
-from ocp_ros.simulation.rig_file import load_rig, rig_of
 
 RIG = """\
 cameras:
@@ -178,7 +178,7 @@ def test_where_nothing_more_may_hang_no_camera_is_offered(room):
     rig = rig_of(1, 'd455', no_go=[{'box': [[-9, -9, -9], [99, 99, 99]]}])
     objective, poses = Objective(simulator_of(room, rig, EngineConfig(preset='fast')), rig), \
         np.array([[2.0, 2.0, 1.9, 0.0, 0.4, 0.0]])
-    found = improvements(objective, Allowed(room, rig), poses, objective.look(poses))
+    found = improvements(objective, FeasibleRegion(room, rig), poses, objective.look(poses))
     assert found['one_more'] is None
     assert found['missed']['hopeless'] == found['missed']['share'] > 0.5
 

@@ -15,15 +15,16 @@ from matplotlib.text import Text
 import numpy as np
 import pytest
 
-from ocp_ros.documents import Document
-from ocp_ros.report import floor_plan, fonts, maps, sheet
-from ocp_ros.report.figures import metres
-from ocp_ros.report.numbers import apart
-from ocp_ros.report.score import judge, room_named
-from ocp_ros.report.table import shortened, width_of
-from ocp_ros.simulation.config import EngineConfig
-from ocp_ros.simulation.placement_file import placement_of
-from ocp_ros.simulation.rig_file import rig_from, rig_of
+from ocp_ros.cli.score_command import judge, room_named
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.report import sheet
+from ocp_ros.report.drawing import assessment_pictures, floor_plan, fonts
+from ocp_ros.report.drawing.camera_labels import apart
+from ocp_ros.report.drawing.figure_table import shortened, width_of
+from ocp_ros.report.key_figures import metres
+from ocp_ros.rig.placement_file import placement_of
+from ocp_ros.rig.rig_file import rig_from, rig_of
+from ocp_ros.util.yaml_files import Document
 
 LONG = 'the camera over the door to the storage room, left of the $ sign of the bank'
 ENGINE = EngineConfig('fast', 32, 0.5)
@@ -102,7 +103,7 @@ def test_the_page_is_a4_on_its_side_and_says_what_was_found(rooms, tmp_path):
                   judged.words[0].place):
         assert words in texts, words
     # Most of this room is seen by nobody, and shown so.
-    none = np.abs(image[..., :3] - to_rgb(maps.COUNT_COLOURS[0])).max(axis=2) < 0.1
+    none = np.abs(image[..., :3] - to_rgb(assessment_pictures.COUNT_COLOURS[0])).max(axis=2) < 0.1
     assert none.mean() > 0.02
 
 

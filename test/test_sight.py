@@ -5,16 +5,13 @@ from conftest import box_room
 import numpy as np
 import pytest
 
-from ocp_ros.agent.observed import Observed, thinned
-from ocp_ros.agent.sight import directions, Sight
-from ocp_ros.agent.world import ERROR, FLOOR, POINTS, ROWS, WorldInputs
+from ocp_ros.agent.move_effects import ERROR, FLOOR, POINTS, ROWS, WorldInputs
+from ocp_ros.agent.partial_map import PartialMap, thinned
+from ocp_ros.agent.rig_state import directions, RigState
 from ocp_ros.geometry.blocks import pack
 from ocp_ros.geometry.cameras import CameraModel
-from ocp_ros.geometry.sensors import SENSORS
 from ocp_ros.planners.annealing import annealed, between
-from ocp_ros.planners.lookahead import Lookahead
-from ocp_ros.planners.online import HandRule, matched, ThenLookahead
-from ocp_ros.planners.sites import (
+from ocp_ros.planners.candidate_sites import (
     ANYWHERE,
     Candidates,
     COLD,
@@ -24,7 +21,10 @@ from ocp_ros.planners.sites import (
     most_places,
     Sites,
 )
-from ocp_ros.simulation.space import Space
+from ocp_ros.planners.lookahead import Lookahead
+from ocp_ros.planners.online_planner import GreedyStep, matched, ThenLookahead
+from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.rig.sensors import SENSORS
 
 MAX_STEP, MAX_RANGE, MARGIN, TURNS = 0.5, 3.0, 0.1, 12
 NEAR = CameraModel(max_range=MAX_RANGE)
@@ -33,8 +33,8 @@ CLOUD = thinned(box_room(12.0, 4.0).points, 4000)
 #: A camera starts in the middle of a long room, and one is in place near either end of it.
 START, PLACED = np.array([6.0, 2.0, 1.9]), (2.0, 10.0)
 PLANNERS = {
-    'lookahead': Lookahead, 'hand rule': HandRule,
-    'then lookahead': lambda *settings: ThenLookahead(HandRule(*settings), Lookahead(*settings))}
+    'lookahead': Lookahead, 'hand rule': GreedyStep,
+    'then lookahead': lambda *settings: ThenLookahead(GreedyStep(*settings), Lookahead(*settings))}
 
 
 def made(name, seed=0):
@@ -56,7 +56,7 @@ def played(online, sight_at):
 
 def beside(x):
     """Return how a rig of two stands that see all around, one of which is in place."""
-    return lambda position: Sight(
+    return lambda position: RigState(
         np.array([[*position, 0, 0, 0], [x, 2.0, 1.9, 0, 0, 0]]), (NEAR, NEAR), 1)
 
 
@@ -70,7 +70,7 @@ def test_cameras_go_where_a_camera_in_place_leaves_most_to_be_seen(name):
 @pytest.mark.parametrize('name', PLANNERS)
 def test_a_rig_that_sees_all_around_is_moved_as_if_nothing_were_known_of_it(name):
     def alone(position):
-        return Sight(np.array([[*position, 0.3, 0.2, 0.1]]), (NEAR,), 1)
+        return RigState(np.array([[*position, 0.3, 0.2, 0.1]]), (NEAR,), 1)
 
     np.testing.assert_array_equal(played(made(name), alone), played(made(name), lambda at: None))
 
@@ -79,7 +79,7 @@ def test_a_camera_that_looks_one_way_and_is_not_turned_stands_where_that_helps()
     """It looks along the room, so it goes back to where it sees most of it."""
     def towards(yaw):
         def sight(position):
-            return Sight(np.array([[*position, yaw, 0.2, 0.0]]), (D455,), 1, turns=False)
+            return RigState(np.array([[*position, yaw, 0.2, 0.0]]), (D455,), 1, turns=False)
         return sight
 
     ends = [played(made('lookahead'), towards(yaw))[-1, 0] for yaw in (0.0, np.pi)]
@@ -88,16 +88,16 @@ def test_a_camera_that_looks_one_way_and_is_not_turned_stands_where_that_helps()
 
 def test_a_plan_says_how_cameras_are_turned_within_the_limits():
     online, pitch = made('lookahead'), (0.2, 0.7)
-    played(online, lambda at: Sight(np.array([[*at, 0.0, 0.3, 0.0]]), (D455,), 1, pitch))
+    played(online, lambda at: RigState(np.array([[*at, 0.0, 0.3, 0.0]]), (D455,), 1, pitch))
     assert online.headings.shape == (1, 3) and pitch[0] <= online.headings[0, 1] <= pitch[1]
     assert made('lookahead').headings is None
 
 
 def test_moves_are_judged_by_what_a_camera_sees_as_it_is_turned():
     """The inputs of policy and hand rule: who looks one way misses what is behind it."""
-    turned = Sight(np.array([[*START, 0.0, 0.2, 0.0], [2.0, 2.0, 1.9, 1.0, 0.3, 0.0]]),
-                   (D455, D455), 1)
-    model = Observed(CLOUD, START[None], MAX_RANGE, POINTS, ROWS)
+    turned = RigState(np.array([[*START, 0.0, 0.2, 0.0], [2.0, 2.0, 1.9, 1.0, 0.3, 0.0]]),
+                      (D455, D455), 1)
+    model = PartialMap(CLOUD, START[None], MAX_RANGE, POINTS, ROWS)
     views = [model.look(row, D455.lens) for row in turned.placement]
     worst = model.depth_error.worst
     for sight, expected in (
@@ -116,7 +116,7 @@ def rig(turns=True):
     placement = np.zeros((3, 6))
     placement[:, :3] = START + [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]
     placement[:, 3] = 0.0, 1.0, 2.0
-    return Sight(placement, (D455, NEAR, D455), 3, turns=turns)
+    return RigState(placement, (D455, NEAR, D455), 3, turns=turns)
 
 
 def test_a_camera_keeps_its_roll_and_its_kind_with_it():
@@ -132,8 +132,8 @@ def test_cameras_take_places_of_their_kind_only():
     np.testing.assert_array_equal(kinds_of(rig())[0], [0, 1, 0])
     np.testing.assert_array_equal(kinds_of(rig(turns=False))[0], [0, 1, 2])
     sight, rng = rig(), np.random.default_rng(0)
-    model = Observed(CLOUD, sight.placement[:, :3], 4.0, 2000, 16)
-    space = Space.of(CLOUD, 1.9, 3, MARGIN)
+    model = PartialMap(CLOUD, sight.placement[:, :3], 4.0, 2000, 16)
+    space = FreePlane.of(CLOUD, 1.9, 3, MARGIN)
     places = space.placement(space.grid(12))
     sites = Sites(model, places, sight.placement, sight, np.zeros_like(
         model.look(START).covered), 0.0)
@@ -154,8 +154,8 @@ def test_cameras_take_places_of_their_kind_only():
 @pytest.mark.parametrize('kinds', [1, 2])
 def test_annealing_agrees_with_its_twin(kinds, weight):
     sight = rig()
-    model = Observed(CLOUD, sight.placement[:, :3], 4.0, 2000, 16)
-    space = Space.of(CLOUD, 1.9, 3, MARGIN)
+    model = PartialMap(CLOUD, sight.placement[:, :3], 4.0, 2000, 16)
+    space = FreePlane.of(CLOUD, 1.9, 3, MARGIN)
     places, unseen = space.grid(20), pack(model.cells % 3 > 0)
     if kinds == 1:
         found = Candidates(model, places, space, unseen, weight)

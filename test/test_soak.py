@@ -12,11 +12,11 @@ import pytest
 pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
 
 from std_msgs.msg import Header
+from system import soak, soak_watch
 
 from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.nodes import soak, soak_watch
-from ocp_ros.nodes.conversions import ns_to_stamp, positions_to_msg
-from ocp_ros.nodes.processes import grown
+from ocp_ros.demo.node_processes import grown
+from ocp_ros.ros.interface.conversions import ns_to_stamp, positions_to_msg
 from ocp_ros.training.learner import ACTOR, STATE
 
 

@@ -13,9 +13,9 @@ from ocp_ros.planners.annealing import TransDimensionalAnnealing
 from ocp_ros.planners.planner import Scores
 from ocp_ros.planners.registry import OFFLINE
 from ocp_ros.planners.solve import solve
-from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.rig.free_plane import EDGE, floor_of, FreePlane
 from ocp_ros.scenes.scene import turned
-from ocp_ros.simulation.space import EDGE, floor_of, Space
+from ocp_ros.scenes.synthetic.generator import generate_room
 
 #: Metres by which the floor may reach round an inner corner: two cells.
 CORNER = 2.0 * EDGE
@@ -32,7 +32,7 @@ def in_room(positions, margin=-CORNER):
 @pytest.fixture(scope='module')
 def space():
     """Return where three cameras may be in the L-shaped room."""
-    return Space.of(l_shaped().points, 1.9, 3, 0.1)
+    return FreePlane.of(l_shaped().points, 1.9, 3, 0.1)
 
 
 def test_the_floor_is_the_room_and_not_its_bounding_box(space):
@@ -134,7 +134,7 @@ def test_a_move_stops_at_the_wall_and_never_is_too_long(space):
 @pytest.mark.parametrize('degrees', [30.0, 60.0, 120.0])
 def test_a_room_that_stands_askew_has_as_much_floor(space, degrees):
     scene = turned(l_shaped(), degrees)
-    askew = Space.of(scene.points, 1.9, 3, 0.1)
+    askew = FreePlane.of(scene.points, 1.9, 3, 0.1)
     assert askew.area == pytest.approx(space.area, rel=0.12)
     back = np.deg2rad(-degrees)
     turn = np.array([[np.cos(back), -np.sin(back)], [np.sin(back), np.cos(back)]])
@@ -147,7 +147,7 @@ def test_gaps_behind_furniture_count_and_other_rooms_do_not():
     hole = (np.abs(points[:, :2] - [1.5, 1.5]) < 0.4).all(axis=1) & (points[:, 2] < 1.0)
     beyond = np.stack(np.meshgrid(np.arange(8, 9.2, 0.1), np.arange(0, 1.2, 0.1), [0.0]),
                       axis=-1).reshape(-1, 3).astype(np.float32)
-    space = Space.of(np.concatenate([points[~hole], beyond]), 1.9, 3, 0.1)
+    space = FreePlane.of(np.concatenate([points[~hole], beyond]), 1.9, 3, 0.1)
     assert space.contains(np.array([1.5, 1.5]))
     assert not space.contains(np.array([8.5, 0.5]))
 
@@ -156,7 +156,7 @@ def test_gaps_behind_furniture_count_and_other_rooms_do_not():
 def test_a_slot_across_the_floor_is_bridged_if_it_is_narrow(wide, bridged):
     points = l_shaped().points
     slot = (points[:, 0] > 4.0) & (points[:, 0] < 4.0 + wide) & (points[:, 2] < 1.6)
-    space = Space.of(points[~slot], 1.9, 3, 0.1)
+    space = FreePlane.of(points[~slot], 1.9, 3, 0.1)
     assert space.contains(np.array([2.0, 1.0]))
     assert space.contains(np.array([5.5, 1.0])) == bridged
 
@@ -165,14 +165,14 @@ def test_a_courtyard_is_no_floor():
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 10, 0.1), np.arange(0, 10, 0.1)))
     around = (np.abs(x - 5.0) > 3.0) | (np.abs(y - 5.0) > 3.0)
     points = np.stack([x, y, np.zeros(len(x))], axis=1)[around].astype(np.float32)
-    space = Space.of(points, 1.9, 3, 0.1)
+    space = FreePlane.of(points, 1.9, 3, 0.1)
     assert not space.contains(np.array([5.0, 5.0])) and space.contains(np.array([1.0, 5.0]))
 
 
 @pytest.mark.parametrize('count', [1000, 1500, 2000, 3000])
 def test_few_points_still_make_a_floor(count):
     """Where points are sparse, gaps between them are no gaps of the floor."""
-    full, few = (Space.of(generate_room(3001, n).points, 1.9, 4, 0.1) for n in (15000, count))
+    full, few = (FreePlane.of(generate_room(3001, n).points, 1.9, 4, 0.1) for n in (15000, count))
     assert few.area > 0.6 * full.area
     ends = few.random(np.random.default_rng(0), 200)
     assert full.contains(ends).mean() > 0.95
@@ -182,5 +182,5 @@ def test_where_no_floor_is_seen_the_rectangle_is_all_there_is():
     ceiling = l_shaped().points
     ceiling = ceiling[ceiling[:, 2] > 1.7]
     assert floor_of(ceiling, 1.9) is None
-    space = Space.of(ceiling, 1.9, 3, 0.1)
+    space = FreePlane.of(ceiling, 1.9, 3, 0.1)
     assert space.floor is None and space.area == pytest.approx(np.prod(space.size))

@@ -4,8 +4,8 @@
 import numpy as np
 import pytest
 
-from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.synthetic.generator import generate_room
 
 
 def test_normals_are_sharp_at_edges():

@@ -13,11 +13,11 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray
 from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
 
+from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
-from ocp_ros.agent.config import AgentConfig
 from ocp_ros.agent.policy import Policy
-from ocp_ros.nodes import qos, topics
-from ocp_ros.nodes.conversions import (
+from ocp_ros.ros.interface import qos, topics
+from ocp_ros.ros.interface.conversions import (
     bytes_to_msg,
     fields_to_msg,
     msg_to_bytes,
@@ -25,13 +25,13 @@ from ocp_ros.nodes.conversions import (
     ns_to_stamp,
     positions_to_msg,
 )
-from ocp_ros.nodes.policy_node import PolicyNode
-from ocp_ros.nodes.sim_node import SimNode
-from ocp_ros.nodes.source import topic_of
-from ocp_ros.nodes.trainer_node import TrainerNode, TrainerNodeConfig
-from ocp_ros.simulation.env import CameraPlacementEnv
+from ocp_ros.ros.policy_node import PolicyNode
+from ocp_ros.ros.sim_node import SimNode
+from ocp_ros.ros.trainer_node import TrainerNode, TrainerNodeConfig
+from ocp_ros.ros.training_source import topic_of
+from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.training.encoded import CameraByCamera, EncodedObservation
+from ocp_ros.training.encoded_environment import CameraByCamera, EncodedObservation
 from ocp_ros.training.experience import Choice, Experience, to_bytes
 from ocp_ros.training.transitions import Transition
 
@@ -288,7 +288,7 @@ def test_policies_wait_while_the_trainer_is_behind(graph, probe, start, tmp_path
 
 def test_a_trainer_that_falls_silent_holds_nobody(graph, probe, tmp_path, small_agent,
                                                   monkeypatch):
-    monkeypatch.setattr('ocp_ros.nodes.experiences.PATIENCE', 0.5)
+    monkeypatch.setattr('ocp_ros.ros.policy.experiences.PATIENCE', 0.5)
     random_checkpoint(small_agent).save(tmp_path / 'm.safetensors')
     policy = graph.add(PolicyNode, model=str(tmp_path / 'm.safetensors'), explore=True)
     training = probe.publisher(Float64MultiArray, topics.TRAINING, qos.LATCHED)

@@ -11,15 +11,17 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.policy import Policy
-from ocp_ros.cli import main
-from ocp_ros.configuration import ConfigurationError, from_nested
-from ocp_ros.scenes.rooms import generate_room
-from ocp_ros.simulation.config import EngineConfig, EpisodeConfig, RigConfig, SimulationConfig
-from ocp_ros.simulation.env import CameraPlacementEnv
-from ocp_ros.training.config import RoomsConfig, TrainingConfig
-from ocp_ros.training.encoded import CameraByCamera
-from ocp_ros.training.evaluation import evaluate, play_trial, Trial
+from ocp_ros.cli.main import main
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.simulation.environment import CameraPlacementEnv
+from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
+from ocp_ros.training.encoded_environment import CameraByCamera
 from ocp_ros.training.train import _claim, read_config, train, trials_of
+from ocp_ros.training.training_config import RoomsConfig, TrainingConfig
+from ocp_ros.training.validation import evaluate, play_trial, ValidationTrial
+from ocp_ros.util.settings import ConfigurationError, from_nested
 
 SIMULATION = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=16, coverage_cell=1.0),
                               episode=EpisodeConfig(turns=6))
@@ -33,8 +35,8 @@ def logs(tmp_path, monkeypatch):
 
 def trial(**changes):
     """Return an episode to judge in a small room."""
-    return Trial(**{'room': '8', 'rooms': RoomsConfig(points=2000), 'rotation': 30.0,
-                    'simulation': SIMULATION, 'seed': 3, **changes})
+    return ValidationTrial(**{'room': '8', 'rooms': RoomsConfig(points=2000), 'rotation': 30.0,
+                              'simulation': SIMULATION, 'seed': 3, **changes})
 
 
 def test_evaluation_starts_everybody_from_the_same_place(agent):

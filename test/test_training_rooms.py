@@ -6,19 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ocp_ros.agent.config import AgentConfig
-from ocp_ros.benchmark.rooms import rooms_in
-from ocp_ros.configuration import ConfigurationError, from_nested
-from ocp_ros.scenes.files import save_scene
-from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.agent.agent_config import AgentConfig
+from ocp_ros.evaluation.benchmark_rooms import rooms_in
 from ocp_ros.scenes.scene import Scene, SceneError
-from ocp_ros.scenes.source import make_room
+from ocp_ros.scenes.scene_files import save_scene
+from ocp_ros.scenes.scene_source import make_room
 from ocp_ros.scenes.splits import FRESH, SEEDS, TEST, TRAINING, VALIDATION
-from ocp_ros.training.config import RoomsConfig, TrainingConfig
+from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.training.demonstrations import _room
-from ocp_ros.training.evaluation import _prepared
-from ocp_ros.training.rooms import PARTS, room_names, Rooms
 from ocp_ros.training.train import _replay, trials_of
+from ocp_ros.training.training_config import RoomsConfig, TrainingConfig
+from ocp_ros.training.training_rooms import PARTS, room_names, Rooms
+from ocp_ros.training.validation import _prepared
+from ocp_ros.util.settings import ConfigurationError, from_nested
 
 SETS = {'training': TRAINING, 'validation': VALIDATION, 'test': TEST, 'fresh': FRESH}
 

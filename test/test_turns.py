@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ocp_ros.geometry.cameras import rotation_matrix
-from ocp_ros.nodes.turns import HOLD, QUIET, TOLD, Turns
+from ocp_ros.ros.policy.turns import HOLD, QUIET, TOLD, Turns
 
 S = 1_000_000_000
 HERE = np.array([[1.0, 1.0, 1.9], [3.0, 1.0, 1.9]])

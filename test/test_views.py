@@ -16,16 +16,21 @@ from std_msgs.msg import Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ocp_ros.geometry.cameras import CameraModel, in_view, Pose, rotation_matrix
-from ocp_ros.geometry.sensors import SENSORS
-from ocp_ros.nodes import qos, topics
-from ocp_ros.nodes.camera_info import camera_info
-from ocp_ros.nodes.conversions import cloud_to_msg, msg_to_cloud, ns_to_stamp, positions_to_msg
-from ocp_ros.nodes.markers import frustum_edges, rig_markers
-from ocp_ros.nodes.policy_node import PolicyNode
-from ocp_ros.nodes.policy_views import observed_maps
-from ocp_ros.nodes.sim_node import SimNode
-from ocp_ros.nodes.trainer_node import TrainerNode
-from ocp_ros.simulation.maps import maps_of
+from ocp_ros.rig.sensors import SENSORS
+from ocp_ros.ros.interface import qos, topics
+from ocp_ros.ros.interface.camera_info import camera_info
+from ocp_ros.ros.interface.conversions import (
+    cloud_to_msg,
+    msg_to_cloud,
+    ns_to_stamp,
+    positions_to_msg,
+)
+from ocp_ros.ros.interface.markers import frustum_edges, rig_markers
+from ocp_ros.ros.policy.policy_views import observed_maps
+from ocp_ros.ros.policy_node import PolicyNode
+from ocp_ros.ros.sim_node import SimNode
+from ocp_ros.ros.trainer_node import TrainerNode
+from ocp_ros.simulation.point_maps import maps_of
 
 POSITIONS = np.array([[4.0, 4.0, 1.9], [5.0, 4.0, 1.9], [4.0, 5.0, 1.9]])
 CLOUDS = (topics.COVERAGE_CLOUD, topics.ERROR_CLOUD)
@@ -158,7 +163,9 @@ def test_markers_show_frusta_or_ranges_and_ways():
 
 
 def test_the_parts_of_the_error_are_where_nobody_looks(room):
-    from ocp_ros.simulation.config import EngineConfig, RigConfig, SimulationConfig
+    from ocp_ros.geometry.engine_config import EngineConfig
+    from ocp_ros.rig.rig_config import RigConfig
+    from ocp_ros.simulation.simulation_config import SimulationConfig
     from ocp_ros.simulation.simulator import Simulator
     simulator = Simulator(room, SimulationConfig(RigConfig(cameras=2), EngineConfig(
         preset='fast', error_rows=32, coverage_cell=0.5)))

@@ -9,13 +9,12 @@ import pytest
 import twins
 from twins import MODELS
 
-from ocp_ros.benchmark.engine import free_places
-from ocp_ros.benchmark.truth import RayCaster
-from ocp_ros.benchmark.twin import Twin
+from ocp_ros.evaluation.engine_bench import free_places
+from ocp_ros.evaluation.numpy_twin import Twin
+from ocp_ros.evaluation.ray_casting import RayCaster
 from ocp_ros.geometry.blocks import no_bits, Subset
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose, rotation_matrix
 from ocp_ros.geometry.coverage import coverage_grid
-from ocp_ros.geometry.sensors import SENSORS
 from ocp_ros.geometry.shadow_maps import project, Projection, splat, visible
 from ocp_ros.geometry.surfels import (
     distances,
@@ -31,8 +30,9 @@ from ocp_ros.geometry.visibility import (
     PRESETS,
     SurfelVisibility,
 )
-from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.synthetic.generator import generate_room
 
 HERE = Pose(np.zeros(3), LEVEL)
 NOWHERE = np.empty((0, 3), np.float32)

@@ -7,10 +7,9 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from ocp_ros.agent.config import AgentConfig
+from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.encoder import Encoder
-from ocp_ros.agent.observed import KeptModel, Memory, Observed, smallest_rectangle
-from ocp_ros.agent.world import (
+from ocp_ros.agent.move_effects import (
     DIRECTIONS,
     FLOOR,
     LONGEST,
@@ -25,11 +24,12 @@ from ocp_ros.agent.world import (
     WIDTH,
     WorldInputs,
 )
+from ocp_ros.agent.partial_map import KeptModel, LookHistory, PartialMap, smallest_rectangle
 from ocp_ros.geometry.blocks import count_bits
 from ocp_ros.geometry.visibility import FAST, FINE
-from ocp_ros.scenes.rooms import generate_room
+from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.scenes.scene import turned
-from ocp_ros.simulation.space import Space
+from ocp_ros.scenes.synthetic.generator import generate_room
 
 MAX_RANGE, MARGIN = 4.0, 0.1
 #: Where the numbers of a direction are: those of its places, then its own.
@@ -120,10 +120,10 @@ def test_nothing_but_what_was_seen_enters(room):
 def test_a_place_is_worth_what_looking_from_there_gives(room, camera):
     positions = placed(room)
     told = inputs()(room.points, positions, 0, 30)
-    model = Observed(room.points, positions, MAX_RANGE, POINTS, ROWS)
-    memory = Memory()
+    model = PartialMap(room.points, positions, MAX_RANGE, POINTS, ROWS)
+    memory = LookHistory()
     memory.visit(positions)
-    unseen, space = memory.unseen(model), Space.of(room.points, 1.9, 3, MARGIN)
+    unseen, space = memory.unseen(model), FreePlane.of(room.points, 1.9, 3, MARGIN)
     worst = model.depth_error.worst
     others = [model.look(place) for index, place in enumerate(positions) if index != camera]
     error = model.error([model.look(place) for place in positions])
@@ -156,7 +156,7 @@ def test_a_model_is_kept_while_little_is_added(room):
     count = int(len(cloud) / 1.02)
     model, space = kept(cloud[:count], positions, FAST)
     assert len(model.visibility.order) <= 2000
-    assert space.area == Space.of(cloud[:count], 1.9, 3, MARGIN).area
+    assert space.area == FreePlane.of(cloud[:count], 1.9, 3, MARGIN).area
     assert kept(cloud[:count + count // 200], positions, FAST)[0] is model
     assert kept(cloud[:count], positions + [0.3, -0.2, 0.0], FAST)[0] is model
     larger = kept(cloud, positions, FAST)[0]
@@ -176,7 +176,7 @@ def test_a_kept_model_follows_other_rules_and_sees_as_one_made_by_them(room):
     fast = model.look(positions[0])
     assert kept(room.points, positions, FINE)[0] is model
     fine = model.look(positions[0])
-    made = Observed(room.points, positions, MAX_RANGE, 2000, 16, FINE)
+    made = PartialMap(room.points, positions, MAX_RANGE, 2000, 16, FINE)
     np.testing.assert_array_equal(fine.seen, made.look(positions[0]).seen)
     np.testing.assert_array_equal(fine.covered, made.look(positions[0]).covered)
     assert (fine.seen != fast.seen).any()
@@ -296,7 +296,7 @@ def looking(room_positions, degrees):
 
 def model_of(cloud, positions):
     """Return the engine on some points."""
-    return Observed(cloud, positions, MAX_RANGE, POINTS, ROWS)
+    return PartialMap(cloud, positions, MAX_RANGE, POINTS, ROWS)
 
 
 @pytest.mark.parametrize('corner', [(6.0, 4.0), (0.0, 0.0), (6.0, 0.0), (0.0, 4.0)])

@@ -16,10 +16,10 @@ from safetensors import SafetensorError
 import safetensors.torch
 import torch
 
-from ocp_ros.agent.config import AgentConfig
+from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.networks import Actor
-from ocp_ros.atomic import write_atomically
-from ocp_ros.configuration import from_nested, to_nested, UserError
+from ocp_ros.util.files import write_atomically
+from ocp_ros.util.settings import from_nested, to_nested, UserError
 
 FORMAT = 'ocp_ros-actor-2'
 KEY = 'ocp_ros'

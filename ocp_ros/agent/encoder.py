@@ -5,13 +5,13 @@ from contextlib import suppress
 
 import numpy as np
 
-from ocp_ros.agent.config import AgentConfig
+from ocp_ros.agent.agent_config import AgentConfig
+from ocp_ros.agent.move_effects import LONGEST, nothing_known, WorldInputs, WorldTurn
 from ocp_ros.agent.observation import encode
-from ocp_ros.agent.sight import Sight
-from ocp_ros.agent.world import LONGEST, nothing_known, WorldInputs, WorldTurn
+from ocp_ros.agent.rig_state import RigState
 from ocp_ros.geometry.clouds import corners_of
+from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.scenes.scene import SceneError
-from ocp_ros.simulation.moves import bounded_moves
 
 #: Arrays that have a row for each camera.
 PER_CAMERA = ('cameras', 'directions', 'own')
@@ -82,7 +82,8 @@ class Encoder:
 
     The world-model inputs depend on what the cameras did since the episode began, the cloud's on
     the turn alone. The arrays, for K cameras, are those of
-    :func:`~ocp_ros.agent.observation.encode` and of :class:`~ocp_ros.agent.world.WorldInputs`.
+    :func:`~ocp_ros.agent.observation.encode` and of
+    :class:`~ocp_ros.agent.move_effects.WorldInputs`.
 
     :param config: what the network reads.
     :param max_range: effective range of the omnidirectional cameras, metres.
@@ -100,7 +101,7 @@ class Encoder:
         """Return what the network's answers are counted in, in units of the longest step."""
         return LONGEST / self.max_step if self.config.world else 1.0
 
-    def know(self, sight: Sight | None) -> None:
+    def know(self, sight: RigState | None) -> None:
         """Learn before a turn how the cameras stand and what each sees; None for all around."""
         if self._world is not None:
             self._world.sight = sight

@@ -9,8 +9,8 @@ of rigs of different sizes is padded, and ``present`` (B, K) tells the cameras t
 import torch
 from torch import nn, Tensor
 
-from ocp_ros.agent import world
-from ocp_ros.agent.config import AgentConfig
+from ocp_ros.agent import move_effects
+from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.distributions import Choices, Moves, SquashedGaussian
 
 LOG_STD_MIN, LOG_STD_MAX = -5.0, 2.0
@@ -147,7 +147,8 @@ class Extractor(nn.Module):
         self.rig = RigExtractor(config) if config.cloud else None
         self.world = config.world
         self.rig_width = self.rig.width if config.cloud else 0
-        self.width = self.rig_width + (world.DIRECTIONS * world.WIDTH + world.OF_CAMERAS
+        self.width = self.rig_width + (move_effects.DIRECTIONS * move_effects.WIDTH
+                                       + move_effects.OF_CAMERAS
                                        if config.world else 0)
 
     def forward(self, observation: dict[str, Tensor]) -> Tensor:
@@ -191,25 +192,26 @@ class ChoiceHead(nn.Module):
         compass = 2 if config.cloud else 0
         self.layers = perceptron(extractor.width + compass, config.hidden, config.hidden)
         #: The moves of a direction, and what speaks for staying.
-        self.out = nn.Linear(config.hidden, world.MOVES + 1)
+        self.out = nn.Linear(config.hidden, move_effects.MOVES + 1)
         self.log_std = nn.Parameter(torch.full((1,), WIDTH_FIRST))
-        number = torch.arange(world.DIRECTIONS)
-        self.register_buffer('shifts', (number[:, None] + number) % world.DIRECTIONS,
+        number = torch.arange(move_effects.DIRECTIONS)
+        self.register_buffer('shifts', (number[:, None] + number) % move_effects.DIRECTIONS,
                              persistent=False)
-        self.register_buffer('ways', torch.tensor(world.WAYS, dtype=torch.float32),
+        self.register_buffer('ways', torch.tensor(move_effects.WAYS, dtype=torch.float32),
                              persistent=False)
-        centres = world.CHOICES / world.LONGEST
+        centres = move_effects.CHOICES / move_effects.LONGEST
         self.register_buffer('centres', torch.tensor(centres, dtype=torch.float32),
                              persistent=False)
 
     def forward(self, features: Tensor) -> Moves:
         """Map (B, K, F) to a distribution of moves."""
-        split = [self.rig_width, world.DIRECTIONS * world.WIDTH, world.OF_CAMERAS]
+        split = [self.rig_width, move_effects.DIRECTIONS * move_effects.WIDTH,
+                 move_effects.OF_CAMERAS]
         rig, directions, own = features.split(split, dim=-1)
-        directions = directions.unflatten(-1, (world.DIRECTIONS, world.WIDTH))
+        directions = directions.unflatten(-1, (move_effects.DIRECTIONS, move_effects.WIDTH))
         rows = [directions[:, :, self.shifts].flatten(3)]
         for each in (own, rig):
-            rows.append(each[:, :, None].expand(-1, -1, world.DIRECTIONS, -1))
+            rows.append(each[:, :, None].expand(-1, -1, move_effects.DIRECTIONS, -1))
         if self.rig_width:
             rows.append(self.ways.expand(*features.shape[:2], -1, -1))
         scores = self.out(self.layers(torch.cat(rows, dim=-1)))

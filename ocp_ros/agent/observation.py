@@ -8,7 +8,7 @@ and never computed again at a gradient step.
 
 import numpy as np
 
-from ocp_ros.agent.config import AgentConfig
+from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.sampling import ball_query, farthest_points
 from ocp_ros.geometry.clouds import fixed_size
 

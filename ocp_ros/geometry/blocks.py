@@ -61,7 +61,7 @@ def blocks_in_view(bounds, pose, lens, found):
 
     :param bounds: (B, 2, 3) float32, metres.
     :param pose: the camera's :class:`~ocp_ros.geometry.cameras.Pose`.
-    :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Lens`.
+    :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Frustum`.
     :param found: (B,) uint32, out: indices of blocks.
     :returns: how many there are.
     """

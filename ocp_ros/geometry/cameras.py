@@ -13,7 +13,7 @@ OMNIDIRECTIONAL, PINHOLE, SPHERICAL = 0, 1, 2
 UPRIGHT = 1e-7
 
 
-class Lens(NamedTuple):
+class Frustum(NamedTuple):
     """
     A camera model as the kernels take it.
 
@@ -99,7 +99,7 @@ class CameraModel:
         return self.horizontal_fov >= 2.0 * np.pi - 1e-9 and self.vertical_fov >= np.pi - 1e-9
 
     @property
-    def lens(self) -> Lens:
+    def lens(self) -> Frustum:
         """Return the model as plain numbers for the kernels."""
         half_horizontal, half_vertical = 0.5 * self.horizontal_fov, 0.5 * self.vertical_fov
         if self.omnidirectional:
@@ -109,8 +109,8 @@ class CameraModel:
             half_horizontal, half_vertical = np.tan(half_horizontal), np.tan(half_vertical)
         else:
             kind = SPHERICAL
-        return Lens(kind, float(self.min_range), float(self.max_range),
-                    float(half_horizontal), float(half_vertical))
+        return Frustum(kind, float(self.min_range), float(self.max_range),
+                       float(half_horizontal), float(half_vertical))
 
     def pixel_size(self, distance: float) -> tuple[float, float] | None:
         """
@@ -172,7 +172,7 @@ LEVEL = np.eye(3)
 
 
 @njit(cache=True, nogil=True, inline='always')
-def in_view(x: float, y: float, z: float, lens: Lens) -> bool:
+def in_view(x: float, y: float, z: float, lens: Frustum) -> bool:
     """Tell whether a direction in the camera's body frame lies in the viewing cone."""
     if lens.kind == OMNIDIRECTIONAL:
         return True

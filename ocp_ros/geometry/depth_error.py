@@ -18,7 +18,7 @@ import numpy as np
 from ocp_ros.geometry.blocks import no_bits
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose
 from ocp_ros.geometry.shadow_maps import footprint, project, Projection
-from ocp_ros.geometry.threads import mapped
+from ocp_ros.util.threads import mapped
 
 #: Pixels are sorted by this many of their nearest points, so that those with the same meet.
 SORTED_BY = 6

@@ -58,7 +58,7 @@ def project(points, pose, lens, out):
 
     :param points: (N, 3) float32, metres, map frame.
     :param pose: the camera's :class:`Pose`.
-    :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Lens`.
+    :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Frustum`.
     :param out: :class:`Projection` of N points.
     """
     x0, y0, z0 = pose.position[0], pose.position[1], pose.position[2]

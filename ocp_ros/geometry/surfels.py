@@ -58,7 +58,7 @@ class Surfels(NamedTuple):
         return cls(*(np.ascontiguousarray(column, dtype=np.float32) for column in columns))
 
 
-class Places(NamedTuple):
+class SurfelPlaces(NamedTuple):
     """
     Places in the air, which hide nothing; each field is (M,) float32, metres, map frame.
 
@@ -74,7 +74,7 @@ class Places(NamedTuple):
     radius: np.ndarray
 
     @classmethod
-    def of(cls, points: np.ndarray) -> 'Places':
+    def of(cls, points: np.ndarray) -> 'SurfelPlaces':
         """Build places from points (M, 3)."""
         columns = [*np.asarray(points).T, np.zeros(len(points))]
         return cls(*(np.ascontiguousarray(column, dtype=np.float32) for column in columns))
@@ -370,10 +370,10 @@ def see_surfels(points, blocks, pose, lens, settings, work, seen):
     A point is seen if it is at most base + share * radius behind the farthest of the four nearest
     cells.
 
-    :param points: N :class:`Surfels` or :class:`Places` whose blocks have been located.
+    :param points: N :class:`Surfels` or :class:`SurfelPlaces` whose blocks have been located.
     :param blocks: (B,) the blocks to look at.
     :param pose: the camera's :class:`~ocp_ros.geometry.cameras.Pose`.
-    :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Lens`.
+    :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Frustum`.
     :param settings: :class:`SurfelSettings`.
     :param work: :class:`Workspace` after :func:`splat_surfels` for the same camera.
     :param seen: (W,) uint64, packed bits, in and out: set where a point is visible.
@@ -437,10 +437,10 @@ def look_at_surfels(surfels, bounds, places, place_bounds, pose, lens, settings,
 
     :param surfels: N :class:`Surfels` in spatial order.
     :param bounds: (B, 2, 3) float32, of their blocks.
-    :param places: M :class:`Places` in spatial order; none to leave them out.
+    :param places: M :class:`SurfelPlaces` in spatial order; none to leave them out.
     :param place_bounds: (C, 2, 3) float32, of their blocks.
     :param pose: the camera's :class:`~ocp_ros.geometry.cameras.Pose`.
-    :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Lens`.
+    :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Frustum`.
     :param settings: :class:`SurfelSettings`.
     :param work: :class:`Workspace`.
     :param seen: (W,) uint64, packed bits of the points, in and out.

@@ -19,13 +19,13 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 
 from ocp_ros.geometry.blocks import block_bounds, no_bits, pack, spatial_order
-from ocp_ros.geometry.cameras import Lens, Pose
-from ocp_ros.geometry.cones import keep_in_cone
+from ocp_ros.geometry.cameras import Frustum, Pose
+from ocp_ros.geometry.frustum import keep_in_cone
 from ocp_ros.geometry.shadow_maps import CubeSettings, project, Projection, splat, visible
 from ocp_ros.geometry.surfels import (
     distances,
     look_at_surfels,
-    Places,
+    SurfelPlaces,
     Surfels,
     SurfelSettings,
     Workspace,
@@ -79,7 +79,7 @@ class SurfelVisibility:
         points, radius = points[self.order], (DISC_SCALE * pitch)[self.order]
         self._surfels = Surfels.of(points, normals[self.order], radius)
         self._bounds = block_bounds(points, radius)
-        self._places = Places.of(places[self.place_order])
+        self._places = SurfelPlaces.of(places[self.place_order])
         self._place_bounds = block_bounds(places[self.place_order], self._places.radius)
         self._use(settings)
 
@@ -95,7 +95,7 @@ class SurfelVisibility:
         other._use(settings)
         return other
 
-    def look(self, pose: Pose, lens: Lens, seen: np.ndarray,
+    def look(self, pose: Pose, lens: Frustum, seen: np.ndarray,
              covered: np.ndarray | None = None) -> None:
         """
         Add what a camera sees to what others see.
@@ -110,7 +110,7 @@ class SurfelVisibility:
                             lens, self.settings, work, seen,
                             NO_BITS if covered is None else covered)
 
-    def narrowed(self, pose: Pose, lens: Lens, seen: np.ndarray, covered: np.ndarray
+    def narrowed(self, pose: Pose, lens: Frustum, seen: np.ndarray, covered: np.ndarray
                  ) -> tuple[np.ndarray, np.ndarray]:
         """
         Keep what lies in the viewing cone: many directions from one place, looked at once.
@@ -126,7 +126,7 @@ class SurfelVisibility:
             keep_in_cone(points, pose, lens, bits, found)
         return kept
 
-    def shadow_map(self, pose: Pose, lens: Lens) -> np.ndarray:
+    def shadow_map(self, pose: Pose, lens: Frustum) -> np.ndarray:
         """Return a camera's map: (H, W) float32 distances, metres; filled where it looks."""
         with self._shelf.borrowed() as work:
             look_at_surfels(self._surfels, self._bounds, self._places, self._place_bounds, pose,
@@ -170,7 +170,7 @@ class CubeVisibility:
             Projection.empty(len(points)), Projection.empty(len(places)),
             np.empty((settings.rows, 2 * settings.rows), dtype=np.float32)))
 
-    def look(self, pose: Pose, lens: Lens, seen: np.ndarray,
+    def look(self, pose: Pose, lens: Frustum, seen: np.ndarray,
              covered: np.ndarray | None = None) -> None:
         """Add what a camera sees to what others see; see :meth:`SurfelVisibility.look`."""
         with self._shelf.borrowed() as work:
@@ -180,7 +180,7 @@ class CubeVisibility:
                 project(self._places, pose, lens, work.place_view)
                 covered |= self._visible(work.place_view, work.shadow_map)
 
-    def _fill(self, pose: Pose, lens: Lens, work: _CubeWorkspace) -> None:
+    def _fill(self, pose: Pose, lens: Frustum, work: _CubeWorkspace) -> None:
         """Fill a camera's map."""
         project(self._points, pose, lens, work.view)
         splat(work.view, self._spacing, self.settings.cube_scale, lens.max_range, work.shadow_map)
@@ -191,7 +191,7 @@ class CubeVisibility:
         visible(view, self.settings.compensation, shadow_map, flags)
         return pack(flags)
 
-    def shadow_map(self, pose: Pose, lens: Lens) -> np.ndarray:
+    def shadow_map(self, pose: Pose, lens: Frustum) -> np.ndarray:
         """Return a camera's map: (H, W) float32 distances, metres."""
         with self._shelf.borrowed() as work:
             self._fill(pose, lens, work)

@@ -13,9 +13,9 @@ import cma
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from ocp_ros.planners.online import Online
+from ocp_ros.planners.online_planner import Online
 from ocp_ros.planners.planner import nothing_seen, Planner, Search
-from ocp_ros.simulation.config import EpisodeConfig
+from ocp_ros.simulation.simulation_config import EpisodeConfig
 
 #: Placements of a generation, how many of the best may lead, and the chance to take a camera over.
 POPULATION, LEADERS, CROSSOVER = 24, 0.2, 0.5

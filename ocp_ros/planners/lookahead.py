@@ -15,17 +15,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ocp_ros.agent.observed import KeptModel, Memory, Observed
-from ocp_ros.agent.sight import AROUND, fixed_views, remember
-from ocp_ros.agent.world import cell_weight
-from ocp_ros.geometry.threads import mapped
+from ocp_ros.agent.move_effects import cell_weight
+from ocp_ros.agent.partial_map import KeptModel, LookHistory, PartialMap
+from ocp_ros.agent.rig_state import AROUND, fixed_views, remember
 from ocp_ros.geometry.visibility import FINE
 from ocp_ros.planners.annealing import accepted, between
-from ocp_ros.planners.online import matched, Online, REFINING
-from ocp_ros.planners.sites import Candidates, most_places, Sites
+from ocp_ros.planners.candidate_sites import Candidates, most_places, Sites
+from ocp_ros.planners.online_planner import matched, Online, REFINING
+from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.simulation.simulator import View
-from ocp_ros.simulation.space import Space
+from ocp_ros.util.threads import mapped
 
 #: Metres between candidates, and the most there are: in a larger room they are farther apart.
 SPACING, CANDIDATES = 0.5, 400
@@ -48,7 +48,7 @@ WIDE, NARROW = 0.5, 0.05
 TOGETHER = 4
 
 
-class Trial(NamedTuple):
+class MoveTrial(NamedTuple):
     """
     A camera somewhere else.
 
@@ -70,7 +70,7 @@ class Lookahead(Online):
 
     def reset(self) -> None:
         """Forget the last episode."""
-        self._memory = Memory()
+        self._memory = LookHistory()
         #: Where each camera goes: (K, 2) metres.
         self._plan: np.ndarray | None = None
         #: How they are turned there: (K, 3) radians; None where all see all around.
@@ -99,8 +99,8 @@ class Lookahead(Online):
     def _look_around(self, cloud: np.ndarray, positions: np.ndarray, turn: int,
                      turns: int) -> None:
         """Compute what would be seen from where; the plan so far is among the candidates."""
-        model = Observed(cloud, positions, self.max_range, QUICK_POINTS, QUICK_ROWS,
-                         around=AROUND if self.directional else 0.0)
+        model = PartialMap(cloud, positions, self.max_range, QUICK_POINTS, QUICK_ROWS,
+                           around=AROUND if self.directional else 0.0)
         space, unseen = self.space(cloud, positions), self._memory.unseen(model)
         weight = cell_weight(model, unseen, turn, turns)
         count = int(np.clip(space.area / SPACING ** 2, 4, CANDIDATES))
@@ -119,7 +119,8 @@ class Lookahead(Online):
             self._chosen = list(range(len(positions)))
         self._settle(positions)
 
-    def _sites(self, model: Observed, space: Space, unseen: np.ndarray, weight: float, count: int
+    def _sites(self, model: PartialMap, space: FreePlane, unseen: np.ndarray, weight: float,
+               count: int
                ) -> Sites:
         """List places and directions; the plan so far is among them."""
         sight, plan = self.sight, None
@@ -133,7 +134,7 @@ class Lookahead(Online):
         """Return how the cameras are turned that may be moved: (K, 3) radians."""
         return self.sight.placement[:self.sight.movable, 3:].copy()
 
-    def _fixed(self, model: Observed) -> list[View]:
+    def _fixed(self, model: PartialMap) -> list[View]:
         """Return what cameras in place see, as far as any are known."""
         return fixed_views(model, self.sight)
 
@@ -158,8 +159,8 @@ class Lookahead(Online):
         placed = positions[:, :2] if self._plan is None else self._plan
         placed = best = self.towards(positions, space.inside(placed), turns - turn)
         headings = best_headings = self._planned_headings()
-        views = [self._view(model, Trial(camera, position, None if headings is None
-                                         else headings[camera]))
+        views = [self._view(model, MoveTrial(camera, position, None if headings is None
+                                             else headings[camera]))
                  for camera, position in enumerate(space.placement(placed))]
         fixed = self._fixed(model)
         error = best_error = model.error(views + fixed)
@@ -184,7 +185,7 @@ class Lookahead(Online):
         self._plan, self._headings = best, best_headings
 
     def _trial(self, positions: np.ndarray, placed: np.ndarray, headings: np.ndarray | None,
-               space: Space, share: float, left: int) -> Trial:
+               space: FreePlane, share: float, left: int) -> MoveTrial:
         """Draw a place near that of any camera, which it can reach in the turns that are left."""
         camera = int(self.rng.integers(len(placed)))
         place = space.reflected(
@@ -192,7 +193,7 @@ class Lookahead(Online):
         place = self.towards(positions[camera:camera + 1], place[None], left)
         heading = None if headings is None else self._wiggled(
             headings[camera], camera, between(WIDE, NARROW, share))
-        return Trial(camera, space.placement(place)[0], heading)
+        return MoveTrial(camera, space.placement(place)[0], heading)
 
     @property
     def headings(self) -> np.ndarray | None:
@@ -215,7 +216,7 @@ class Lookahead(Online):
         turned[1] = np.clip(turned[1], *self.sight.pitch)
         return turned
 
-    def _view(self, model: Observed, trial: Trial) -> View:
+    def _view(self, model: PartialMap, trial: MoveTrial) -> View:
         """Compute what a camera would see."""
         if trial.heading is None:
             return model.look(trial.position)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ocp_ros.simulation.space import Space
+from ocp_ros.rig.free_plane import FreePlane
 
 
 def nothing_seen(number: int) -> np.ndarray:
@@ -45,7 +45,7 @@ class Planner(ABC):
     :param budget: how many evaluations there will be, for those methods that plan with it.
     """
 
-    def __init__(self, space: Space, rng: np.random.Generator, budget: int) -> None:
+    def __init__(self, space: FreePlane, rng: np.random.Generator, budget: int) -> None:
         self.space, self.rng, self.budget = space, rng, budget
         self._search = self.search()
         self._batch: Sequence[np.ndarray] | None = next(self._search, None)

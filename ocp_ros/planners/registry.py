@@ -11,17 +11,17 @@ from collections.abc import Callable
 import numpy as np
 
 from ocp_ros.planners.annealing import FixedAnnealing, TransDimensionalAnnealing
-from ocp_ros.planners.bees import BeeColony
+from ocp_ros.planners.baselines import Random, RegularGrid
+from ocp_ros.planners.bee_colony import BeeColony
 from ocp_ros.planners.evolution import CmaEs, DifferentialEvolution, WarmCmaEs
 from ocp_ros.planners.greedy import GreedyCoverage, GreedyError, GreedySwap
 from ocp_ros.planners.lookahead import Lookahead
-from ocp_ros.planners.online import HandRule, Learned, Online, ThenLookahead
+from ocp_ros.planners.online_planner import GreedyStep, Learned, Online, ThenLookahead
+from ocp_ros.planners.particle_swarm import BinaryParticleSwarm
 from ocp_ros.planners.planner import Planner
-from ocp_ros.planners.simple import Random, RegularGrid
-from ocp_ros.planners.swarm import BinaryParticleSwarm
-from ocp_ros.resources import find_model
-from ocp_ros.simulation.config import SimulationConfig
-from ocp_ros.simulation.space import Space
+from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.util.resources import find_model
 
 #: The weights of ``learned_paper``.
 PAPER = 'paper'
@@ -33,9 +33,9 @@ def settings_of(config: SimulationConfig, rng: np.random.Generator) -> tuple:
             config.episode.wall_margin)
 
 
-def _hand_rule(config: SimulationConfig, rng: np.random.Generator, model: str = '') -> HandRule:
+def _hand_rule(config: SimulationConfig, rng: np.random.Generator, model: str = '') -> GreedyStep:
     """Return the hand rule; it has no weights."""
-    return HandRule(*settings_of(config, rng))
+    return GreedyStep(*settings_of(config, rng))
 
 
 def _learned(config: SimulationConfig, rng: np.random.Generator, model: str = 'default'
@@ -67,13 +67,13 @@ def _learned_lookahead(config: SimulationConfig, rng: np.random.Generator,
     return ThenLookahead(_learned(config, rng, model), _lookahead(config, rng))
 
 
-def _learned_cma_es(space: Space, rng: np.random.Generator, budget: int) -> WarmCmaEs:
+def _learned_cma_es(space: FreePlane, rng: np.random.Generator, budget: int) -> WarmCmaEs:
     """Return CMA-ES that begins where the policy has gone, in the turns it was trained for."""
     config = SimulationConfig()
     return WarmCmaEs(_learned(config, rng), config.episode, space, rng, budget)
 
 
-OFFLINE: dict[str, Callable[[Space, np.random.Generator, int], Planner]] = {
+OFFLINE: dict[str, Callable[[FreePlane, np.random.Generator, int], Planner]] = {
     'random': Random,
     'regular_grid': RegularGrid,
     'greedy_coverage': GreedyCoverage,

@@ -13,13 +13,13 @@ import numpy as np
 
 from ocp_ros.geometry.blocks import Subset
 from ocp_ros.planners.budget import Budget
-from ocp_ros.planners.decoder import Decoder
+from ocp_ros.planners.candidate_pool import check_room, Pool, Site
 from ocp_ros.planners.planner import Scores
-from ocp_ros.planners.pool import check_room, Pool, Site
+from ocp_ros.planners.pose_decoder import Decoder
 from ocp_ros.planners.registry import OFFLINE
 from ocp_ros.planners.rig_search import Answer, Progress, views_of
 from ocp_ros.planners.solve import solve
-from ocp_ros.simulation.constraints import Allowed
+from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.simulation.objective import Objective
 
 #: Placements by which it is found out how many there is time for, and the most that are planned
@@ -79,7 +79,8 @@ class RigScorer:
         return simulator.scene.points[seen.mask]
 
 
-def search_offline(name: str, objective: Objective, allowed: Allowed, pool: Pool, budget: Budget,
+def search_offline(name: str, objective: Objective, allowed: FeasibleRegion, pool: Pool,
+                   budget: Budget,
                    seed: int, progress: Progress | None = None) -> Answer:
     """
     Find a placement of a rig's cameras by an offline planner.

@@ -11,27 +11,29 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ocp_ros.agent.aim import Aim, MAX_TURN
-from ocp_ros.agent.guard import Guard
-from ocp_ros.agent.sight import Sight
+from ocp_ros.agent.constraint_filter import ConstraintFilter
+from ocp_ros.agent.heading_planner import HeadingPlanner, MAX_TURN
+from ocp_ros.agent.rig_state import RigState
 from ocp_ros.geometry.blocks import Subset
 from ocp_ros.planners.budget import Budget
-from ocp_ros.planners.decoder import Decoder
-from ocp_ros.planners.online import Online
-from ocp_ros.planners.pool import check_room, Pool
+from ocp_ros.planners.candidate_pool import check_room, Pool
+from ocp_ros.planners.online_planner import Online
+from ocp_ros.planners.pose_decoder import Decoder
 from ocp_ros.planners.registry import ONLINE
 from ocp_ros.planners.rig_search import Answer, Progress, views_of
-from ocp_ros.simulation.config import EpisodeConfig, RigConfig, SimulationConfig
-from ocp_ros.simulation.constraints import Allowed
-from ocp_ros.simulation.moves import drawn_near
+from ocp_ros.rig.feasible_region import FeasibleRegion
+from ocp_ros.rig.motion import drawn_near
+from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.rig.rig_file import Rig
 from ocp_ros.simulation.objective import Objective
-from ocp_ros.simulation.rig_file import Rig
+from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 
 #: Metres: farther than this no planner is told that cameras see.
 FARTHEST = 100.0
 
 
-def play_online(name: str, objective: Objective, allowed: Allowed, pool: Pool, budget: Budget,
+def play_online(name: str, objective: Objective, allowed: FeasibleRegion, pool: Pool,
+                budget: Budget,
                 seed: int, progress: Progress | None = None) -> Answer:
     """
     Find a placement of a rig's cameras by an online planner.
@@ -93,8 +95,8 @@ def play_held(online: Online, objective: Objective, positions: np.ndarray, confi
     :param over: gets the turns played so far and tells whether to end.
     :returns: (K, 6) metres and radians, where the cameras end and how they are turned.
     """
-    rig, guard = objective.rig, Guard(objective.rig, config.wall_margin)
-    aim = Aim(rig.models, len(rig.cameras), rig.pitch, config.wall_margin)
+    rig, guard = objective.rig, ConstraintFilter(objective.rig, config.wall_margin)
+    aim = HeadingPlanner(rig.models, len(rig.cameras), rig.pitch, config.wall_margin)
     poses = np.hstack([positions, _headings(positions, objective)])
     order, points = objective.simulator.visibility.order, objective.simulator.scene.points
     seen = objective.simulator.nothing()
@@ -106,7 +108,7 @@ def play_held(online: Online, objective: Objective, positions: np.ndarray, confi
         for view in objective.look(poses):
             seen |= Subset(view.seen, order)
         cloud, targets = points[seen.mask], poses[:, :3].copy()
-        sight = Sight(np.vstack([poses, rig.fixed_poses]), rig.models, len(poses), rig.pitch)
+        sight = RigState(np.vstack([poses, rig.fixed_poses]), rig.models, len(poses), rig.pitch)
         online.know(sight)
         targets[:, :2] += online.move(cloud, poses[:, :3], turn, turns)
         targets = guard(cloud, poses[:, :3], targets, config.max_step,

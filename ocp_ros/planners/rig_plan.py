@@ -7,16 +7,16 @@ import os
 
 import numpy as np
 
-from ocp_ros.configuration import ConfigurationError
+from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.planners.budget import Budget
-from ocp_ros.planners.methods import check_planner, find, RIG_SEARCH
-from ocp_ros.planners.pool import best_addition, Pool, random_sites
+from ocp_ros.planners.candidate_pool import best_addition, Pool, random_sites
+from ocp_ros.planners.rig_methods import check_planner, find, RIG_SEARCH
 from ocp_ros.planners.rig_search import Answer, Progress
+from ocp_ros.rig.feasible_region import FeasibleRegion
+from ocp_ros.rig.rig_file import Rig
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.simulation.config import EngineConfig
-from ocp_ros.simulation.constraints import Allowed
-from ocp_ros.simulation.objective import Objective, simulator_of, Worth
-from ocp_ros.simulation.rig_file import Rig
+from ocp_ros.simulation.objective import Objective, RigEvaluation, simulator_of
+from ocp_ros.util.settings import ConfigurationError
 
 #: Candidates, the fewest where evaluations are counted, and the share of the time that they get.
 CANDIDATES, FEWEST, LOOKING = 2000, 64, 0.2
@@ -27,7 +27,7 @@ ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
-class Plan:
+class RigPlan:
     """
     A placement of a rig in a room and what tells how good it is.
 
@@ -45,8 +45,8 @@ class Plan:
 
     rig: Rig
     answer: Answer
-    worth: Worth
-    everywhere: Worth
+    worth: RigEvaluation
+    everywhere: RigEvaluation
     worst: float
     random: np.ndarray
     candidates: int
@@ -85,7 +85,7 @@ class RigPlanner:
     :param budget: how long a search may take; that of the first plan pays for the candidates.
     :param seed: of all chance.
     :param progress: called several times a second.
-    :param planner: one of :data:`~ocp_ros.planners.methods.PLANNERS`.
+    :param planner: one of :data:`~ocp_ros.planners.rig_methods.PLANNERS`.
     :raises ConfigurationError: if there is no place for a camera, or too little of a region can
         be seen, or there is no such planner.
     """
@@ -103,12 +103,12 @@ class RigPlanner:
         self.pool = Pool(objective, allowed, most, CANDIDATES, os.cpu_count() or 1, self._looked)
         self._check_regions(objective)
 
-    def judges_of(self, rig: Rig) -> tuple[Objective, Allowed]:
+    def judges_of(self, rig: Rig) -> tuple[Objective, FeasibleRegion]:
         """Return what judges placements of a rig, and what holds them to its constraints."""
         if rig not in self._judges:
             # Of the last rig alone: an engine holds some ten megabytes.
             self._judges = {rig: (Objective(simulator_of(self.scene, rig, self.engine), rig),
-                                  Allowed(self.scene, rig))}
+                                  FeasibleRegion(self.scene, rig))}
         return self._judges[rig]
 
     def _looked(self) -> bool:
@@ -127,7 +127,7 @@ class RigPlanner:
                     f'{100.0 * share:.1f} %', 'a share that can be seen',
                     'lower it, or let cameras hang or look elsewhere')
 
-    def plan(self, rig: Rig, before: Answer | None = None) -> Plan:
+    def plan(self, rig: Rig, before: Answer | None = None) -> RigPlan:
         """
         Find the best placement of a rig.
 
@@ -141,7 +141,7 @@ class RigPlanner:
         self.pool.add(rig, answer.sites)
         rng = np.random.default_rng([self.seed, RANDOM])
         drawn = [random_sites(rig, self.pool, rng) for _ in range(RANDOM)]
-        return Plan(
+        return RigPlan(
             rig, answer, objective.evaluate(answer.poses),
             objective.judge(self.pool.everywhere(rig)), objective.simulator.depth_error.worst,
             np.array([objective.loss([site.view for site in sites]) for sites in drawn if sites]),
@@ -153,7 +153,7 @@ class RigPlanner:
         return () if more is None else (*before.sites, more)
 
     def count_up(self, rig_of_count: Callable[[int], Rig], first: int, most: int
-                 ) -> Iterator[Plan]:
+                 ) -> Iterator[RigPlan]:
         """
         Plan with ever more cameras, each time from the plan before: the loss never rises.
 

@@ -16,7 +16,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.planners.annealing import annealed, between
 from ocp_ros.planners.budget import Budget
-from ocp_ros.planners.pool import (
+from ocp_ros.planners.candidate_pool import (
     best_addition,
     check_room,
     clear,
@@ -25,9 +25,9 @@ from ocp_ros.planners.pool import (
     quick_of,
     Site,
 )
-from ocp_ros.simulation.constraints import Allowed
+from ocp_ros.rig.feasible_region import FeasibleRegion
+from ocp_ros.rig.placement_file import as_written
 from ocp_ros.simulation.objective import Objective
-from ocp_ros.simulation.placement_file import as_written
 from ocp_ros.simulation.simulator import View
 
 #: Searches that begin anew, and candidates that each begins from.
@@ -94,7 +94,7 @@ class Search:
     :param start: a placement to begin with, where there is one.
     """
 
-    def __init__(self, objective: Objective, quick: Objective, allowed: Allowed, pool: Pool,
+    def __init__(self, objective: Objective, quick: Objective, allowed: FeasibleRegion, pool: Pool,
                  budget: Budget, rng: np.random.Generator, start: Sequence[Site] = ()) -> None:
         self.objective, self.quick, self.allowed, self.pool = objective, quick, allowed, pool
         self.rig, self.budget, self.rng, self.start = objective.rig, budget, rng, tuple(start)
@@ -200,7 +200,7 @@ class Search:
         return as_written(poses)
 
 
-def search(objective: Objective, allowed: Allowed, pool: Pool, budget: Budget, seed: int,
+def search(objective: Objective, allowed: FeasibleRegion, pool: Pool, budget: Budget, seed: int,
            start: Sequence[Site] = (), progress: Progress | None = None) -> Answer:
     """
     Find the best placement of a rig's cameras.

@@ -9,11 +9,11 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import yaml
 
-from ocp_ros.atomic import write_atomically
-from ocp_ros.report.floor_plan import draw_plan
+from ocp_ros.report.drawing.floor_plan import draw_plan
 from ocp_ros.report.installer import instructions
+from ocp_ros.rig.placement_file import numbers_of, Placed, Placement, save_placement
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.simulation.placement_file import numbers_of, Placed, Placement, save_placement
+from ocp_ros.util.files import write_atomically
 
 #: From a camera's body (x forward, y left, z up) to its picture (z forward, x right, y down):
 #: roll, pitch, yaw in radians, REP-103.

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ocp_ros.rig.placement_file import Placed, Placement
+from ocp_ros.rig.structure import floor_height, STEEP
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.simulation.placement_file import Placed, Placement
-from ocp_ros.simulation.surfaces import floor_height, STEEP
 
 #: Per cent of the points that may lie outside the room, seen through doors and windows; metres
 #: that a wall's points are thick, and that a wall may be inside of what the scan shows.
@@ -29,7 +29,7 @@ STRAIGHT, DOWN = 0.5, 85.0
 COLUMNS = ('camera', 'sensor', 'place', 'height', 'pan', 'tilt')
 
 
-class Wall(NamedTuple):
+class ReferenceWall(NamedTuple):
     """
     A side of the rectangle around a room.
 
@@ -51,7 +51,7 @@ class Wall(NamedTuple):
         return float(self.offset - self.outward @ np.asarray(position[:2]))
 
 
-def walls_around(scene: Scene) -> list[Wall]:
+def walls_around(scene: Scene) -> list[ReferenceWall]:
     """
     Lay a rectangle around a room, along its walls.
 
@@ -70,7 +70,7 @@ def walls_around(scene: Scene) -> list[Wall]:
              for outward, edge, span in zip(outwards, edges, spans)]
     offsets = [offset for offset, _ in sides]
     lengths = [offsets[1] + offsets[3], offsets[0] + offsets[2]] * 2
-    return [Wall(letter, outward, offset, length, stands) for letter, outward, length,
+    return [ReferenceWall(letter, outward, offset, length, stands) for letter, outward, length,
             (offset, stands) in zip('ABCD', outwards, lengths, sides)]
 
 
@@ -117,7 +117,7 @@ class Words(NamedTuple):
     tilt: str
 
 
-def words_for(placed: Placed, walls: Sequence[Wall], floor: float) -> Words:
+def words_for(placed: Placed, walls: Sequence[ReferenceWall], floor: float) -> Words:
     """
     Say how to hang up a camera.
 
@@ -133,13 +133,13 @@ def words_for(placed: Placed, walls: Sequence[Wall], floor: float) -> Words:
                  _pan(placed, walls), _tilt(placed))
 
 
-def _from(wall: Wall, away: float) -> str:
+def _from(wall: ReferenceWall, away: float) -> str:
     """Say how far a camera is from a wall."""
     side = 'from' if away >= 0.0 else 'beyond'
     return f'{abs(100.0 * away):.0f} cm {side} wall {wall.letter}'
 
 
-def _pan(placed: Placed, walls: Sequence[Wall]) -> str:
+def _pan(placed: Placed, walls: Sequence[ReferenceWall]) -> str:
     """Say where a camera faces, seen from above."""
     if placed.camera.model.horizontal_fov >= 2.0 * np.pi - 1e-9:
         return 'any way round'
@@ -175,7 +175,7 @@ def _tilt(placed: Placed) -> str:
     return tilt
 
 
-def rows_of(placement: Placement, walls: Sequence[Wall], floor: float) -> list[list[str]]:
+def rows_of(placement: Placement, walls: Sequence[ReferenceWall], floor: float) -> list[list[str]]:
     """Return what an installer is told of each camera, the names of :data:`COLUMNS` above it."""
     rows = []
     for number, placed in enumerate(placement.cameras, start=1):

@@ -9,13 +9,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import FancyBboxPatch, Patch
 import numpy as np
 
-from ocp_ros.report import maps
-from ocp_ros.report.figures import Figures, figures_of
-from ocp_ros.report.fonts import all_letters
-from ocp_ros.report.judged import Judged
-from ocp_ros.report.numbers import camera_colour, dark
-from ocp_ros.report.room import INK, PALE_INK
-from ocp_ros.report.table import draw_table, shortened
+from ocp_ros.report.assessment import Assessment
+from ocp_ros.report.drawing import assessment_pictures
+from ocp_ros.report.drawing.camera_labels import camera_colour, dark
+from ocp_ros.report.drawing.figure_table import draw_table, shortened
+from ocp_ros.report.drawing.fonts import all_letters
+from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
+from ocp_ros.report.key_figures import Figures, figures_of
 
 #: Inches: A4 on its side, its margins, and dots of each.
 WIDTH, HEIGHT, MARGIN, DOTS = 11.69, 8.27, 0.4, 150
@@ -28,7 +28,7 @@ GOOD, BAD = '#00664d', '#b04a00'
 CORNERS = {'C and D': -125.0, 'B and C': -55.0, 'A and B': 55.0, 'D and A': 125.0}
 
 
-def draw(path: str | Path, judged: Judged) -> None:
+def draw(path: str | Path, judged: Assessment) -> None:
     """
     Write the page as PNG, A4 on its side.
 
@@ -41,28 +41,28 @@ def draw(path: str | Path, judged: Judged) -> None:
         _figure(judged).savefig(path, format='png', dpi=DOTS)
 
 
-def figure_of(judged: Judged) -> Figure:
+def figure_of(judged: Assessment) -> Figure:
     """Draw the page."""
     with all_letters():
         return _figure(judged)
 
 
-def _figure(judged: Judged) -> Figure:
+def _figure(judged: Assessment) -> Figure:
     """Draw the page in the fonts that are set."""
     figure = Figure(figsize=(WIDTH, HEIGHT), dpi=DOTS, facecolor='white')
-    stage = maps.stage_of(judged)
+    stage = assessment_pictures.stage_of(judged)
     _draw_head(figure, judged)
     bottom = _draw_cameras(figure, judged) + 0.42
     high = 6.52 - bottom
     plan = _axes(figure, MARGIN + 0.15, bottom + 0.1, 3.7, high - 0.1)
-    maps.draw_room_plan(plan, stage, judged)
+    assessment_pictures.draw_room_plan(plan, stage, judged)
     _title(figure, MARGIN, 'Plan: what each camera could reach (m along the walls)')
     half = 0.5 * (high - 0.32)
     counts = _axes(figure, MAPS, bottom + half + 0.32, 2.1, half)
-    maps.draw_count_map(counts, stage, judged)
+    assessment_pictures.draw_count_map(counts, stage, judged)
     _title(figure, MAPS, 'Seen by how many cameras')
     errors = _axes(figure, MAPS, bottom, 2.1, half)
-    image = maps.draw_error_map(errors, stage, judged)
+    image = assessment_pictures.draw_error_map(errors, stage, judged)
     _title(figure, MAPS, 'Where the depth error is', bottom + half + 0.14)
     bar = figure.colorbar(image, cax=_axes(figure, MAPS + 2.14, bottom + 0.1, 0.07, half - 0.2))
     bar.set_label('mm per m² of plan', fontsize=6, color=PALE_INK, labelpad=2.0)
@@ -93,7 +93,7 @@ def _few_ticks(most: float) -> np.ndarray:
     return np.array([0.0, 0.1 * top, 0.4 * top, top])
 
 
-def _draw_head(figure: Figure, judged: Judged) -> None:
+def _draw_head(figure: Figure, judged: Assessment) -> None:
     """Write the room's name, what stands in it, and the key figures."""
     found: Figures = figures_of(judged)
     figure.text(MARGIN / WIDTH, 7.92 / HEIGHT, shortened(found.title, 7.4, 15, True), fontsize=15,
@@ -119,19 +119,20 @@ def _draw_head(figure: Figure, judged: Judged) -> None:
                         va='center', fontweight='bold' if bold else 'normal')
 
 
-def _draw_looks(figure: Figure, stage: maps.Stage, judged: Judged, bottom: float, half: float
-                ) -> None:
+def _draw_looks(figure: Figure, stage: assessment_pictures.Stage, judged: Assessment,
+                bottom: float, half: float) -> None:
     """Draw four looks into the room."""
     left, wide = 7.15, 2.02
     for number, (corner, azimuth) in enumerate(CORNERS.items()):
         x = left + (number % 2) * (wide + 0.1)
         y = bottom + (1 - number // 2) * (half + 0.32)
-        maps.draw_look(_axes(figure, x, y, wide, half), stage, judged, np.deg2rad(azimuth))
+        assessment_pictures.draw_look(_axes(figure, x, y, wide, half), stage, judged,
+                                      np.deg2rad(azimuth))
         _title(figure, x, f'From the corner of {corner}',
                6.66 if number < 2 else bottom + half + 0.14)
 
 
-def _draw_legend(figure: Figure, y: float, judged: Judged) -> None:
+def _draw_legend(figure: Figure, y: float, judged: Assessment) -> None:
     """Explain the marks of all pictures in one line, inches from the bottom."""
     entries = {'camera': Line2D([], [], color=camera_colour(0), marker='o', markersize=6,
                                 linestyle='none'),
@@ -140,13 +141,14 @@ def _draw_legend(figure: Figure, y: float, judged: Judged) -> None:
     if all(wall.stands for wall in judged.walls):
         del entries['no wall stands']
     entries |= {name: Patch(facecolor=colour)
-                for name, colour in zip(maps.COUNT_NAMES, maps.COUNT_COLOURS)}
+                for name, colour in zip(assessment_pictures.COUNT_NAMES,
+                                        assessment_pictures.COUNT_COLOURS)}
     figure.legend(entries.values(), entries.keys(), loc='center', ncols=len(entries),
                   frameon=False, fontsize=7, labelcolor=INK, columnspacing=1.6, handlelength=1.4,
                   bbox_to_anchor=(0.5, y / HEIGHT), borderpad=0.0, borderaxespad=0.0)
 
 
-def _draw_cameras(figure: Figure, judged: Judged) -> float:
+def _draw_cameras(figure: Figure, judged: Assessment) -> float:
     """Draw the installer's table; return how high it reaches, inches."""
     placed, left_out = judged.placement.cameras, len(judged.placement.cameras) - MOST
     rows = [['', 'camera', 'sensor', 'place', 'height', 'pan', 'tilt', 'takes from the error']]

@@ -13,15 +13,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import plotly.graph_objects as go
 
-from ocp_ros.report.cones import edges
-from ocp_ros.report.figures import figures_of
-from ocp_ros.report.judged import Judged
-from ocp_ros.report.maps import COUNT_COLOURS, COUNT_NAMES, ERROR_COLOURS
-from ocp_ros.report.numbers import camera_colour
-from ocp_ros.report.room import HEIGHTS, heights_of, INK, PALE_INK, room_of
-from ocp_ros.report.tables import tables_of
+from ocp_ros.report.assessment import Assessment
+from ocp_ros.report.drawing.assessment_pictures import COUNT_COLOURS, COUNT_NAMES, ERROR_COLOURS
+from ocp_ros.report.drawing.camera_labels import camera_colour
+from ocp_ros.report.drawing.frustum_drawing import edges
+from ocp_ros.report.drawing.room_drawing import HEIGHTS, heights_of, INK, PALE_INK, room_of
+from ocp_ros.report.html_tables import tables_of
+from ocp_ros.report.key_figures import figures_of
+from ocp_ros.rig.zones import Zone
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.simulation.zones import Zone
 
 #: Points that the page shows: more take longer to turn than they tell.
 SHOWN = 40000
@@ -66,7 +66,7 @@ class Paint(NamedTuple):
     ends: tuple[str, str] = ('', '')
 
 
-def write_view(path: str | Path, scene: Scene, judged: Judged | None = None) -> None:
+def write_view(path: str | Path, scene: Scene, judged: Assessment | None = None) -> None:
     """
     Write a room as an HTML page that contains all it needs.
 
@@ -133,7 +133,7 @@ def groups_of(points: np.ndarray) -> tuple[list[np.ndarray], list[list[float]]]:
     return [*groups, np.setdiff1d(np.arange(len(points)), shown)], ways
 
 
-def paints_of(scene: Scene, judged: Judged | None) -> list[Paint]:
+def paints_of(scene: Scene, judged: Assessment | None) -> list[Paint]:
     """Return the ways to colour the points, the one that is shown at first in front."""
     low, high = np.percentile(scene.points[:, 2], [2.0, 98.0])
     height = Paint('height', heights_of(scene.points), _scale(HEIGHTS), (),
@@ -161,7 +161,7 @@ def _bytes_of(shares: np.ndarray) -> str:
     return b64encode(np.rint(255.0 * shares).astype(np.uint8).tobytes()).decode()
 
 
-def layers_of(judged: Judged) -> Iterator[Layer]:
+def layers_of(judged: Assessment) -> Iterator[Layer]:
     """Return the cameras, what they could see, the rig's zones and where one more would help."""
     placed, scene, rig = judged.placement.cameras, judged.scene, judged.objective.rig
     yield Layer('cameras', [_cameras(judged)])
@@ -206,7 +206,7 @@ def _cloud(points: np.ndarray, colour: str) -> go.Scatter3d:
                         marker={'size': 2.8, 'color': colour, 'line': {'width': 0}})
 
 
-def _cameras(judged: Judged) -> go.Scatter3d:
+def _cameras(judged: Assessment) -> go.Scatter3d:
     """Draw cameras with their numbers, and how to hang them up where one points at them."""
     x, y, z = np.array([one.position for one in judged.placement.cameras]).T
     numbers = range(len(judged.placement.cameras))
@@ -252,12 +252,12 @@ def _outline(zone: Zone, scene: Scene, floor: float) -> np.ndarray:
     return np.concatenate([part for line in (*rings, *posts) for part in (line, gap)])[:-1]
 
 
-def _title(scene: Scene, judged: Judged | None) -> str:
+def _title(scene: Scene, judged: Assessment | None) -> str:
     """Return the headline."""
     return scene.name if judged is None else figures_of(judged).title
 
 
-def _subtitle(scene: Scene, judged: Judged | None) -> str:
+def _subtitle(scene: Scene, judged: Assessment | None) -> str:
     """Return the line below the headline."""
     shown = min(len(scene), SHOWN)
     text = f'{" x ".join(f"{edge:.1f}" for edge in scene.size)} m, {len(scene):,} points' \

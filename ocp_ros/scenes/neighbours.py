@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ocp_ros.geometry.clouds import corners_of
-from ocp_ros.geometry.threads import mapped
+from ocp_ros.util.threads import mapped
 
 #: Points that an occupied cell should hold, as a share of the neighbours that are sought: most of
 #: these then lie in the 27 cells around a point.

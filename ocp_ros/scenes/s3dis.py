@@ -12,8 +12,8 @@ import re
 
 import numpy as np
 
-from ocp_ros.scenes.cached import load_cached
 from ocp_ros.scenes.scene import Scene, SceneError
+from ocp_ros.scenes.scene_cache import load_cached
 
 #: Areas to be judged by, the others being to learn from, and how many rooms of each.
 TEST_AREAS, PER_AREA = (6,), 10

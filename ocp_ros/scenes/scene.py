@@ -6,11 +6,11 @@ from functools import cached_property
 
 import numpy as np
 
-from ocp_ros.configuration import UserError
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.geometry.normals import edge_aware_normals
 from ocp_ros.scenes.neighbours import nearest
+from ocp_ros.util.settings import UserError
 
 MIN_POINTS = 100
 #: Nearest points that a point's plane is fitted to, itself included.

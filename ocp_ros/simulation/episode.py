@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ocp_ros.simulation.moves import drawn_near, kept_inside
+from ocp_ros.rig.motion import drawn_near, kept_inside
 from ocp_ros.simulation.reward import NO_REWARD, reward, RewardTerms
 from ocp_ros.simulation.simulator import Simulator, View
 

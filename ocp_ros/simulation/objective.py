@@ -6,15 +6,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ocp_ros.configuration import ConfigurationError
 from ocp_ros.geometry.blocks import count_bits, no_bits, pack, seen_by, Subset
 from ocp_ros.geometry.coverage import space_coverage
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.rig.feasible_region import check_heights
+from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.rig.rig_file import Region, Rig
+from ocp_ros.rig.structure import floor_height
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.simulation.config import EngineConfig, RigConfig, SimulationConfig
-from ocp_ros.simulation.constraints import check_heights
-from ocp_ros.simulation.rig_file import Region, Rig
+from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator, View
-from ocp_ros.simulation.surfaces import floor_height
+from ocp_ros.util.settings import ConfigurationError
 
 #: What it costs to miss all of what a region says must be seen; the room itself costs 1.
 MUST = 10.0
@@ -22,7 +24,7 @@ MUST = 10.0
 COUNTED = 3
 
 
-class Worth(NamedTuple):
+class RigEvaluation(NamedTuple):
     """
     What a placement is worth; a place counts as seen where ``seen_by`` cameras see it.
 
@@ -108,7 +110,7 @@ class Objective:
         """
         return [self.simulator.look(pose, camera) for camera, pose in enumerate(poses)]
 
-    def judge(self, views: Sequence[View]) -> Worth:
+    def judge(self, views: Sequence[View]) -> RigEvaluation:
         """
         Judge cameras by what they see.
 
@@ -119,8 +121,8 @@ class Objective:
         seen = self._seen(views)
         covered = seen_by([view.covered for view in views], self.rig.seen_by)[-1]
         loss, error, shares = self._loss_of(seen)
-        return Worth(loss, error, space_coverage(covered, simulator.cell_volume), shares,
-                     Subset(seen, self._order))
+        return RigEvaluation(loss, error, space_coverage(covered, simulator.cell_volume), shares,
+                             Subset(seen, self._order))
 
     def loss(self, views: Sequence[View]) -> float:
         """Return the loss alone, of views as for :meth:`judge`."""
@@ -145,7 +147,7 @@ class Objective:
                 + MUST * np.maximum(self._must - shares, 0.0).sum())
         return float(loss), error, shares
 
-    def evaluate(self, poses: np.ndarray) -> Worth:
+    def evaluate(self, poses: np.ndarray) -> RigEvaluation:
         """Judge poses (K, 6), metres, map frame, and radians."""
         return self.judge(self.look(poses))
 

@@ -13,7 +13,7 @@ what a path pays depends on its two ends alone.
 import math
 from typing import NamedTuple
 
-from ocp_ros.simulation.config import RewardConfig
+from ocp_ros.simulation.simulation_config import RewardConfig
 
 
 class RewardTerms(NamedTuple):

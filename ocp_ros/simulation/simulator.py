@@ -14,7 +14,7 @@ from ocp_ros.geometry.coverage import coverable_cell, coverage_grid, space_cover
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.visibility import CubeVisibility, PRESETS, SurfelVisibility
 from ocp_ros.scenes.scene import Scene, SceneError
-from ocp_ros.simulation.config import SimulationConfig
+from ocp_ros.simulation.simulation_config import SimulationConfig
 
 _log = logging.getLogger(__name__)
 #: Half the side of a point's cube in the depth maps of the error, in multiples of its spacing:

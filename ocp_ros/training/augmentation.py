@@ -15,7 +15,7 @@ from stable_baselines3.common.buffers import DictReplayBuffer
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 import torch
 
-from ocp_ros.agent.world import WAYS
+from ocp_ros.agent.move_effects import WAYS
 
 #: (8, 2, 2): the rotations by 0, 90, 180 and 270 degrees, then the same after a mirror.
 SYMMETRIES = torch.tensor([
@@ -27,7 +27,7 @@ _WAYS = torch.tensor(WAYS, dtype=torch.float32)
 SOURCES = (_WAYS @ (SYMMETRIES @ _WAYS.T)).argmax(dim=2)
 
 
-class Maps(NamedTuple):
+class Symmetries(NamedTuple):
     """
     One symmetry per batch entry.
 
@@ -39,14 +39,14 @@ class Maps(NamedTuple):
     sources: torch.Tensor
 
     @classmethod
-    def of(cls, numbers: torch.Tensor, device: torch.device | str = 'cpu') -> 'Maps':
+    def of(cls, numbers: torch.Tensor, device: torch.device | str = 'cpu') -> 'Symmetries':
         """Return the symmetries of some numbers (B,)."""
         return cls(SYMMETRIES[numbers].to(device), SOURCES[numbers].to(device))
 
 
-def random_symmetries(count: int, device: torch.device | str = 'cpu') -> Maps:
+def random_symmetries(count: int, device: torch.device | str = 'cpu') -> Symmetries:
     """Draw so many symmetries."""
-    return Maps.of(torch.from_numpy(np.random.randint(len(SYMMETRIES), size=count)), device)
+    return Symmetries.of(torch.from_numpy(np.random.randint(len(SYMMETRIES), size=count)), device)
 
 
 def turn(vectors: torch.Tensor, maps: torch.Tensor) -> torch.Tensor:
@@ -60,7 +60,7 @@ def turn(vectors: torch.Tensor, maps: torch.Tensor) -> torch.Tensor:
     return torch.cat([flat.reshape(*vectors.shape[:-1], 2), vectors[..., 2:]], dim=-1)
 
 
-def turn_observation(observation: dict[str, torch.Tensor], maps: Maps
+def turn_observation(observation: dict[str, torch.Tensor], maps: Symmetries
                      ) -> dict[str, torch.Tensor]:
     """
     Apply one map per batch entry to an encoded observation.

@@ -18,23 +18,23 @@ import numpy as np
 from stable_baselines3 import SAC
 import torch
 
-from ocp_ros.agent.world import CHOICES, greedy
-from ocp_ros.atomic import write_atomically
-from ocp_ros.planners.online import Online, shared_out
+from ocp_ros.agent.move_effects import CHOICES, greedy
+from ocp_ros.planners.online_planner import Online, shared_out
 from ocp_ros.planners.registry import OFFLINE, ONLINE, settings_of
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
+from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.simulation.config import SimulationConfig
-from ocp_ros.simulation.env import CameraPlacementEnv
+from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
-from ocp_ros.simulation.space import Space
 from ocp_ros.training.augmentation import random_symmetries, turn, turn_observation
-from ocp_ros.training.config import DemonstrationsConfig, RoomsConfig, TrainingConfig
-from ocp_ros.training.encoded import CameraByCamera
-from ocp_ros.training.evaluation import policy_of
-from ocp_ros.training.rooms import make
+from ocp_ros.training.encoded_environment import CameraByCamera
+from ocp_ros.training.training_config import DemonstrationsConfig, RoomsConfig, TrainingConfig
+from ocp_ros.training.training_rooms import make
+from ocp_ros.training.validation import policy_of
+from ocp_ros.util.files import write_atomically
 
 #: Names of the arrays of an episode that are no inputs of the network.
 NO_INPUTS = MOVES, ACTIONS, REWARDS, LAST, ENDS = (
@@ -42,12 +42,12 @@ NO_INPUTS = MOVES, ACTIONS, REWARDS, LAST, ENDS = (
 
 
 @dataclass(frozen=True)
-class Task:
+class DemonstrationTask:
     """
     One episode to play.
 
     :ivar config: of the run.
-    :ivar room: name of the room; see :mod:`ocp_ros.training.rooms`.
+    :ivar room: name of the room; see :mod:`ocp_ros.training.training_rooms`.
     :ivar seed: of everything that is drawn.
     :ivar expert_moves: chance that a camera does what the expert says.
     :ivar weights: of the policy that moves the others, as one blob; empty for the expert alone.
@@ -65,7 +65,7 @@ class Walk(Online):
     Go straight to a placement that was found with the scan at hand.
 
     :param placement: (K, 2) metres.
-    :param settings: of :class:`~ocp_ros.planners.online.Online`.
+    :param settings: of :class:`~ocp_ros.planners.online_planner.Online`.
     """
 
     def __init__(self, placement: np.ndarray, *settings) -> None:
@@ -77,7 +77,7 @@ class Walk(Online):
         self._targets = None
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
-        """Choose the next moves; see :meth:`~ocp_ros.planners.online.Online.move`."""
+        """Choose the next moves; see :meth:`~ocp_ros.planners.online_planner.Online.move`."""
         if self._targets is None:
             self._targets = shared_out(positions, self._placement)
         return self.towards(positions, self._targets) - positions[:, :2]
@@ -96,13 +96,13 @@ def expert_of(name: str, simulator: Simulator, config: SimulationConfig, budget:
     """
     if name in ONLINE:
         return ONLINE[name](config, rng)
-    space = Space.of(simulator.scene.points, simulator.height, config.rig.cameras,
-                     config.episode.wall_margin)
+    space = FreePlane.of(simulator.scene.points, simulator.height, config.rig.cameras,
+                         config.episode.wall_margin)
     found = solve(OFFLINE[name](space, rng, budget), Scorer(simulator), budget)
     return Walk(found.placement[:, :2], *settings_of(config, rng))
 
 
-def demonstrate(task: Task) -> dict[str, np.ndarray]:
+def demonstrate(task: DemonstrationTask) -> dict[str, np.ndarray]:
     """
     Play one episode, camera by camera.
 
@@ -194,7 +194,7 @@ def _room(config: RoomsConfig, name: str) -> Scene:
 
 
 def tasks_of(config: TrainingConfig, rooms: Sequence[str], number: int, weights: bytes
-             ) -> list[Task]:
+             ) -> list[DemonstrationTask]:
     """
     Return the episodes of a round.
 
@@ -205,8 +205,9 @@ def tasks_of(config: TrainingConfig, rooms: Sequence[str], number: int, weights:
     """
     settings, rng = config.demonstrations, np.random.default_rng([config.seed, number])
     share = 1.0 if number < settings.alone else settings.expert_moves * settings.fading ** number
-    return [Task(config, rooms[int(rng.integers(len(rooms)))], (config.seed, number, index),
-                 share, weights if number >= settings.alone else b'')
+    return [DemonstrationTask(config, rooms[int(rng.integers(len(rooms)))], (config.seed, number,
+                                                                             index),
+                              share, weights if number >= settings.alone else b'')
             for index in range(settings.episodes)]
 
 

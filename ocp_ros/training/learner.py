@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.logger import configure
 
+from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
-from ocp_ros.agent.config import AgentConfig
-from ocp_ros.configuration import LARGEST_SEED, MOST_CAMERAS, setting
-from ocp_ros.training.config import SacConfig
-from ocp_ros.training.encoded import padded
-from ocp_ros.training.log import TransitionLog
+from ocp_ros.training.encoded_environment import padded
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
-from ocp_ros.training.state import load_state, new_run, save_state
+from ocp_ros.training.sac_state import load_state, new_run, save_state
+from ocp_ros.training.training_config import SacConfig
+from ocp_ros.training.transition_log import TransitionLog
 from ocp_ros.training.transitions import Transition
+from ocp_ros.util.settings import LARGEST_SEED, MOST_CAMERAS, setting
 
 #: Gradient steps between two looks at the world: short enough to stop at once.
 BURST = 4

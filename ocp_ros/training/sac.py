@@ -11,12 +11,12 @@ from stable_baselines3.sac.policies import Actor as SacActor
 from stable_baselines3.sac.policies import MultiInputPolicy
 import torch
 
+from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
-from ocp_ros.agent.config import AgentConfig
 from ocp_ros.agent.networks import CriticHead, Extractor, head_of, present_of
 from ocp_ros.training.augmentation import SymmetricReplayBuffer
-from ocp_ros.training.config import SacConfig
-from ocp_ros.training.encoded import action_space, encoded_space
+from ocp_ros.training.encoded_environment import action_space, encoded_space
+from ocp_ros.training.training_config import SacConfig
 
 
 class SharedExtractor(BaseFeaturesExtractor):

@@ -28,23 +28,23 @@ import torch
 import yaml
 
 from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.atomic import write_atomically
-from ocp_ros.configuration import ConfigurationError, from_nested, to_nested
 from ocp_ros.geometry.blocks import no_bits
-from ocp_ros.geometry.threads import cores
-from ocp_ros.resources import find_model
+from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.simulation.config import EngineConfig
-from ocp_ros.simulation.env import CameraPlacementEnv
+from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.training import demonstrations
-from ocp_ros.training.config import TrainingConfig
-from ocp_ros.training.crew import Crew
-from ocp_ros.training.encoded import CameraByCamera, EncodedObservation
-from ocp_ros.training.evaluation import evaluate, RANDOM_MOVES, Trial
-from ocp_ros.training.replay import Rebuild, TurnReplay
-from ocp_ros.training.rooms import make, PARTS, room_names, Rooms
+from ocp_ros.training.encoded_environment import CameraByCamera, EncodedObservation
+from ocp_ros.training.replay_buffer import Rebuild, TurnReplay
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
-from ocp_ros.training.state import load_state, new_run, save_state
+from ocp_ros.training.sac_state import load_state, new_run, save_state
+from ocp_ros.training.training_config import TrainingConfig
+from ocp_ros.training.training_rooms import make, PARTS, room_names, Rooms
+from ocp_ros.training.validation import evaluate, RANDOM_MOVES, ValidationTrial
+from ocp_ros.util.files import write_atomically
+from ocp_ros.util.resources import find_model
+from ocp_ros.util.settings import ConfigurationError, from_nested, to_nested
+from ocp_ros.util.threads import cores
+from ocp_ros.util.worker_pool import WorkerPool
 
 #: Settings with which a run may go on though it was begun with others.
 MAY_CHANGE = ('interactions', 'workers', 'evaluate_every')
@@ -88,7 +88,7 @@ class Run:
     config: TrainingConfig
     folder: Path
     model: SAC
-    crew: Crew
+    crew: WorkerPool
     progress: Progress
     name: str
 
@@ -147,11 +147,12 @@ def records(folder: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
-def trials_of(config: TrainingConfig, part: str) -> list[Trial]:
+def trials_of(config: TrainingConfig, part: str) -> list[ValidationTrial]:
     """Return one episode in each room of a set, turned by one rotation after the other."""
     rooms, rig = config.rooms, config.simulation.rig
     simulation = replace(config.simulation, rig=replace(rig, cameras=min(4, rig.cameras)))
-    return [Trial(room, rooms, rooms.angles[index % len(rooms.angles)], simulation, index)
+    return [ValidationTrial(room, rooms, rooms.angles[index % len(rooms.angles)], simulation,
+                            index)
             for index, room in enumerate(room_names(rooms, part))]
 
 
@@ -188,7 +189,7 @@ def imitate(run: Run) -> None:
     run.progress.update(task, completed=settings.rounds)
 
 
-class Watch(BaseCallback):
+class TrainingWatch(BaseCallback):
     """Log the terms of the reward and evaluate as SAC learns."""
 
     def __init__(self, run: Run, last: int) -> None:
@@ -260,7 +261,7 @@ def learn(run: Run) -> None:
     sequence = np.random.SeedSequence([config.seed, model.num_timesteps])
     model.env.seed(int(sequence.generate_state(1)[0]) >> 1)
     try:
-        model.learn(last - model.num_timesteps, callback=Watch(run, last),
+        model.learn(last - model.num_timesteps, callback=TrainingWatch(run, last),
                     reset_num_timesteps=False, tb_log_name='sac')
     except (EOFError, ConnectionError) as error:
         raise ConfigurationError(
@@ -286,7 +287,7 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
     _claim(folder, config)
     columns = (TextColumn('{task.description}'), MofNCompleteColumn(), TimeRemainingColumn(),
                TextColumn('{task.fields[error]}'))
-    with Crew(config.workers) as crew, Progress(*columns) as progress:
+    with WorkerPool(config.workers) as crew, Progress(*columns) as progress:
         run = Run(config, folder, _model(config, folder), crew, progress, new_run())
         if run.state.exists():
             run.name = load_state(run.model, run.state)

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the agent reads and the sizes of its networks."""
+
+from dataclasses import dataclass
+
+from ocp_ros.util.settings import setting
+
+#: What the network reads: what a few moves would change on what was seen (``world``), the observed
+#: cloud itself as in the paper (``cloud``), or both.
+INPUTS = ('world', 'cloud', 'both')
+
+
+@dataclass(frozen=True)
+class AgentConfig:
+    """
+    Inputs, the feature extractor's three units and the heads behind it.
+
+    A unit samples key points by farthest-point sampling and groups neighbours by ball query; the
+    last one has a single key point and groups all that reach it.
+    """
+
+    inputs: str = setting(
+        'world', 'what the network reads: world, cloud or both, then with the place of the one '
+        'camera that chooses: of the others world tells', choices=INPUTS)
+    points: int = setting(512, 'points of the cloud that reach the first unit', 16, 32767)
+    keys_1: int = setting(32, 'key points of the first unit', 1, 4096)
+    group_1: int = setting(8, 'points per group of the first unit', 1, 256)
+    radius_1: float = setting(0.8, 'ball query radius of the first unit, metres', 0.01, 50.0)
+    keys_2: int = setting(8, 'key points of the second unit', 1, 1024)
+    group_2: int = setting(8, 'points per group of the second unit', 1, 256)
+    radius_2: float = setting(2.0, 'ball query radius of the second unit, metres', 0.01, 50.0)
+    channels: int = setting(32, "channels C' of each unit's perceptron", 1, 1024)
+    hidden: int = setting(256, 'width of the heads', 1, 4096)
+    length_scale: float = setting(4.0, 'metres that one unit of the network means', 0.01, 100.0)
+
+    @property
+    def world(self) -> bool:
+        """Return whether the network reads what moves would change."""
+        return self.inputs != 'cloud'
+
+    @property
+    def cloud(self) -> bool:
+        """Return whether the network reads the observed cloud."""
+        return self.inputs != 'world'

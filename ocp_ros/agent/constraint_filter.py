@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Hold commands to what a rig file asks for, as far as what has been seen so far tells.
+
+Each camera goes to the allowed place nearest to where it was to go, among those that one turn
+reaches. Where there is none it stays: nobody is sent through a place where it must not be.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ocp_ros.rig.feasible_region import apart, FeasibleRegion, LEEWAY
+from ocp_ros.rig.motion import kept_inside
+from ocp_ros.rig.rig_file import Rig
+from ocp_ros.rig.structure import STAND_OFF
+from ocp_ros.scenes.scene import Scene, SceneError
+from ocp_ros.util.settings import ConfigurationError
+
+#: Places from the middle to the edge of the disc that a turn reaches, and how often they are
+#: sought again, each time so many times nearer together.
+ACROSS, FINER = 10, (1.0, 0.15)
+#: Metres of air that there are above a camera at least: those that look down do not see it.
+ABOVE = 0.1
+#: Metres that a number may be off by rounding.
+ROUNDING = 1e-9
+
+
+class FilteredTargets(NamedTuple):
+    """
+    Where cameras may go.
+
+    :ivar targets: (K, 3) metres.
+    :ivar held: sentences, one for each camera that stays since it may go nowhere.
+    """
+
+    targets: np.ndarray
+    held: list[str]
+
+
+class ConstraintFilter:
+    """
+    Move targets to allowed places.
+
+    :param rig: what is asked of places; its cameras in place only keep others away.
+    :param wall_margin: cameras stay this far inside the observed bounding box, metres.
+    """
+
+    def __init__(self, rig: Rig, wall_margin: float) -> None:
+        self.rig, self.wall_margin = rig, wall_margin
+        # What is in place may be farther off than what has been seen.
+        self._movable = replace(rig, fixed=())
+        self._known: tuple[np.ndarray, float] | None = None
+        self._allowed: FeasibleRegion | None = None
+        self._why = ''
+
+    def __call__(self, cloud: np.ndarray, positions: np.ndarray, targets: np.ndarray,
+                 max_step: float, fixed: np.ndarray | None = None) -> FilteredTargets:
+        """
+        Choose places.
+
+        :param cloud: (N, 3) float32, metres: the points seen so far.
+        :param positions: (K, 3) metres, where the cameras of the rig that are to be placed are.
+        :param targets: (K, 3) metres, where they were to go.
+        :param max_step: farthest a camera moves in one turn, metres.
+        :param fixed: (F, 3) metres, where the cameras in place are; the rig's word for it unless
+            told otherwise.
+        """
+        self._look(cloud, float(positions[:, 2].max()) + ABOVE)
+        if self._allowed is None:
+            return FilteredTargets(positions.copy(), [f'all cameras stay: {self._why}'])
+        bounds = np.stack([cloud.min(axis=0), cloud.max(axis=0)]).astype(np.float64)
+        fixed = self.rig.fixed_poses[:, :3] if fixed is None else fixed
+        chosen, held = positions.copy(), []
+        for camera, name in enumerate(self.rig.cameras):
+            others = np.concatenate([np.delete(chosen, camera, axis=0), fixed])
+            found = self._nearest(positions[camera], targets[camera], others, bounds, max_step)
+            if found is None:
+                held.append(f'{name.name} stays at {np.round(positions[camera], 2).tolist()}: '
+                            f'found no allowed place within {max_step:g} m')
+            else:
+                chosen[camera] = found
+        return FilteredTargets(chosen, held)
+
+    def _look(self, cloud: np.ndarray, top: float) -> None:
+        """Learn from what has been seen where cameras may be, unless that is known."""
+        if self._known is not None and self._known[1] == top and np.array_equal(
+                self._known[0], cloud):
+            return
+        self._known, self._allowed = (cloud, top), None
+        try:
+            self._allowed = FeasibleRegion(Scene(cloud, 'observed cloud'), self._movable, top)
+        except (ConfigurationError, SceneError) as error:
+            self._why = str(error)
+
+    def _nearest(self, position: np.ndarray, target: np.ndarray, others: np.ndarray,
+                 bounds: np.ndarray, max_step: float) -> np.ndarray | None:
+        """Return the allowed place that is nearest to a target, about; None if there is none."""
+        best, middle = None, position
+        for scale in FINER:
+            places = np.concatenate([target[None], self._around(middle, scale * max_step),
+                                     position + np.linspace(0.0, 1.0, ACROSS)[:, None]
+                                     * (target - position)])
+            if best is not None:
+                places = np.concatenate([best[None], places])
+            places = self._raised(places, position[2])
+            good = np.linalg.norm(places - position, axis=1) <= max_step + ROUNDING
+            places = places[good & apart(places, others, self.rig.spacing)
+                            & self._inside(places, bounds)]
+            places = places[self._allowed.allowed(places)] if len(places) else places
+            if len(places) == 0:
+                return best
+            best = places[np.argmin(np.linalg.norm(places - target, axis=1))]
+            middle = best
+        return best
+
+    def _around(self, middle: np.ndarray, radius: float) -> np.ndarray:
+        """Return places (P, 3) in a level disc."""
+        steps = np.linspace(-radius, radius, 2 * ACROSS + 1)
+        x, y = (axis.ravel() for axis in np.meshgrid(steps, steps))
+        within = np.hypot(x, y) <= radius
+        return middle + np.column_stack([x, y, np.zeros_like(x)])[within]
+
+    def _raised(self, places: np.ndarray, height: float) -> np.ndarray:
+        """Bring places to the height of the mount, where they are not: (P, 3)."""
+        places = places.copy()
+        places[:, 2] = height
+        allowed, heights = self._allowed, self.rig.mount.heights
+        if heights is not None:
+            low, high = allowed.floor + heights[0], allowed.floor + heights[1]
+            if not low - LEEWAY <= height <= high + LEEWAY:
+                places[:, 2] = np.clip(height, low, high)
+        elif self.rig.mount.on == 'ceiling':
+            above = allowed.surface.height_above(places[:, :2])
+            off = ~allowed.surface.at(places).on | (above <= places[:, 2])
+            places[off, 2] = np.where(np.isfinite(above), above - STAND_OFF, height)[off]
+        return places
+
+    def _inside(self, places: np.ndarray, bounds: np.ndarray) -> np.ndarray:
+        """Tell which places are far enough inside the observed bounding box: (P,) bool."""
+        inside, _ = kept_inside(places, bounds, self.wall_margin)
+        return (np.abs(inside - places) <= ROUNDING).all(axis=1)

@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The engine on what has been seen, and which parts of the air nobody has looked into yet.
+
+Whoever decides online, a planner or a policy, knows the room through this alone.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ocp_ros.agent.room_rectangle import inset, smallest_rectangle, with_corners
+from ocp_ros.geometry.blocks import no_bits, pack, unpack
+from ocp_ros.geometry.cameras import CameraModel, Frustum, OMNIDIRECTIONAL, Pose
+from ocp_ros.geometry.clouds import cell_numbers, cells_numbered, fixed_size
+from ocp_ros.geometry.depth_error import DepthError
+from ocp_ros.geometry.surfels import SurfelSettings
+from ocp_ros.geometry.visibility import FAST, SurfelVisibility
+from ocp_ros.geometry.voxels import voxel_downsample, voxel_size_for
+from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.simulation.simulator import ERROR_CUBE, View
+
+#: Metres: edge of the cells of the air. They are anchored to the map frame's origin, so that they
+#: stay the same while the observed bounding box grows.
+CELL = 0.5
+#: The most cells of the air: where there are more, their edge is doubled until there are not.
+MOST_CELLS = 20_000
+#: The number of places that are no cells.
+NO_CELL = -1
+#: Points of a cloud per point wanted: of what is denser, points are left out before voxels are
+#: sought, which takes long.
+DENSE = 4
+#: By what share the cloud grows before a model that is kept is made anew.
+GROWTH = 0.01
+#: Metres: how far one looks for a corner of the room, and how many cameras do.
+FAR, LOOKING = 100.0, 2
+
+
+class PartialMap:
+    """
+    The engine on what has been seen, and the cells of the air within its bounding box.
+
+    The box decides where the viewpoints of the depth error are, so a corner that nobody has looked
+    into yet matters: see :func:`smallest_rectangle`. A corner of the rectangle counts if nothing
+    that has been seen hides it from the cameras next to it; the corner that an L-shaped room
+    lacks is behind walls.
+
+    :param cloud: (M, 3) float32, metres, map frame: the points seen so far.
+    :param positions: (K, 3) metres: where the cameras are.
+    :param max_range: of the cameras, metres.
+    :param most: a cloud of more points is thinned to at most as many.
+    :param rows: rows of the depth maps of the error.
+    :param settings: rules of visibility.
+    :param around: cells that are no farther from a camera count as well, seen from above, metres:
+        cameras that look one way know of no air behind them.
+    :ivar cells: (C,) int64, the number of each cell, in the order of the bits of a view.
+    :ivar edge: of the cells, metres.
+    :raises SceneError: if the points are too few or too flat to be a room.
+    """
+
+    def __init__(self, cloud: np.ndarray, positions: np.ndarray, max_range: float, most: int,
+                 rows: int, settings: SurfelSettings = FAST, around: float = 0.0) -> None:
+        scene = Scene(thinned(cloud, most), 'observed cloud')
+        corners = smallest_rectangle(scene.points[:, :2])
+        box = with_corners(scene.bounds, corners)
+        if around:
+            box = with_corners(box, positions[:, :2] - around)
+            box = with_corners(box, positions[:, :2] + around)
+        centres, numbers, self.edge = cells_of_the_air(box)
+        self._lens = CameraModel(max_range=max_range).lens
+        tests = np.column_stack([inset(corners), np.full(4, np.median(positions[:, 2]))])
+        self.visibility = SurfelVisibility(
+            scene.points, scene.normals_or_estimate, scene.pitch,
+            np.concatenate([centres, tests.astype(np.float32)]), settings)
+        bounds = with_corners(scene.bounds, corners[self._open(tests, positions)])
+        self.bounds = bounds
+        inside = ((centres >= bounds[0]) & (centres <= bounds[1])).all(axis=1)
+        if around:
+            away = np.linalg.norm(centres[:, None, :2] - positions[None, :, :2], axis=2)
+            inside |= away.min(axis=1) <= around
+        order, places = self.visibility.order, self.visibility.place_order
+        self.cells = np.append(np.where(inside, numbers, NO_CELL), [NO_CELL] * 4)[places]
+        self.depth_error = DepthError(scene.points[order], scene.spacing[order], bounds,
+                                      rows, ERROR_CUBE)
+
+    def _open(self, tests: np.ndarray, positions: np.ndarray) -> np.ndarray:
+        """Tell of four places that are listed last whether cameras near them see them."""
+        places = self.visibility.place_order
+        lens, found = CameraModel(max_range=FAR).lens, np.zeros(4, dtype=bool)
+        away = np.linalg.norm(tests[:, None] - positions[None], axis=2)
+        near = np.argsort(away, axis=1)[:, :LOOKING]
+        for camera in np.unique(near):
+            view = View(no_bits(len(self.visibility.order)), no_bits(len(places)))
+            self.visibility.look(Pose.of(positions[camera]), lens, *view)
+            seen = np.empty(len(places), dtype=bool)
+            seen[places] = unpack(view.covered, len(places))
+            found |= seen[-4:] & (near == camera).any(axis=1)
+        return found
+
+    def look(self, camera: np.ndarray, lens: Frustum | None = None) -> View:
+        """
+        Compute what a camera would see of what is known.
+
+        :param camera: (3,) x, y, z in metres, or (6,) with yaw, pitch and roll in radians.
+        :param lens: of the camera; None for one that sees all around.
+        """
+        view = View(no_bits(len(self.visibility.order)), no_bits(len(self.cells)))
+        self.visibility.look(Pose.of(camera), self._lens if lens is None else lens, *view)
+        return view
+
+    def look_many(self, position: np.ndarray, headings: np.ndarray, lens: Frustum) -> list[View]:
+        """
+        Compute what a camera would see in many directions from one place.
+
+        :param position: (3,) metres.
+        :param headings: (H, 3) yaw, pitch and roll in radians.
+        :param lens: of the camera.
+        """
+        around = self.look(position, lens._replace(kind=OMNIDIRECTIONAL))
+        if lens.kind == OMNIDIRECTIONAL:
+            return [around] * len(headings)
+        poses = (Pose.of(np.concatenate([position, heading])) for heading in headings)
+        return [View(*self.visibility.narrowed(pose, lens, *around)) for pose in poses]
+
+    def follow(self, settings: SurfelSettings) -> None:
+        """Look by these rules from now on; what was seen by others has to be looked at again."""
+        if self.visibility.settings != settings:
+            self.visibility = self.visibility.by(settings)
+
+    def error(self, views: list[View]) -> float:
+        """Return the depth error of some views together, metres."""
+        return self.depth_error(np.bitwise_or.reduce([view.seen for view in views]))
+
+    def covered(self, cameras: np.ndarray, lenses: Sequence[Frustum | None] | None = None
+                ) -> np.ndarray:
+        """
+        Return the numbers of the cells that cameras cover together; see :meth:`look`.
+
+        :param cameras: (K, 3) or (K, 6).
+        :param lenses: one for each; None for cameras that see all around.
+        """
+        lenses = [None] * len(cameras) if lenses is None else lenses
+        bits = np.bitwise_or.reduce([
+            self.look(camera, lens).covered for camera, lens in zip(cameras, lenses, strict=True)])
+        return self.cells[unpack(bits, len(self.cells))]
+
+
+class KeptModel:
+    """
+    The engine on what has been seen, and where cameras may be: kept while little is added.
+
+    To make them takes longer than to try some dozens of places, and late in an episode the cloud
+    grows no more.
+
+    :param max_range: of the cameras, metres.
+    :param wall_margin: cameras stay this far inside the observed bounding box, metres.
+    :param most: of :class:`PartialMap`, like those that follow.
+    :param rows: of the depth maps.
+    :param around: metres.
+    """
+
+    def __init__(self, max_range: float, wall_margin: float, most: int, rows: int,
+                 around: float = 0.0) -> None:
+        self._max_range, self._wall_margin = max_range, wall_margin
+        self._sizes, self._around = (most, rows), around
+        #: What was made last, if anything, and of how many points and cameras, at which height.
+        self.made: tuple[PartialMap, FreePlane] | None = None
+        self._of = 0, 0, 0.0
+
+    def __call__(self, cloud: np.ndarray, positions: np.ndarray, settings: SurfelSettings
+                 ) -> tuple[PartialMap, FreePlane]:
+        """Return the model, by some rules, and where cameras may be; see :meth:`make`."""
+        if self.made is None or not self.lasts(cloud, positions):
+            self.make(cloud, positions, settings)
+        self.made[0].follow(settings)
+        return self.made
+
+    def make(self, cloud: np.ndarray, positions: np.ndarray, settings: SurfelSettings) -> None:
+        """
+        Make the model.
+
+        :param cloud: (M, 3) float32, metres, map frame: the points seen so far.
+        :param positions: (K, 3) metres: where the cameras are.
+        :param settings: rules of visibility.
+        :raises SceneError: if the points are too few or too flat to be a room.
+        """
+        height = float(np.median(positions[:, 2]))
+        self.made = (PartialMap(cloud, positions, self._max_range, *self._sizes, settings,
+                                self._around),
+                     FreePlane.of(cloud, height, len(positions), self._wall_margin))
+        self._of = len(cloud), len(positions), height
+
+    def lasts(self, cloud: np.ndarray, positions: np.ndarray) -> bool:
+        """Tell whether the model does for a cloud and cameras; see :meth:`make`."""
+        points, cameras, height = self._of
+        return (points <= len(cloud) <= (1.0 + GROWTH) * points and cameras == len(positions)
+                and height == float(np.median(positions[:, 2])))
+
+
+class LookHistory:
+    """Which cells of the air some camera has covered since the episode began."""
+
+    def __init__(self) -> None:
+        self._seen, self._edge = np.empty(0, dtype=np.int64), CELL
+        self._visited: list[tuple[np.ndarray, Sequence[Frustum | None] | None]] = []
+
+    def visit(self, cameras: np.ndarray, lenses: Sequence[Frustum | None] | None = None) -> None:
+        """Remember where the cameras were at a turn; see :meth:`PartialMap.covered`."""
+        self._visited.append((cameras.copy(), lenses))
+
+    def unseen(self, model: PartialMap) -> np.ndarray:
+        """Return packed bits of a model's cells: those that no camera covered, as far as known."""
+        self._follow(model.edge)
+        covered = [model.covered(*visited) for visited in self._visited]
+        self._seen = np.unique(np.concatenate([self._seen, *covered]))
+        self._visited.clear()
+        return pack(~np.isin(model.cells, self._seen) & (model.cells != NO_CELL))
+
+    def _follow(self, edge: float) -> None:
+        """Go on with cells of another edge: larger ones count if half of their parts do."""
+        while self._edge < edge:
+            cells = cells_numbered(self._seen) // 2
+            numbers, parts = np.unique(cell_numbers(cells), return_counts=True)
+            self._seen, self._edge = numbers[parts >= 4], 2.0 * self._edge
+        if self._edge > edge:
+            self._seen, self._edge = np.empty(0, dtype=np.int64), edge
+
+
+def thinned(cloud: np.ndarray, most: int) -> np.ndarray:
+    """Return at most so many points of a cloud (M, 3), evenly spread where there are more."""
+    if len(cloud) <= most:
+        return cloud
+    if len(cloud) > DENSE * most:
+        cloud = fixed_size(cloud, DENSE * most)
+    return voxel_downsample(cloud, voxel_size_for(cloud, most))
+
+
+def cells_of_the_air(bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """
+    List the cells of a grid whose centres are inside a bounding box.
+
+    :param bounds: (2, 3) metres.
+    :returns: centres (C, 3) float32, metres, numbers (C,) int64 that name the cells of an edge in
+        any bounding box, and the edge, metres.
+    """
+    edge = CELL
+    while np.prod(np.ptp(bounds, axis=0) / edge) > MOST_CELLS:
+        edge *= 2.0
+    first = np.ceil(bounds[0] / edge - 0.5).astype(np.int64)
+    last = np.floor(bounds[1] / edge - 0.5).astype(np.int64)
+    axes = [np.arange(first[k], last[k] + 1) for k in range(3)]
+    index = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 3)
+    return ((index + 0.5) * edge).astype(np.float32), cell_numbers(index), edge

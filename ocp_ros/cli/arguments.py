@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Values of the command line: read, or refused with what was found and what was expected."""
+
+import argparse
+from collections.abc import Callable
+
+from ocp_ros.util.settings import LARGEST_SEED, MOST_CAMERAS
+
+
+def count(text: str) -> int:
+    """Read how many cameras: a number above 0, or 0 for auto."""
+    return 0 if text == 'auto' else cameras(text)
+
+
+def cameras(text: str) -> int:
+    """Read a number of cameras."""
+    if len(text) > 9 or not text.isdecimal() or not 1 <= int(text) <= MOST_CAMERAS:
+        raise argparse.ArgumentTypeError(
+            f'found {text!r}; expected a number of cameras from 1 to {MOST_CAMERAS}')
+    return int(text)
+
+
+def seconds(text: str) -> float:
+    """Read a time."""
+    return number(text, 'seconds above 0', lambda value: 0.0 < value < float('inf'))
+
+
+def share(text: str) -> float:
+    """Read a share."""
+    return number(text, 'a share above 0, at most 1', lambda value: 0.0 < value <= 1.0)
+
+
+def number(text: str, expected: str, holds: Callable[[float], bool]) -> float:
+    """Read a number of which something holds."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = float('nan')
+    if not holds(value):
+        raise argparse.ArgumentTypeError(f'found {text!r}; expected {expected}')
+    return value
+
+
+def names(text: str) -> tuple[str, ...]:
+    """Read names with commas between."""
+    return tuple(text.split(','))
+
+
+def camera_counts(text: str) -> tuple[int, ...]:
+    """Read how many cameras, with commas between."""
+    counts = whole_numbers(text)
+    if not all(1 <= one <= MOST_CAMERAS for one in counts):
+        raise argparse.ArgumentTypeError(
+            f'found {text!r}; expected numbers of cameras from 1 to {MOST_CAMERAS}')
+    return counts
+
+
+def whole_numbers(text: str) -> tuple[int, ...]:
+    """Read whole numbers with commas between."""
+    try:
+        return tuple(int(part) for part in text.split(','))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(
+            f'found {text!r}; expected whole numbers with commas between') from error
+
+
+def seed(text: str) -> int:
+    """Read a seed."""
+    value = at_least(0)(text)
+    if value > LARGEST_SEED:
+        raise argparse.ArgumentTypeError(f'found {text!r}; expected at most {LARGEST_SEED}')
+    return value
+
+
+def at_least(least: int) -> Callable[[str], int]:
+    """Return a reader of whole numbers from some number on."""
+    def read(text: str) -> int:
+        if not text.isdecimal() or int(text) < least:
+            raise argparse.ArgumentTypeError(f'found {text!r}; expected {least} or more')
+        return int(text)
+    return read
+
+
+def add_units(command: argparse.ArgumentParser, what: str) -> None:
+    """Add in which units scans are."""
+    command.add_argument('--scale', type=float, help=f'metres per unit {what}')
+    command.add_argument('--up', choices=('x', 'y', 'z'), help=f'axis {what} that points up')
+
+
+def add_reading(command: argparse.ArgumentParser) -> None:
+    """Add how a scan is to be read."""
+    add_units(command, 'of the scan')
+    command.add_argument('--drop-nonfinite', action='store_true',
+                         help='leave out points with NaN or inf, as organised clouds have them')

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``ocp benchmark``: run a comparison, keep its results, print and report them."""
+
+import argparse
+import csv
+from dataclasses import replace
+from importlib.metadata import version
+import json
+import os
+from pathlib import Path
+import platform
+import shlex
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from ocp_ros.evaluation.benchmark_rooms import POINTS, rooms_in, rooms_of_s3dis
+from ocp_ros.evaluation.protocol import PRESETS, Protocol
+from ocp_ros.evaluation.summary import summarise
+from ocp_ros.evaluation.task_runner import run
+from ocp_ros.planners.registry import OFFLINE, ONLINE
+from ocp_ros.report.benchmark_report import (
+    budget_named,
+    budgets_of,
+    last_runs,
+    shown,
+    spaced,
+    write_report,
+)
+from ocp_ros.report.comparison_page import write_page
+from ocp_ros.report.drawing.placement_picture import draw_examples, Example
+from ocp_ros.scenes.scene_source import make_room
+from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.util.files import folder_to_write, write_atomically
+from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.util.yaml_files import timestamp
+
+#: Rooms on the page that can be turned around.
+PAGE_ROOMS = 3
+Rows = list[dict[str, Any]]
+#: By name, the engine of a room and the best run of each planner in it.
+Shown = dict[str, tuple[Simulator, dict[str, dict[str, Any]]]]
+PACKAGES = ('ocp_ros', 'numpy', 'numba', 'scipy', 'cma')
+
+
+def protocol_of(arguments: argparse.Namespace) -> Protocol:
+    """Return what a command line asks to compare."""
+    changes: dict[str, Any] = {
+        name: value for name in ('planners', 'budgets', 'seeds', 'scale', 'up')
+        if (value := getattr(arguments, name)) is not None}
+    if arguments.rooms is None and changes.keys() & {'scale', 'up'}:
+        raise ConfigurationError('--scale and --up: found no --rooms; expected a folder of scans '
+                                 'that they are about; generated rooms are in metres, z up')
+    protocol = replace(PRESETS[arguments.preset], **changes)
+    if arguments.rooms is not None:
+        rooms = rooms_in(arguments.rooms, protocol.scale, protocol.up)
+        return replace(protocol, rooms=tuple(rooms))
+    if arguments.preset == 'full':
+        return replace(protocol, rooms=(*protocol.rooms, *rooms_of_s3dis()))
+    return protocol
+
+
+def compare(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
+    """
+    Run a comparison and write ``results.csv``, ``results.json`` and ``summary.json``.
+
+    :param arguments: of ``ocp benchmark``.
+    :param command: the command line, for the record.
+    :returns: the summary.
+    """
+    protocol = protocol_of(arguments)
+    folder_to_write(arguments.out)
+    if arguments.report:
+        folder_to_write(arguments.report, '--report')
+    columns = (TextColumn('comparing planners'), BarColumn(), MofNCompleteColumn(),
+               TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        bar = progress.add_task('')
+        rows = run(protocol, arguments.out, arguments.workers or os.cpu_count() or 1,
+                   arguments.ray,
+                   lambda done, total: progress.update(bar, completed=done, total=total))
+    summary = {
+        'command': command, 'date': timestamp(),
+        'versions': {'python': platform.python_version(),
+                     **{name: version(name) for name in PACKAGES}},
+        'rotations': len(protocol.rotations), 'cameras': protocol.simulation.rig.cameras,
+        **summarise(rows)}
+    _write(arguments.out, rows, summary)
+    if arguments.report:
+        write_report(arguments.report, summary, rows)
+        chosen = _shown(protocol, rows)
+        write_page(arguments.report / 'placements.html', 'Planners compared', {
+            name: (simulator, {planner: np.array(row['placement'])
+                               for planner, row in best.items()})
+            for name, (simulator, best) in chosen.items()})
+        _draw(arguments.report / 'placements.png', summary, chosen)
+        write_atomically(arguments.report / 'summary.json', json.dumps(summary, indent=1) + '\n')
+    show(summary)
+    print(f'wrote {arguments.out / "summary.json"}'
+          + (f' and {arguments.report / "README.md"}' if arguments.report else ''))
+    return summary
+
+
+def _shown(protocol: Protocol, rows: Rows) -> Shown:
+    """Return some rooms, and each planner's best run in them, the best first."""
+    found, rotation = {}, protocol.rotations[0]
+    for room in protocol.rooms[:PAGE_ROOMS]:
+        best: dict[str, dict[str, Any]] = {}
+        for row in rows:
+            if (row['room'], row['rotation']) == (room, rotation):
+                rival = best.setdefault(row['planner'], row)
+                if row['depth_error'] < rival['depth_error']:
+                    best[row['planner']] = row
+        simulator = Simulator(make_room(room, rotation, POINTS, protocol.scale, protocol.up),
+                              protocol.simulation)
+        name = simulator.scene.name
+        # Scans of several folders may have one name.
+        name = f'{name} ({len(found) + 1})' if name in found else name
+        found[name] = simulator, dict(
+            sorted(best.items(), key=lambda item: item[1]['depth_error']))
+    return found
+
+
+def _draw(path: Path, summary: dict[str, Any], chosen: Shown) -> None:
+    """Draw what the best planner made of some rooms, and below it the best online one."""
+    ranked = sorted(last_runs(summary).items(), key=lambda item: item[1]['sum'])
+    offline = [name for name, _ in ranked if name in OFFLINE][:1]
+    online = [name for name, _ in ranked if name in ONLINE][:1]
+    examples = []
+    for planner in offline + online:
+        examples.append([])
+        for name, (simulator, best) in chosen.items():
+            row = best[planner]
+            # What counts is where the cameras are hung up, which may be a step from the last turn.
+            paths = np.array([*row.get('trajectory', []), row['placement']])
+            examples[-1].append(Example(
+                f'{name}: {spaced(planner)}, depth error {row["depth_error"]:.2f} m',
+                simulator.scene.points, simulator.evaluate(paths[-1]).visible, paths))
+    reach = float(next(iter(chosen.values()))[0].config.rig.ranges.max())
+    draw_examples(path, examples, reach, 'Where the best planners put the cameras')
+
+
+def command_of(argv: list[str]) -> str:
+    """Return a command line as one types it."""
+    return shlex.join(['ocp', *argv])
+
+
+def _write(folder: Path, rows: Rows, summary: dict[str, Any]) -> None:
+    """Keep the runs as a table and whole, and their summary."""
+    names = list(dict.fromkeys(name for row in rows for name in row
+                               if name not in ('placement', 'trace', 'trajectory')))
+    with (folder / 'results.csv').open('w', newline='') as file:
+        table = csv.DictWriter(file, names, extrasaction='ignore')
+        table.writeheader()
+        table.writerows(rows)
+    write_atomically(folder / 'results.json', json.dumps(rows))
+    write_atomically(folder / 'summary.json', json.dumps(summary, indent=1) + '\n')
+
+
+def show(summary: dict[str, Any]) -> None:
+    """Print the sums, ratios and times of the largest budget and of online planners."""
+    budget = budgets_of(summary)[-1]
+    table = Table('planner', 'sum (m)', 'ratio to best known', 'gap closed', 'wins', 'seconds',
+                  title=f'{len(summary["rooms"])} rooms, {budget_named(budget)}')
+    for name, run_ in sorted(last_runs(summary).items(), key=lambda item: item[1]['sum']):
+        table.add_row(name, f'{run_["sum"]:.2f}', shown(run_['ratio_to_best_known'], 2),
+                      shown(run_['gap_closed'], 4), str(run_['wins']), f'{run_["seconds"]:.2f}')
+    Console(width=100).print(table)

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all commands of ``ocp`` have in common: contents, examples, JSON and errors."""
+
+import argparse
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext, redirect_stdout
+import json
+import math
+import os
+from pathlib import Path
+import sys
+from typing import Any, NoReturn
+import warnings
+
+from ocp_ros.util.settings import UserError
+
+#: What one may want, as ``ocp --help`` lists it.
+PLAN, JUDGE, LOOK, LEARN, COMPARE, REPLAY = TITLES = (
+    'find a placement', 'judge a placement', 'look at rooms and placements', 'learn a policy',
+    'compare and measure', 'feed the nodes')
+#: What a command found, as plain data.
+Found = dict[str, Any]
+#: Wrong use, and stopped by hand.
+WRONG, STOPPED = 2, 130
+
+
+class UsageError(Exception):
+    """A command line that cannot be read, and the parser that says how it should be."""
+
+    def __init__(self, parser: argparse.ArgumentParser, message: str) -> None:
+        super().__init__(message)
+        self.parser = parser
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that leaves it to :func:`run` how to say what is wrong."""
+
+    def __init__(self, **options: Any) -> None:
+        # Whoever looks for an option in the command line finds it only where it is written out.
+        super().__init__(allow_abbrev=False, **options)
+
+    def error(self, message: str) -> NoReturn:
+        """Raise what is wrong."""
+        raise UsageError(self, message)
+
+
+class Commands:
+    """
+    The commands of a program, under what one may want.
+
+    :param program: its name.
+    :param description: what it is for.
+    """
+
+    def __init__(self, program: str, description: str) -> None:
+        self.parser = Parser(prog=program, usage=f'{program} COMMAND ...', description=description,
+                             formatter_class=argparse.RawDescriptionHelpFormatter)
+        self._added = self.parser.add_subparsers(prog=program, required=True, metavar='COMMAND',
+                                                 help=argparse.SUPPRESS)
+        self._contents: dict[str, list[tuple[str, str]]] = {
+            title: [] for title in TITLES}
+        #: An example of each command, as one types it.
+        self.examples: list[str] = []
+
+    def add(self, group: str, name: str, about: str, example: str = '') -> Parser:
+        """
+        Add a command.
+
+        :param group: what one may want it for.
+        :param about: what it does, in a few words.
+        :param example: a command line; a command that only has others has none.
+        """
+        self._contents[group].append((name, about))
+        self.parser.epilog = self._table()
+        return self.put(self._added, name, about, example)
+
+    def put(self, parsers: Any, name: str, about: str, example: str) -> Parser:
+        """Add a command to others, with its example and ``--json``."""
+        made = parsers.add_parser(
+            name, help=about, description=f'{about[0].upper()}{about[1:]}.',
+            epilog=f'example:\n  {example}' if example else None,
+            formatter_class=argparse.RawDescriptionHelpFormatter)
+        if example:
+            self.examples.append(example)
+            made.add_argument('--json', action='store_true',
+                              help='print one JSON document and nothing else; errors as well')
+        return made
+
+    def _table(self) -> str:
+        """Return the table of contents."""
+        lines = []
+        for title, commands in self._contents.items():
+            if commands:
+                lines += [f'{title}:', *(f'  {name:<12}{about}' for name, about in commands), '']
+        more = f'{self.parser.prog} COMMAND --help says more, with an example.'
+        return '\n'.join([*lines, more])
+
+
+def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
+    """
+    Run one command: its ``run`` returns plain data, which its ``show`` prints, or ``--json``.
+
+    Bad input gets one sentence, or with ``--json`` a document with the key ``error``, which what
+    was found may have as well.
+
+    :returns: the exit code.
+    """
+    as_json = '--json' in argv
+    try:
+        arguments = parser.parse_args(argv)
+        arguments.argv = list(argv)
+        with warnings.catch_warnings(), redirect_stdout(sys.stderr) if as_json else nullcontext():
+            warnings.showwarning = _warn
+            found = arguments.run(arguments)
+        if as_json:
+            print(document(found))
+        else:
+            arguments.show(found)
+        sys.stdout.flush()
+        if 'error' in found:
+            return WRONG if as_json else _refuse(found['error'], as_json)
+    except UsageError as error:
+        if not as_json:
+            error.parser.print_usage(sys.stderr)
+            error.parser.exit(WRONG, f'{error.parser.prog}: error: {error}\n')
+        return _refuse(str(error), as_json)
+    except BrokenPipeError:
+        # Whoever reads has seen enough, such as head; nobody is left to be told.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except (UserError, OSError) as error:
+        return _refuse(str(error), as_json)
+    except KeyboardInterrupt:
+        return STOPPED
+    return 0
+
+
+def _warn(message: Warning | str, *_: Any) -> None:
+    """Say what may be wrong, in one line and without the code that noticed it."""
+    print(f'ocp: warning: {message}', file=sys.stderr)
+
+
+def _refuse(sentence: str, as_json: bool) -> int:
+    """Say what is wrong, and return the exit code."""
+    if as_json:
+        print(document({'error': sentence}))
+    else:
+        print(f'ocp: {sentence}', file=sys.stderr)
+    return WRONG
+
+
+def document(found: Any) -> str:
+    """Return plain data as JSON: paths are texts, and what is not finite is null."""
+    return json.dumps(_plain(found), indent=1, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON knows it."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(part) for key, part in value.items()}
+    if hasattr(value, 'tolist'):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [_plain(part) for part in value]
+    if isinstance(value, Path):
+        return str(value)
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def show_written(found: Found) -> None:
+    """Print which files were written."""
+    for path in found['written']:
+        print(f'wrote {path}')

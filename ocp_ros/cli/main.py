@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``ocp``: the package's tools for people without a ROS graph."""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+import sys
+
+from ocp_ros.cli.arguments import (
+    add_reading,
+    add_units,
+    at_least,
+    camera_counts,
+    names,
+    seed,
+    whole_numbers,
+)
+from ocp_ros.cli.common import (
+    Commands,
+    COMPARE,
+    Found,
+    JUDGE,
+    LEARN,
+    LOOK,
+    run,
+    show_written,
+)
+from ocp_ros.cli.plan_parser import add_plan
+from ocp_ros.cli.replay_command import add_replay
+from ocp_ros.cli.rooms_command import add_rooms
+from ocp_ros.util.files import file_to_write, folder_to_write
+
+
+def _train(arguments: argparse.Namespace) -> Found:
+    """Train a policy, and say what it does in rooms it has never seen."""
+    from ocp_ros.training.train import read_config, train
+    config, command = read_config(arguments.config), f'ocp train --config {arguments.config}'
+    if arguments.seed is not None:
+        config = replace(config, seed=arguments.seed)
+        command += f' --seed {arguments.seed}'
+    folder_to_write(arguments.out)
+    if arguments.model:
+        file_to_write(arguments.model, 'weights', '--model')
+    checkpoint = train(config, arguments.out, command)
+    if arguments.model:
+        checkpoint.save(arguments.model)
+    return {'test': checkpoint.provenance['test'],
+            'written': [arguments.model] if arguments.model else []}
+
+
+def _show_training(found: Found) -> None:
+    """Print what a policy does in rooms it has never seen."""
+    for name in ('random_moves', 'policy'):
+        figures = found['test'][name]
+        print(f'{name:>12}: depth error {figures["depth_error_start"]:.2f} m -> '
+              f'{figures["depth_error_end"]:.2f} m ({figures["ratio"]:.3f})')
+    show_written(found)
+
+
+def _benchmark(arguments: argparse.Namespace) -> Found:
+    """Compare planners, write the results and, where it is wanted, a report."""
+    from ocp_ros.cli.benchmark_command import command_of, compare
+    return compare(arguments, command_of(arguments.argv))
+
+
+def _evaluate(arguments: argparse.Namespace) -> Found:
+    """Compare a policy with other planners, room by room."""
+    from ocp_ros.cli.benchmark_command import command_of
+    from ocp_ros.cli.evaluate_command import evaluate
+    return evaluate(arguments, command_of(arguments.argv))
+
+
+def _show_nothing(found: Found) -> None:
+    """Print nothing: it was printed as it was found."""
+
+
+def _score(arguments: argparse.Namespace) -> Found:
+    """Judge a placement of a rig in a room."""
+    from ocp_ros.cli.benchmark_command import command_of
+    from ocp_ros.cli.score_command import score
+    return score(arguments, command_of(arguments.argv))
+
+
+def _show_score(found: Found) -> None:
+    """Print a verdict."""
+    from ocp_ros.cli.score_command import show
+    show(found)
+
+
+def _view(arguments: argparse.Namespace) -> Found:
+    """Write a page of a room that can be turned around, and open it where that is wanted."""
+    from ocp_ros.cli.benchmark_command import command_of
+    from ocp_ros.cli.view_command import view
+    file_to_write(arguments.out, 'a page')
+    return view(arguments, command_of(arguments.argv))
+
+
+def _bench(arguments: argparse.Namespace) -> Found:
+    """Measure the engine on this machine."""
+    from ocp_ros.cli.bench_command import bench
+    file_to_write(arguments.out, 'figures')
+    if arguments.page:
+        file_to_write(arguments.page, 'a page', '--page')
+    return bench(arguments)
+
+
+def _show_bench(found: Found) -> None:
+    """Print what was measured of the engine."""
+    from ocp_ros.cli.bench_command import show
+    show(found)
+    show_written(found)
+
+
+def _add_train(commands: Commands) -> None:
+    """Add ``ocp train``."""
+    train = commands.add(
+        LEARN, 'train', 'train a policy',
+        'ocp train --config config/train/default.yaml --out out/train --model mine.safetensors')
+    train.add_argument('--config', type=Path, required=True, help='YAML of training settings')
+    train.add_argument('--out', type=Path, required=True,
+                       help='folder of the run; an interrupted one goes on')
+    train.add_argument('--model', type=Path, help='write the best weights here as well')
+    train.add_argument('--seed', type=seed, help='in place of the one in the settings')
+    train.set_defaults(run=_train, show=_show_training)
+
+
+def _add_benchmark(commands: Commands) -> None:
+    """Add ``ocp benchmark``."""
+    compare = commands.add(
+        COMPARE, 'benchmark', 'compare planners under equal budgets',
+        'ocp benchmark --rooms my_scans --planners tdsa,cma_es --budgets 1000 --seeds 5')
+    compare.add_argument('--preset', choices=('smoke', 'full'), default='smoke',
+                         help='smoke: two rooms, under two minutes; full: ten rooms, three '
+                         'rotations, up to 10,000 evaluations')
+    compare.add_argument('--rooms', type=Path, help='folder of scans to take instead')
+    add_units(compare, 'of the scans')
+    compare.add_argument('--planners', type=names,
+                         help='names with commas between; all unless named')
+    compare.add_argument('--budgets', type=whole_numbers, help='evaluations, with commas between')
+    compare.add_argument('--seeds', type=int, help='runs of each')
+    compare.add_argument('--out', type=Path, default=Path('out/benchmark'),
+                         help='folder of the results; an interrupted comparison goes on')
+    compare.add_argument('--workers', type=at_least(1),
+                         help='processes; one for each core unless named')
+    compare.add_argument('--ray', metavar='ADDRESS', help='run on a Ray cluster, such as auto')
+    compare.add_argument('--report', type=Path, nargs='?', const=Path('docs/benchmark'),
+                         help='write tables and figures here')
+    compare.set_defaults(run=_benchmark, show=_show_nothing)
+
+
+def _add_bench(commands: Commands) -> None:
+    """Add ``ocp bench``."""
+    measured = commands.add(COMPARE, 'bench', 'measure how true and how fast the engine is here',
+                            'ocp bench --out out/bench.json')
+    measured.add_argument('--preset', choices=('smoke', 'full'), default='smoke',
+                          help='smoke: under a minute; full: what docs/bench.md shows, a quarter '
+                          'of an hour')
+    measured.add_argument('--out', type=Path, default=Path('out/bench.json'),
+                          help='file of the figures')
+    measured.add_argument('--page', type=Path, help='write them as a page as well (Markdown)')
+    measured.set_defaults(run=_bench, show=_show_bench)
+
+
+def _add_evaluate(commands: Commands) -> None:
+    """Add ``ocp evaluate``."""
+    judged = commands.add(LEARN, 'evaluate', 'judge a policy room by room',
+                          'ocp evaluate --model models/mine.safetensors --set test')
+    judged.add_argument('--model', default='default', help='weights: a path, or a name')
+    judged.add_argument('--planners', type=names, default=('learned', 'hand_rule'),
+                        help='names with commas between; the first is compared with the others')
+    rooms = judged.add_mutually_exclusive_group()
+    rooms.add_argument('--set', choices=('fresh', 'test', 'training', 'validation'),
+                       default='fresh', help='which generated rooms; fresh ones unless named')
+    rooms.add_argument('--rooms', type=Path, nargs='+', metavar='SCAN', help='scans instead')
+    add_units(judged, 'of the scans')
+    judged.add_argument('--rotations', type=whole_numbers, default=(0,),
+                        help='degrees, with commas between')
+    judged.add_argument('--cameras', type=camera_counts, default=(4,),
+                        help='how many, with commas between')
+    judged.add_argument('--budgets', type=whole_numbers, default=(1000,),
+                        help='evaluations of offline planners, with commas between')
+    judged.add_argument('--seeds', type=at_least(1), default=1, help='runs of each')
+    judged.add_argument('--workers', type=at_least(1),
+                        help='processes; one for each core unless named')
+    judged.add_argument('--out', type=Path, default=Path('out/evaluation'),
+                        help='folder of the results; an interrupted evaluation goes on')
+    judged.set_defaults(run=_evaluate, show=_show_nothing, scale=1.0, up='z')
+
+
+def _add_score(commands: Commands) -> None:
+    """Add ``ocp score``."""
+    judged = commands.add(JUDGE, 'score', 'judge cameras that hang, or shall hang, in a room',
+                          'ocp score room.ply placement.yaml --rig rig.yaml --out out/hang-up')
+    judged.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
+    judged.add_argument('placement', type=Path, metavar='PLACEMENT',
+                        help='YAML or JSON: docs/placement.md')
+    judged.add_argument('--rig', type=Path,
+                        help='what is asked for, in place of what the placement says: docs/rig.md')
+    judged.add_argument('--out', '--export', type=Path, metavar='DIR',
+                        help='write report, placement, CSV, launch file, xacro and more here')
+    add_reading(judged)
+    judged.set_defaults(run=_score, show=_show_score)
+
+
+def _add_view(commands: Commands) -> None:
+    """Add ``ocp view``."""
+    seen = commands.add(LOOK, 'view', 'write a page of a room, and a placement, to turn around',
+                        'ocp view room.ply placement.yaml --out out/view.html')
+    seen.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
+    seen.add_argument('placement', type=Path, nargs='?', metavar='PLACEMENT',
+                      help='cameras in it: docs/placement.md')
+    seen.add_argument('--rig', type=Path,
+                      help='what is asked for, in place of what the placement says: docs/rig.md')
+    seen.add_argument('--out', type=Path, default=Path('out/view.html'), help='page to write')
+    seen.add_argument('--open', action='store_true', help='open it in a browser')
+    add_reading(seen)
+    seen.set_defaults(run=_view, show=show_written)
+
+
+def commands() -> Commands:
+    """Build all commands."""
+    made = Commands('ocp', 'Where do I put my depth cameras? Tools that need no ROS graph.')
+    for add in (add_plan, _add_score, _add_view, add_rooms, _add_train, _add_evaluate,
+                _add_benchmark, _add_bench, add_replay):
+        add(made)
+    return made
+
+
+def parser() -> argparse.ArgumentParser:
+    """Build the parser of all commands."""
+    return commands().parser
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one command; bad input gets one sentence and exit code 2."""
+    return run(parser(), sys.argv[1:] if argv is None else argv)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

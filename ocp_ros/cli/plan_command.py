@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``ocp plan``: where to hang the cameras of a rig, how good that is, and how many are needed."""
+
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+import signal
+import sys
+from threading import current_thread, main_thread
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+from rich.table import Table
+
+from ocp_ros.cli.score_command import (
+    room_asked,
+    show_verdict,
+    show_written,
+    written_to,
+)
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.planners.budget import Budget
+from ocp_ros.planners.registry import ONLINE
+from ocp_ros.planners.rig_methods import check_planner
+from ocp_ros.planners.rig_plan import RigPlan, RigPlanner
+from ocp_ros.report.assessment import Assessment
+from ocp_ros.report.count_report import draw_curve, rows_of_curve, show_curve
+from ocp_ros.report.findings import verdict
+from ocp_ros.report.installer import COLUMNS, rows_of, walls_around
+from ocp_ros.report.key_figures import percent
+from ocp_ros.rig.placement_file import (
+    created_by,
+    data_of,
+    Placement,
+    placement_of,
+    save_placement,
+)
+from ocp_ros.rig.rig_file import load_rig, Rig, rig_of, with_count
+from ocp_ros.rig.structure import floor_height
+from ocp_ros.util.files import folder_to_write
+
+#: Cameras where nobody says how many, and seconds of search for each number of cameras where one
+#: is planned and where several are.
+CAMERAS, SECONDS, SECONDS_EACH = 4, 60.0, 15.0
+#: Column of the installer's table that the terminal has no room for.
+SENSOR = 'sensor'
+
+
+def plan(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
+    """
+    Plan a rig in a room, and write the placement in all forms.
+
+    :param arguments: of ``ocp plan``.
+    :param command: the command line, for the record.
+    :returns: what ``--json`` prints.
+    """
+    counting = arguments.count == 0
+    check_planner(arguments.planner, counting)
+    rig = rig_asked(arguments)
+    scene, room = room_asked(arguments, {})
+    folder = folder_to_write(arguments.out)
+    engine, budget = EngineConfig(), budget_of(arguments)
+    with _stopped_by_hand(budget), _progress() as progress:
+        planner = RigPlanner(scene, rig, engine, budget, arguments.seed, progress,
+                             arguments.planner)
+        plans = list(_counted(planner, rig, arguments) if counting else [planner.plan(rig)])
+    best = plans[-1]
+    placement = placement_of(best.rig, best.answer.poses, room=room, engine=engine,
+                             created=created_by(command, best.planner))
+    with _kept(folder, placement):
+        objective, allowed = planner.judges_of(best.rig)
+        found = {'room': room, 'cameras': data_of(placement)['cameras'],
+                 **verdict(objective, allowed, placement.poses), 'notes': [],
+                 'search': _search_of(best, budget, arguments.seed),
+                 'installer': [dict(zip(['number', *COLUMNS], row)) for row in rows_of(
+                     placement, walls_around(scene), floor_height(scene))]}
+        if counting:
+            found['curve'] = rows_of_curve(plans)
+            found['count'] = {'cameras': len(best.rig.cameras), 'by': arguments.by,
+                              'target': arguments.target,
+                              'reached': best.reaches(arguments.by, arguments.target)}
+        judged = Assessment(objective, replace(placement, scores=found['scores']), found)
+        return {**found, **written_to(folder, judged, lambda: [draw_curve(
+            folder / 'curve.png', found['curve'], found['count'])] if counting else [])}
+
+
+@contextmanager
+def _kept(folder: Path, placement: Placement) -> Iterator[None]:
+    """Write a placement first of all: whoever has enough while it is judged and drawn has it."""
+    path = folder / 'placement.yaml'
+    # Where it cannot be written now, the end says so.
+    with suppress(OSError):
+        save_placement(path, placement)
+        save_placement(path.with_suffix('.json'), placement)
+    try:
+        yield
+    except KeyboardInterrupt:
+        print(f'ocp: stopped; where the cameras hang is in {path}', file=sys.stderr)
+        raise
+
+
+def rig_asked(arguments: argparse.Namespace) -> Rig:
+    """Return the rig of a command line; with ``auto``, one that may be counted up."""
+    count = arguments.count
+    if arguments.rig is None:
+        rig = rig_of(count or CAMERAS, arguments.model)
+        return replace(rig, document=replace(rig.document, name='rig (no file)'))
+    rig = load_rig(arguments.rig)
+    return rig if count is None else with_count(rig, count or len(rig.cameras))
+
+
+def budget_of(arguments: argparse.Namespace) -> Budget:
+    """Return how long a search may take."""
+    seconds = arguments.seconds
+    if seconds is None and arguments.evaluations is None:
+        seconds = SECONDS_EACH if arguments.count == 0 else SECONDS
+    return Budget(seconds, arguments.evaluations)
+
+
+def _counted(planner: RigPlanner, rig: Rig, arguments: argparse.Namespace) -> Iterator[RigPlan]:
+    """Yield plans with ever more cameras until one reaches the target."""
+    first = max(rig.seen_by - len(rig.fixed), 1)
+    for plan in planner.count_up(lambda count: with_count(rig, count), first,
+                                 max(arguments.most, first)):
+        yield plan
+        if plan.reaches(arguments.by, arguments.target):
+            return
+
+
+@contextmanager
+def _stopped_by_hand(budget: Budget) -> Iterator[None]:
+    """End the search at the first Ctrl-C; the second one ends the command."""
+    if current_thread() is not main_thread():
+        yield
+        return
+
+    def stop(*_) -> None:
+        signal.signal(signal.SIGINT, before)
+        budget.stop()
+
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[float, float], None]]:
+    """Show the progress on the terminal, where there is one; yields a function to call."""
+    console = Console(stderr=True)
+    with Progress(TextColumn('{task.description}'), BarColumn(), TextColumn('{task.fields[loss]}'),
+                  console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task('searching (Ctrl-C: best so far)', total=1.0, loss='')
+
+        def report(share: float, loss: float) -> None:
+            bar.update(task, completed=share, loss='' if np.isinf(loss) else f'loss {loss:.4f}')
+        yield report
+
+
+def _search_of(plan: RigPlan, budget: Budget, seed: int) -> dict[str, Any]:
+    """Return how a placement was found and what it compares with, as plain data."""
+    answer, random = plan.answer, plan.random
+    return {'planner': plan.planner, 'seed': seed,
+            'loss': plan.worth.loss, 'searches': sorted(answer.losses),
+            'evaluations': answer.evaluations, 'seconds': round(plan.seconds, 2),
+            'stopped': budget.stopped, 'candidates': plan.candidates,
+            'random': {'placements': len(random),
+                       'median': float(np.median(random)) if len(random) else None,
+                       'best': float(random.min()) if len(random) else None},
+            'everywhere': {'loss': plan.everywhere.loss,
+                           'depth_error': plan.everywhere.depth_error}}
+
+
+def show_plan(found: dict[str, Any]) -> None:
+    """Print a plan."""
+    console = Console(width=100)
+    show_verdict(found)
+    titles = [title for title in COLUMNS if title != SENSOR]
+    table = Table('', *titles, title='How to hang them up')
+    table.columns[1].no_wrap = True
+    for row in found['installer']:
+        table.add_row(row['number'], *(row[title] for title in titles))
+    console.print(table)
+    for line in quality(found['search']):
+        console.print(line, highlight=False)
+    if 'curve' in found:
+        show_curve(console, found['curve'], found['count'])
+    show_written(found)
+
+
+def quality(search: dict[str, Any]) -> Iterator[str]:
+    """Say how good an answer is, by what it was compared with, and what limits it."""
+    loss, random, everywhere = search['loss'], search['random'], search['everywhere']['loss']
+    what = 'turns' if search['planner'] in ONLINE else 'placements'
+    yield (f'{search["planner"]}: {search["evaluations"]:,} {what} in {search["seconds"]:.1f} s'
+           + (', stopped by hand' if search['stopped'] else ''))
+    yield f'loss {loss:.4f}' + _others(search['searches'])
+    if random['placements']:
+        yield (f'{random["placements"]} random allowed placements: {random["median"]:.4f} in the '
+               f'middle, {random["best"]:.4f} at best')
+    yield (f'no choice among the {search["candidates"]:,} candidates is below {everywhere:.4f}, '
+           'the loss with cameras at all of them at once')
+    share = everywhere / loss if loss > 0.0 else 1.0
+    yield (f'what limits it: {percent(min(share, 1.0))} of the loss is out of sight wherever '
+           'cameras may hang, the rest is for want of cameras')
+
+
+def _others(losses: Sequence[float]) -> str:
+    """Say what the other searches ended with, where there were several."""
+    if len(losses) == 1:
+        return ', of one search'
+    best, second, *_ = losses
+    apart = f'{percent((second - best) / best)} more' if best > 0.0 else f'{second:.4f}'
+    return (f'; the next best of {len(losses)} searches ended at {apart}, the worst at '
+            f'{losses[-1]:.4f}')

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``ocp plan``: find where to hang cameras."""
+
+import argparse
+from pathlib import Path
+
+from ocp_ros.cli.arguments import add_reading, at_least, cameras, count, seconds, seed, share
+from ocp_ros.cli.common import Commands, Found, PLAN
+from ocp_ros.util.settings import ConfigurationError
+
+#: What counting cameras goes by unless told otherwise.
+COUNTING = {'target': 0.95, 'by': 'error', 'most': 12}
+
+
+def _plan(arguments: argparse.Namespace) -> Found:
+    """Find where to hang the cameras of a rig, and how many are needed."""
+    from ocp_ros.cli.benchmark_command import command_of
+    from ocp_ros.cli.plan_command import plan
+    for name, default in COUNTING.items():
+        if getattr(arguments, name) is None:
+            setattr(arguments, name, default)
+        elif arguments.count != 0:
+            raise ConfigurationError(f'--{name}: found it without --count auto; expected it where '
+                                     'cameras are counted; leave it out, or add --count auto')
+    return plan(arguments, command_of(arguments.argv))
+
+
+def _show(found: Found) -> None:
+    """Print a plan."""
+    from ocp_ros.cli.plan_command import show_plan
+    show_plan(found)
+
+
+def add_plan(commands: Commands) -> None:
+    """Add ``ocp plan``."""
+    planned = commands.add(PLAN, 'plan', 'find where to hang cameras in a room',
+                           'ocp plan room.ply --cameras 4 --model d455 --out out/plan')
+    planned.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
+    rig = planned.add_mutually_exclusive_group()
+    rig.add_argument('--rig', type=Path, help='cameras and what is asked of them: docs/rig.md')
+    rig.add_argument('--model', metavar='SENSOR', default='omnidirectional',
+                     help='the sensor of all cameras, or a part of its name such as d455')
+    planned.add_argument('--cameras', '--count', dest='count', type=count, metavar='N',
+                         help='how many, or auto; 4 or what the rig file says unless named')
+    planned.add_argument('--target', type=share,
+                         help='with auto: share of what can be reached at all, 0.95 unless named')
+    planned.add_argument('--by', choices=('error', 'seen', 'coverage'),
+                         help='with auto, share of what: depth error taken away, points seen, or '
+                         'space covered')
+    planned.add_argument('--most', type=cameras,
+                         help='with auto: the most cameras to try')
+    planned.add_argument('--planner', default='rig_search', metavar='NAME',
+                         help='who searches: rig_search unless named, or one of docs/planners.md '
+                         'such as cma_es or lookahead')
+    planned.add_argument('--seconds', type=seconds, help='of search for each number of cameras; '
+                         '60, or 15 with auto, unless evaluations are named')
+    planned.add_argument('--evaluations', type=at_least(1),
+                         help='judge so many placements; the same seed finds the same answer')
+    planned.add_argument('--seed', type=seed, default=0, help='of all chance')
+    planned.add_argument('--out', type=Path, default=Path('out/plan'), metavar='DIR',
+                         help='write report, placement, CSV, launch file, xacro and more here')
+    add_reading(planned)
+    planned.set_defaults(run=_plan, show=_show)

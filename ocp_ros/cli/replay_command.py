@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``ocp replay``: publish the clouds of a bag."""
+
+import argparse
+import math
+from pathlib import Path
+
+from ocp_ros.cli.arguments import number
+from ocp_ros.cli.common import Commands, Found, REPLAY
+from ocp_ros.util.settings import ConfigurationError
+
+
+def _replay(arguments: argparse.Namespace) -> Found:
+    """Publish the clouds of a bag, or list its topics."""
+    try:
+        from ocp_ros.ros.bags.replay_run import replay
+    except ImportError as error:
+        raise ConfigurationError(
+            f'ocp replay: found no ROS 2 ({error}); expected rclpy and its messages; run '
+            'tools/setup, or source a ROS 2 installation') from error
+    return replay(arguments)
+
+
+def _show(found: Found) -> None:
+    """Print what was published, or what is there."""
+    if 'topics' in found:
+        _show_topics(found)
+        return
+    for name, topic in found['published'].items():
+        print(f'{name} -> {topic["as"]}: {topic["messages"]} messages')
+    if found['left_out']:
+        print(f'left out {found["left_out"]} messages that could not be used')
+
+
+def _show_topics(found: Found) -> None:
+    """Print a table of topics."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+    table = Table(title=f'{escape(found["bag"])}: {found["seconds"]:.3f} s')
+    for name in ('topic', 'type', 'messages', 'frames', 'published as'):
+        table.add_column(name, justify='right' if name == 'messages' else 'left',
+                         overflow='fold')
+    for topic in found['topics']:
+        table.add_row(*map(escape, (
+            topic['topic'], topic['type'], str(topic['messages']), ', '.join(topic['frames']),
+            topic['published_as'] or '-')))
+    Console().print(table)
+
+
+def add_replay(commands: Commands) -> None:
+    """Add ``ocp replay``."""
+    played = commands.add(
+        REPLAY, 'replay', 'publish the clouds of a ROS 1 or ROS 2 bag for policy_node',
+        'ocp replay recording --list')
+    played.add_argument('bag', type=Path, metavar='BAG',
+                        help='a ROS 1 bag, or the folder of a ROS 2 bag')
+    played.add_argument('--list', action='store_true', help='show the topics and nothing else')
+    played.add_argument('--topics', nargs='+', default=(), metavar='TOPIC[:=NEW]',
+                        help='what to publish, and as what; all clouds and the camera poses '
+                        'unless named')
+    played.add_argument('--rate', type=_above_zero, default=1.0,
+                        help='how many times as fast as recorded')
+    played.add_argument('--loop', action='store_true', help='begin anew at the end')
+    played.add_argument('--start', type=_seconds, default=0.0, help='seconds to leave out')
+    played.add_argument('--duration', type=_above_zero, help='seconds of the bag to publish')
+    played.add_argument('--frame', action='append', default=[], metavar='[TOPIC=]FRAME',
+                        help='frame of the clouds in place of the recorded one; repeat it')
+    played.add_argument('--pose', action='append', default=[],
+                        metavar='X,Y,Z[,YAW,PITCH,ROLL]',
+                        help='where a camera is, metres and degrees, once for each topic of '
+                        'clouds; write --pose=-1,0,2 where the first number is negative')
+    played.add_argument('--fixed-frame', default='map', metavar='FRAME', help='of the poses')
+    played.add_argument('--wait', type=_seconds, default=10.0,
+                        help='seconds to wait for somebody who listens')
+    played.set_defaults(run=_replay, show=_show)
+
+
+def _seconds(text: str) -> float:
+    """Read seconds from 0 on."""
+    return number(text, 'seconds, 0 or more', lambda value: 0.0 <= value < math.inf)
+
+
+def _above_zero(text: str) -> float:
+    """Read a number above 0."""
+    return number(text, 'a number above 0', lambda value: 1e-6 <= value < math.inf)

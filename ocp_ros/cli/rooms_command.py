@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``ocp rooms``: list, make and look at generated rooms."""
+
+import argparse
+from pathlib import Path
+
+from ocp_ros.cli.arguments import add_reading, at_least
+from ocp_ros.cli.common import Commands, Found, LOOK, show_written
+from ocp_ros.util.files import file_to_write, folder_to_write
+
+
+def _list_rooms(arguments: argparse.Namespace) -> Found:
+    """Return kinds and sizes of generated rooms."""
+    from ocp_ros.scenes.synthetic.generator import plan_of
+    seeds = range(arguments.first, arguments.first + arguments.count)
+    return {'rooms': [{'seed': seed, 'kind': plan.kind, 'size': plan.size,
+                       'solids': len(plan.solids)} for seed, plan in zip(
+                           seeds, map(plan_of, seeds))]}
+
+
+def _show_rooms(found: Found) -> None:
+    """Print kinds and sizes of generated rooms."""
+    from rich.console import Console
+    from rich.table import Table
+    table = Table('seed', 'kind', 'size (m)', 'solids')
+    for room in found['rooms']:
+        table.add_row(str(room['seed']), room['kind'].replace('_', ' '),
+                      ' x '.join(f'{edge:.1f}' for edge in room['size']), str(room['solids']))
+    Console().print(table)
+
+
+def _make_rooms(arguments: argparse.Namespace) -> Found:
+    """Write generated rooms and their meshes."""
+    from rich.console import Console
+    from rich.progress import track
+
+    from ocp_ros.scenes.scene_files import save_scene
+    from ocp_ros.scenes.synthetic.generator import generate_room
+    folder_to_write(arguments.out)
+    paths = [arguments.out / f'room-{seed}.ply' for seed in arguments.seeds]
+    for seed, path in track(list(zip(arguments.seeds, paths)), 'making rooms',
+                            console=Console(stderr=True)):
+        save_scene(generate_room(seed, arguments.points), path)
+    return {'folder': arguments.out, 'written': paths}
+
+
+def _show_made(found: Found) -> None:
+    """Print how many rooms were made."""
+    print(f'wrote {len(found["written"])} rooms and their meshes to {found["folder"]}')
+
+
+def _preview_rooms(arguments: argparse.Namespace) -> Found:
+    """Draw generated rooms and scans."""
+    from ocp_ros.report.room_sheet import draw_sheet, titled
+    from ocp_ros.scenes.scene_cache import load_cached
+    from ocp_ros.scenes.scene_source import seed_named
+    file_to_write(arguments.out, 'a picture')
+    scenes = []
+    for name in arguments.rooms:
+        if name.isdecimal():
+            scenes.append(titled(seed_named(name), arguments.points))
+        else:
+            scene = load_cached(name, max_points=arguments.points, scale=arguments.scale or 1.0,
+                                up=arguments.up or 'z', drop_nonfinite=arguments.drop_nonfinite)
+            scenes.append((scene.name, scene))
+    draw_sheet(arguments.out, scenes)
+    return {'written': [arguments.out]}
+
+
+def add_rooms(commands: Commands) -> None:
+    """Add ``ocp rooms`` and what it can do."""
+    rooms = commands.add(LOOK, 'rooms', 'list, make and look at generated rooms')
+    actions = rooms.add_subparsers(title='actions', required=True, metavar='ACTION')
+    listed = commands.put(actions, 'list', 'kinds and sizes', 'ocp rooms list --count 5')
+    listed.add_argument('--first', type=at_least(0), default=0, help='first seed')
+    listed.add_argument('--count', type=at_least(1), default=20, help='how many')
+    listed.set_defaults(run=_list_rooms, show=_show_rooms)
+    made = commands.put(actions, 'make', 'write scans and meshes as PLY',
+                        'ocp rooms make 5 17 --out rooms')
+    made.add_argument('seeds', type=at_least(0), nargs='+', metavar='SEED')
+    made.add_argument('--points', type=at_least(1000), default=15000, help='of each scan')
+    made.add_argument('--out', type=Path, default=Path('out/rooms'), help='folder to write to')
+    made.set_defaults(run=_make_rooms, show=_show_made)
+    seen = commands.put(actions, 'preview', 'draw rooms cut open',
+                        'ocp rooms preview 5 room.ply --out out/rooms.png')
+    seen.add_argument('rooms', nargs='+', metavar='ROOM', help='a seed or a scan')
+    seen.add_argument('--points', type=at_least(1000), default=40000, help='of each room')
+    add_reading(seen)
+    seen.add_argument('--out', type=Path, default=Path('out/rooms.png'), help='picture to write')
+    seen.set_defaults(run=_preview_rooms, show=show_written)

@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``ocp score``: how good is a placement of a rig in a room, and what would make it better."""
+
+import argparse
+from collections.abc import Callable
+from dataclasses import replace
+import hashlib
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from ocp_ros.report.assessment import Assessment
+from ocp_ros.report.exports import export
+from ocp_ros.report.findings import verdict
+from ocp_ros.report.key_figures import percent
+from ocp_ros.rig.feasible_region import FeasibleRegion
+from ocp_ros.rig.placement_file import (
+    ANGLES,
+    created_by,
+    data_of,
+    FIXED,
+    load_placement,
+    Placement,
+)
+from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.scene_source import make_room
+from ocp_ros.simulation.objective import Objective, simulator_of
+from ocp_ros.util.files import folder_to_write
+from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.util.yaml_files import written
+
+#: Points of a room where the placement does not say.
+POINTS = 25000
+#: How a scan is read, as command lines and placement files say it.
+READING = ('scale', 'up', 'drop_nonfinite')
+#: Scores that differ by more than this are not the same.
+SAME = 1e-6
+
+
+def room_named(name: str, points: int = POINTS, **reading: Any) -> tuple[Scene, dict[str, Any]]:
+    """
+    Read or generate a room, and say which it is as placement files do.
+
+    :param name: path of a scan, or seed of a generated room.
+    :param reading: of a scan: scale, up, drop_nonfinite; see
+        :func:`~ocp_ros.scenes.scene_source.make_room`.
+    :raises SceneError: if the scan cannot be used.
+    """
+    scene = make_room(name, 0.0, points, **reading)
+    if name.isdecimal():
+        return scene, {'seed': int(name), 'points': points,
+                       'sha256': hashlib.sha256(scene.points.tobytes()).hexdigest()}
+    content = hashlib.sha256(Path(name).read_bytes()).hexdigest()
+    return scene, {'file': name, 'sha256': content, 'points': points, 'scale': 1.0, 'up': 'z',
+                   **reading}
+
+
+def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str) -> Assessment:
+    """
+    Judge a placement in a room.
+
+    :param placement: it need not say what was asked for.
+    :param room: which room it is, from :func:`room_named`.
+    :param command: the command line, for the record.
+    :raises ConfigurationError: if the placement's rig cannot be used in this room.
+    """
+    rig = placement.rig_in(scene)
+    allowed = FeasibleRegion(scene, rig)
+    objective = Objective(simulator_of(scene, rig, placement.engine), rig)
+    found = {'room': room, 'cameras': data_of(placement)['cameras'],
+             **verdict(objective, allowed, placement.poses)}
+    scores = found['scores']
+    found['notes'] = _notes(placement, room, scores)
+    created = created_by(command, placement.created.get('planner', ''))
+    return Assessment(objective, replace(placement, rig=rig, room=room, scores=scores,
+                                         created=created), found)
+
+
+def score(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
+    """
+    Judge a placement, and write what is asked for.
+
+    :param arguments: of ``ocp score``.
+    :param command: the command line, for the record.
+    :returns: what ``--json`` prints.
+    """
+    scene, placement, room = room_and_placement(arguments)
+    folder = arguments.out and folder_to_write(arguments.out)
+    judged = judge(scene, placement, room, command)
+    if folder is None:
+        return dict(judged.found)
+    return {**judged.found, **written_to(folder, judged)}
+
+
+def written_to(folder: Path, judged: Assessment, more: Callable[[], list[Path]] = list
+               ) -> dict[str, Any]:
+    """
+    Write a placement in all forms, and the reports.
+
+    :param more: writes more, and returns the files.
+    :returns: ``written``; where not all could be, for want of space say, ``error`` as well.
+    """
+    paths: list[Path] = []
+    try:
+        paths += export(folder, judged.scene, judged.placement)
+        paths += [*reports(folder, judged), *more()]
+    except OSError as error:
+        return {'written': [str(path) for path in paths], 'error': (
+            f'--out: found {folder}, where not all could be written ({error.strerror or error}); '
+            'expected room for it; use what is printed, or make room and do it again')}
+    return {'written': [str(path) for path in paths]}
+
+
+def reports(folder: Path, judged: Assessment) -> list[Path]:
+    """
+    Write the one-page report and the page that can be turned around.
+
+    :param folder: it is made where it is not there.
+    :returns: the files.
+    """
+    # What draws is slow to import, and most placements are judged without.
+    from ocp_ros.report import sheet
+    from ocp_ros.report.viewer import write_view
+    sheet.draw(folder / 'report.png', judged)
+    write_view(folder / 'report.html', judged.scene, judged)
+    return [folder / 'report.png', folder / 'report.html']
+
+
+def room_and_placement(arguments: argparse.Namespace
+                       ) -> tuple[Scene, Placement, dict[str, Any]]:
+    """
+    Read what a command line names.
+
+    :param arguments: with ``room``, ``placement``, ``rig``, ``scale`` and ``up``.
+    :returns: the room, the placement, and which room it is.
+    """
+    rig = load_rig(arguments.rig) if arguments.rig else None
+    placement = load_placement(arguments.placement, rig)
+    scene, room = room_asked(arguments, placement.room)
+    return scene, placement, room
+
+
+def room_asked(arguments: argparse.Namespace, known: dict[str, Any]
+               ) -> tuple[Scene, dict[str, Any]]:
+    """
+    Read the room of a command line.
+
+    :param arguments: with ``room``, ``scale`` and ``up``.
+    :param known: how it was read before, as placement files have it; what the command line says
+        comes first.
+    """
+    given = {key: value for key in READING
+             if (value := getattr(arguments, key)) is not None and value is not False}
+    if given and arguments.room.isdecimal():
+        raise ConfigurationError(
+            f'--{next(iter(given)).replace("_", "-")}: found it with the generated room '
+            f'{arguments.room}; expected a scan, since generated rooms are in metres, z up; leave '
+            'it out')
+    known = {key: known[key] for key in ('points', *READING) if key in known}
+    if arguments.room.isdecimal():
+        known = {key: value for key, value in known.items() if key == 'points'}
+    return room_named(arguments.room, **{**known, **given})
+
+
+def _notes(placement: Placement, room: dict[str, Any], scores: dict[str, Any]) -> list[str]:
+    """Say where the file is about something else than what was judged."""
+    before = placement.scores.get('loss')
+    if placement.room.get('sha256') not in (None, room['sha256']):
+        return ['the file was made for a room of other content; its own scores are not these']
+    if isinstance(before, float) and abs(before - scores['loss']) > SAME:
+        return [f'the file says loss {before:.6f}; found {scores["loss"]:.6f}: rig, points or '
+                'engine are not those that it was scored with']
+    return []
+
+
+def show(found: dict[str, Any]) -> None:
+    """Print a verdict and what was written."""
+    show_verdict(found)
+    show_written(found)
+
+
+def show_verdict(found: dict[str, Any]) -> None:
+    """Print a verdict."""
+    console, scores = Console(width=100), found['scores']
+    cameras = Table('camera', 'place (m)', 'yaw, pitch, roll', 'takes from the error',
+                    'only it sees', title='Cameras')
+    for placed, added in zip(found['cameras'], scores['cameras']):
+        name = f'{added["name"]} (in place)' if placed['mount'] == FIXED else added['name']
+        cameras.add_row(name, ', '.join(f'{value:.2f}' for value in placed['position']),
+                        ', '.join(f'{placed[angle]:.0f}' for angle in ANGLES),
+                        f'{added["depth_error"]:.2f} m', percent(added['only']))
+    console.print(cameras)
+    least = scores['seen_by']
+    by = 'a camera' if least == 1 else f'{least} cameras'
+    console.print(f'depth error {scores["depth_error"]:.3f} m of '
+                  f'{scores["depth_error_of_nothing"]:.3f} m; space coverage '
+                  f'{scores["space_coverage"]:.1f} of {scores["volume"]:.1f} m³; '
+                  f'{percent(scores["seen"])} of the points seen by {by}; loss '
+                  f'{scores["loss"]:.4f}')
+    console.print('seen by ' + ', '.join(f'{count}: {percent(points / scores["points"])}'
+                                         for count, points in scores['overlap'].items()))
+    for region in scores['regions']:
+        must = f', {percent(region["must_see"])} asked for' if region['must_see'] else ''
+        console.print(f'region {region["name"]}: {percent(region["seen"])} seen{must}')
+    _show_rest(console, found)
+
+
+def _show_rest(console: Console, found: dict[str, Any]) -> None:
+    """Print what is wrong and what would be better."""
+    broken, missed, more = found['broken'], found['missed'], found['one_more']
+    console.print('every constraint is kept' if not broken else 'broken constraints:')
+    for sentence in broken:
+        console.print(f'  {sentence}', style='red', markup=False, highlight=False)
+    console.print(f'missed: {percent(missed["share"])} of the points; '
+                  f'{percent(missed["hopeless"])} no candidate sees either')
+    for part in missed['places']:
+        corners = (', '.join(f'{value:.2f}' for value in part[key]) for key in ('low', 'high'))
+        console.print(f'  {percent(part["share"])} from ({next(corners)}) to ({next(corners)})')
+    if more is None:
+        console.print('one more camera: there is no allowed place for it')
+    else:
+        place = ', '.join(f'{value:.2f}' for value in more['position'])
+        console.print(f'one more {more["sensor"]} helps most at ({place}), yaw {more["yaw"]:.0f}, '
+                      f'pitch {more["pitch"]:.0f}: depth error {more["depth_error"]:.3f} m, '
+                      f'{more["gain"]:.3f} m less')
+    for note in found['notes']:
+        console.print(f'note: {note}', markup=False)
+
+
+def show_written(found: dict[str, Any]) -> None:
+    """Print which files were written, and the placement itself where not all could be."""
+    for path in found.get('written', ()):
+        print(f'wrote {path}')
+    if 'error' in found:
+        print(written({'cameras': found['cameras']}, '.yaml'), end='')

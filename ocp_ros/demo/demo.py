@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The main job over real ROS: a simulated rig and a policy, each a process, place cameras in a room.
+
+Writes ``demo.json`` and ``demo.png`` to the output folder and prints a small table.
+"""
+
+import argparse
+from pathlib import Path
+import sys
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.table import Table
+
+from ocp_ros.demo.node_processes import NodeProcess, stopped_at_the_end
+from ocp_ros.demo.watcher import run_watched, Watch, Watcher
+from ocp_ros.report.drawing.placement_picture import draw_placement
+from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.ros.policy.policy_config import PLANNERS, PolicyNodeConfig
+from ocp_ros.ros.sim_node import SimNodeConfig
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.util.settings import from_flat, to_nested
+from ocp_ros.util.yaml_files import timestamp
+
+#: The first turn waits for the kernels to be compiled on a machine that never ran them.
+START_TIMEOUT, TURN_TIMEOUT = 180.0, 60.0
+
+
+def parser() -> argparse.ArgumentParser:
+    """Build the parser."""
+    defaults = SimNodeConfig()
+    top = argparse.ArgumentParser(prog='demo', description=__doc__)
+    top.add_argument('--room', type=Path, help='scan to place cameras in; else a generated room')
+    top.add_argument('--cameras', type=int, default=defaults.rig.cameras)
+    top.add_argument('--turns', type=int, default=defaults.episode.turns)
+    top.add_argument('--height', type=float, default=defaults.rig.height, help='metres')
+    top.add_argument('--seed', type=int, default=defaults.scene.seed, help='of the generated room')
+    top.add_argument('--scale', type=float, default=defaults.scene.scale,
+                     help='metres per unit of the scan, 0.001 for millimetres')
+    top.add_argument('--up', choices=('x', 'y', 'z'), default=defaults.scene.up,
+                     help='axis of the scan that points up')
+    top.add_argument('--drop-nonfinite', action='store_true',
+                     help='leave out points with NaN or inf')
+    top.add_argument('--planner', choices=PLANNERS, default=PolicyNodeConfig.planner,
+                     help='who chooses the moves')
+    top.add_argument('--model', default='default', help='weights: path or name')
+    top.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
+    return top
+
+
+def sim_parameters(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the parameters of ``sim_node`` that the options set."""
+    room = {'scene.file': str(options.room.resolve())} if options.room else {}
+    return {**room, 'rig.cameras': options.cameras, 'episode.turns': options.turns,
+            'rig.height': options.height, 'scene.seed': options.seed,
+            'scene.scale': options.scale, 'scene.up': options.up,
+            'scene.drop_nonfinite': options.drop_nonfinite}
+
+
+def policy_parameters(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the parameters of ``policy_node`` that the options set."""
+    return {'planner': options.planner, 'model': options.model, 'turns': options.turns}
+
+
+def run_episode(options: argparse.Namespace, domain: int, watch: Watch) -> None:
+    """Start both nodes and watch them until the placement is final."""
+    node, logs, processes = watch.node, options.out / 'logs', []
+    columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
+               TextColumn('{task.fields[error]}'))
+    with stopped_at_the_end(processes), \
+            Progress(*columns, console=Console(stderr=True)) as progress:
+        task = progress.add_task('starting nodes', total=options.turns, error='')
+        processes.append(
+            NodeProcess('sim_node', domain, logs / 'sim_node.log', sim_parameters(options)))
+        watch.until(lambda: node.scene is not None and bool(node.turns()),
+                    START_TIMEOUT, 'first turn of sim_node', processes)
+        for warning in processes[0].warnings():
+            progress.console.print(warning, markup=False)
+        processes.append(NodeProcess(
+            'policy_node', domain, logs / 'policy_node.log', policy_parameters(options)))
+        seen = 1
+        while node.final_turn() is None:
+            watch.until(lambda: len(node.turns()) > seen or node.final_turn() is not None,
+                        START_TIMEOUT if seen == 1 else TURN_TIMEOUT, 'next turn', processes)
+            seen = len(node.turns())
+            progress.update(task, description='placing cameras', completed=seen - 1,
+                            error=f'depth error {node.turns()[-1][1]["depth_error"]:.2f} m')
+
+
+def result_of(options: argparse.Namespace, node: Watcher) -> dict[str, Any]:
+    """Collect the numbers of the episode, as the nodes published them."""
+    final = node.final_turn()
+    fields = [fields for _, fields in node.turns()[:final + 1]]
+    answered = [b['received'] - a['received'] for a, b in zip(fields[1:-1], fields[2:])]
+    return {
+        'room': str(options.room.name if options.room else f'room-{options.seed}'),
+        'points': len(node.scene), 'cameras': len(node.placement), 'turns': final,
+        'depth_error_start': fields[0]['depth_error'],
+        'depth_error_end': fields[-1]['depth_error'],
+        'space_coverage_start': fields[0]['space_coverage'],
+        'space_coverage_end': fields[-1]['space_coverage'],
+        'seconds_per_turn': float(np.median(answered)) if answered else None,
+        'positions': np.round(node.placement, 4).tolist(), 'planner': options.planner,
+        'model': options.model, 'date': timestamp()}
+
+
+def picture(options: argparse.Namespace, node: Watcher, result: dict[str, Any],
+            path: Path) -> None:
+    """Draw the room, the ways of the cameras and where they ended."""
+    config = SimulationConfig(rig=RigConfig(cameras=result['cameras'], height=options.height))
+    scene = Scene(node.scene, name=result['room'])
+    visible = Simulator(scene, config).evaluate(node.placement).visible
+    ways = np.stack([positions for positions, _ in node.turns()[:result['turns'] + 1]])
+    draw_placement(
+        path, scene.points, visible, ways, config.rig.max_range,
+        f'{result["room"]}: {result["cameras"]} cameras placed in {result["turns"]} turns',
+        f'depth error {result["depth_error_start"]:.2f} m → {result["depth_error_end"]:.2f} m, '
+        f'space coverage {result["space_coverage_start"]:.0f} m³ → '
+        f'{result["space_coverage_end"]:.0f} m³, {result["points"]:,} points')
+
+
+def table(result: dict[str, Any]) -> Table:
+    """Lay the numbers out for a terminal."""
+    rows = Table(title=f'{result["room"]}: {result["points"]:,} points, '
+                 f'{result["cameras"]} cameras, {result["turns"]} turns')
+    for name in ('', 'start', 'end'):
+        rows.add_column(name, justify='left' if not name else 'right')
+    for name, key, unit in (('depth error', 'depth_error', 'm'),
+                            ('space coverage', 'space_coverage', 'm³')):
+        rows.add_row(name, *(f'{result[f"{key}_{end}"]:.2f} {unit}' for end in ('start', 'end')))
+    for number, (x, y, z) in enumerate(result['positions'], start=1):
+        rows.add_row(f'camera {number}', '', f'x {x:.2f}  y {y:.2f}  z {z:.2f} m')
+    if result['seconds_per_turn'] is not None:
+        rows.add_row('time per turn', '', f'{1e3 * result["seconds_per_turn"]:.0f} ms')
+    return rows
+
+
+def play(options: argparse.Namespace, domain: int, watch: Watch) -> dict[str, Any]:
+    """Play an episode and draw its end; return the figures."""
+    run_episode(options, domain, watch)
+    result = result_of(options, watch.node)
+    picture(options, watch.node, result, options.out / 'demo.png')
+    result['config'] = {
+        'sim_node': to_nested(from_flat(SimNodeConfig, sim_parameters(options))),
+        'policy_node': to_nested(from_flat(PolicyNodeConfig, policy_parameters(options)))}
+    return result
+
+
+def show(options: argparse.Namespace, result: dict[str, Any]) -> None:
+    """Print the figures as a table, and what was written."""
+    Console().print(table(result))
+    if result['depth_error_end'] > result['depth_error_start']:
+        print(f'{result["planner"]} left the cameras worse than it found them: a policy may when '
+              'the room or the number of cameras is unlike those it was trained with.')
+    print(f'wrote {options.out / "demo.json"} and {options.out / "demo.png"}')
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the demo; bad input gets one sentence and exit code 2."""
+    options = parser().parse_args(args)
+    return run_watched('demo', options.out, lambda domain, watch: play(options, domain, watch),
+                       lambda result: show(options, result), (RuntimeError, OSError))
+
+
+if __name__ == '__main__':
+    sys.exit(main())

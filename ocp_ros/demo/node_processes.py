@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Node processes for the demos: real nodes, each in a process of its own, over DDS."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+import json
+import os
+from pathlib import Path
+import re
+import signal
+import socket
+import subprocess
+import sys
+
+from ocp_ros.ros.runtime.network import LOCALHOST
+from ocp_ros.ros.runtime.node_main import ENDING, PARENT, undisturbed
+
+#: Seconds that a node has to end when it is told to: plenty, but for a machine with other work.
+PATIENCE = 60.0
+#: MB that the memory of a node may grow by, once it has done all that it does.
+MOST_GROWTH = 20.0
+
+
+def free_domain() -> tuple[int, socket.socket]:
+    """
+    Find a ROS domain that no other process of this kind uses.
+
+    :returns: the domain id, and a bound socket that keeps it taken while it is open. Node
+        processes inherit it: those that outlive who has started them keep the domain.
+    """
+    for domain in range(1, 101):
+        holder = socket.socket()
+        try:
+            holder.bind(('127.0.0.1', 32768 + domain))
+        except OSError:
+            holder.close()
+            continue
+        holder.set_inheritable(True)
+        return domain, holder
+    raise RuntimeError('found no free ROS domain between 1 and 100; stop some running demos')
+
+
+def grown(growth: Mapping[str, float]) -> list[str]:
+    """Return a sentence for each node whose memory has grown, MB by name, by more than it may."""
+    return [f'{name}: found that its memory has grown by {mb:.1f} MB; expected less than '
+            f'{MOST_GROWTH:g}' for name, mb in growth.items() if mb >= MOST_GROWTH]
+
+
+def rss_of(pid: int) -> float:
+    """
+    Return the resident memory of a process, MB; 0 if there is none.
+
+    Pages of files are left out: the system takes those of libraries back, and gives them again, as
+    other programs need room.
+    """
+    try:
+        status = Path(f'/proc/{pid}/status').read_text()
+    except OSError:
+        return 0.0
+    sizes = re.findall(r'^Rss(?:Anon|Shmem):\s+(\d+) kB$', status, re.MULTILINE)
+    return sum(map(int, sizes)) * 1024 / 1e6
+
+
+class NodeProcess:
+    """
+    One node in a process of its own; its output goes to a file.
+
+    It ends with the process that has started it, however that one dies.
+
+    :param name: the node's module in ``ocp_ros.ros``.
+    :param domain: ROS domain id.
+    :param log: file for its output.
+    :param parameters: dotted name to value.
+    :param namespace: such as ``env_0``; empty for none.
+    """
+
+    def __init__(self, name: str, domain: int, log: Path, parameters: dict,
+                 namespace: str = '') -> None:
+        self.name, self.log = f'{namespace}/{name}'.lstrip('/'), log
+        arguments = [sys.executable, '-m', f'ocp_ros.ros.{name}', '--ros-args']
+        if namespace:
+            arguments += ['-r', f'__ns:=/{namespace}']
+        for key, value in parameters.items():
+            # The value is read as YAML, which JSON is: a path may hold anything.
+            plain = str(value) if isinstance(value, Path) else value
+            arguments += ['-p', f'{key}:={json.dumps(plain)}']
+        log.parent.mkdir(parents=True, exist_ok=True)
+        with open(log, 'wb') as file:
+            self.process = subprocess.Popen(
+                arguments, stdout=file, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
+                close_fds=False,
+                env={**LOCALHOST, **os.environ, 'ROS_DOMAIN_ID': str(domain),
+                     PARENT: str(os.getpid()), 'PYTHONUNBUFFERED': '1',
+                     'PYTHONFAULTHANDLER': '1'})
+
+    def check(self) -> None:
+        """
+        Make sure that the node still runs.
+
+        :raises RuntimeError: with the end of its output if it does not.
+        """
+        if self.process.poll() is not None:
+            raise RuntimeError(f'{self.name} ended with code {self.process.returncode}: '
+                               f'{self.tail()}')
+
+    def tail(self) -> str:
+        """Return the last line of the node's output."""
+        lines = self.log.read_text(errors='replace').strip().splitlines()
+        return lines[-1] if lines else 'no output'
+
+    def warnings(self) -> list[str]:
+        """Return the node's warnings so far."""
+        lines = self.log.read_text(errors='replace').splitlines()
+        return [line for line in lines if line.startswith('[WARN')]
+
+    def interrupt(self) -> None:
+        """Ask the node to end."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+
+    def wait(self) -> int:
+        """Return the node's exit code; insist after a while."""
+        try:
+            return self.process.wait(timeout=PATIENCE)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            return self.process.wait()
+
+
+@contextmanager
+def stopped_at_the_end(processes: list[NodeProcess]) -> Iterator[None]:
+    """
+    Stop node processes when a block ends, however it ends.
+
+    :param processes: the block adds those that it starts.
+    :raises RuntimeError: if the block ended well and a node did not.
+    """
+    try:
+        yield
+    finally:
+        with undisturbed():
+            for process in processes:
+                process.interrupt()
+            codes = {process.name: process.wait() for process in processes}
+    if any(codes.values()):
+        raise RuntimeError(f'found the exit codes {codes}; expected 0 from every node')
+
+
+def end_on_signals() -> None:
+    """Let SIGTERM and a closed terminal end a demo as Ctrl-C does, in the background too."""
+    for number in ENDING:
+        signal.signal(number, signal.default_int_handler)

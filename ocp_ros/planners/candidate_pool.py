@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses that a rig's cameras may take in a room, what each sees, and first choices of them."""
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.rig.feasible_region import apart, FeasibleRegion
+from ocp_ros.rig.placement_file import as_written
+from ocp_ros.rig.rig_file import Rig
+from ocp_ros.simulation.objective import Objective, simulator_of
+from ocp_ros.simulation.simulator import View
+
+#: Poses that are looked from at a time, and those that are in any case.
+CHUNK, LEAST = 64, 256
+#: Metres that a turn by a radian counts as, where nearest poses are looked for.
+TURN = 1.0
+#: Places that a close packing of cameras is begun at.
+STARTS = 48
+#: Rows of depth maps that put placements in nearly the same order in a quarter of the time.
+QUICK_ROWS = 32
+
+
+class Site(NamedTuple):
+    """
+    A camera where it may hang.
+
+    :ivar pose: (6,) metres, map frame, and radians, as its file will have it.
+    :ivar view: what it sees from there.
+    """
+
+    pose: np.ndarray
+    view: View
+
+
+class PoseSet(NamedTuple):
+    """
+    Where cameras of one model may hang.
+
+    :ivar poses: (M, 6) metres, map frame, and radians, M >= 1.
+    :ivar views: what each sees.
+    :ivar tree: positions and viewing directions, for queries of the nearest.
+    """
+
+    poses: np.ndarray
+    views: list[View]
+    tree: cKDTree
+
+    def near(self, pose: np.ndarray, count: int) -> np.ndarray:
+        """Return the numbers of so many poses that are nearest to one and look alike."""
+        count = min(count, len(self.poses))
+        return np.atleast_1d(self.tree.query(_features(pose[None])[0], np.arange(1, count + 1))[1])
+
+
+def _features(poses: np.ndarray) -> np.ndarray:
+    """Return positions and viewing directions of poses: (M, 6)."""
+    yaw, pitch = poses[:, 3], poses[:, 4]
+    ahead = np.stack([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), -np.sin(pitch)])
+    return np.hstack([poses[:, :3], TURN * ahead.T])
+
+
+def _offered(allowed: FeasibleRegion, model: CameraModel, most: int) -> np.ndarray:
+    """Return allowed poses of a camera, those of any beginning spread over the room: (M, 6)."""
+    poses = as_written(allowed.candidates(model, most))
+    # Rounding may have moved some into a zone.
+    poses = poses[allowed.allowed(poses, model)]
+    if len(poses) == 0:
+        raise allowed.rig.document.error(
+            ('mount',), f'no place in {allowed.scene.name} where a camera may hang to the tenth '
+            'of a millimetre', 'more room', 'lower keep_clear, or change the mount or its height')
+    return np.random.default_rng(0).permutation(poses)
+
+
+class Pool:
+    """
+    Candidates for each model of a rig, and what they see.
+
+    :param objective: of a rig of these models.
+    :param allowed: its constraints.
+    :param most: how many poses to look from, those of all models together.
+    :param among: of how many, spread over the room, they are drawn.
+    :param threads: how many to use.
+    :param over: tells whether to stop looking; the first poses of each model are looked from
+        in any case.
+    :raises ConfigurationError: if a camera may hang nowhere.
+    """
+
+    def __init__(self, objective: Objective, allowed: FeasibleRegion, most: int, among: int = 0,
+                 threads: int = 1, over: Callable[[], bool] = lambda: False) -> None:
+        rig, self._kinds = objective.rig, {}
+        self._found: dict[CameraModel, list[View]] = defaultdict(list)
+        models = list(dict.fromkeys(camera.model for camera in rig.cameras))
+        #: Whether all that are spread over the room were looked from.
+        self.complete = True
+        with ThreadPoolExecutor(threads) as workers:
+            for model in models:
+                camera, count = rig.models.index(model), max(most // len(models), 1)
+                offered = _offered(allowed, model, max(count, among // len(models)))
+                poses, views = offered[:count], []
+                while len(views) < len(poses) and (len(views) < LEAST or not over()):
+                    part = poses[len(views):len(views) + CHUNK]
+                    views += workers.map(
+                        lambda pose, camera=camera: objective.simulator.look(pose, camera), part)
+                self.complete &= len(views) == len(offered)
+                poses = poses[:len(views)]
+                self._kinds[model] = PoseSet(poses, views, cKDTree(_features(poses)))
+
+    def __len__(self) -> int:
+        """Return the number of poses, those of all models together."""
+        return sum(len(kind.poses) for kind in self._kinds.values())
+
+    def kind(self, model: CameraModel) -> PoseSet:
+        """Return the candidates of a model."""
+        return self._kinds[model]
+
+    def add(self, rig: Rig, sites: Sequence[Site]) -> None:
+        """Let :meth:`everywhere` know of a placement of a rig that was found beside these."""
+        for camera, site in zip(rig.cameras, sites):
+            self._found[camera.model].append(site.view)
+
+    def everywhere(self, rig: Rig) -> list[View]:
+        """
+        Return what the cameras of a rig would see if each was everywhere at once.
+
+        No choice of the candidates and of what was added is worth more: it sees no point that
+        these views do not hold as often.
+        """
+        return [View(*(np.bitwise_or.reduce(parts) for parts in zip(
+            *self.kind(camera.model).views, *self._found[camera.model])))
+            for camera in rig.cameras]
+
+    def site(self, model: CameraModel, number: int) -> Site:
+        """Return a candidate of a model."""
+        kind = self.kind(model)
+        return Site(kind.poses[number], kind.views[number])
+
+
+def quick_of(objective: Objective) -> Objective:
+    """Return the same objective with smaller depth maps; it judges the same views."""
+    simulator = objective.simulator
+    engine = replace(simulator.config.engine, error_rows=QUICK_ROWS)
+    return Objective(simulator_of(simulator.scene, objective.rig, engine), objective.rig)
+
+
+def clear(poses: np.ndarray, sites: Sequence[Site], spacing: float) -> np.ndarray:
+    """
+    Tell which poses are far enough from all cameras.
+
+    :param poses: (M, 6) metres and radians.
+    :param spacing: metres.
+    :returns: (M,) bool.
+    """
+    others = np.array([site.pose[:3] for site in sites]).reshape(-1, 3)
+    return apart(poses[:, :3], others, spacing)
+
+
+def best_addition(objective: Objective, pool: Pool, sites: Sequence[Site],
+                  among: np.ndarray | None = None) -> Site | None:
+    """
+    Choose the candidate for the next camera of a rig that helps most.
+
+    :param sites: of the cameras before it.
+    :param among: numbers of candidates to choose from; all unless named.
+    :returns: None where all are too near to the others.
+    """
+    rig = objective.rig
+    model, views = rig.cameras[len(sites)].model, [site.view for site in sites]
+    kind = pool.kind(model)
+    among = np.arange(len(kind.poses)) if among is None else among
+    among = among[clear(kind.poses[among], sites, rig.spacing)]
+    if len(among) == 0:
+        return None
+    worth = [objective.promise([*views, kind.views[number]]) for number in among]
+    return pool.site(model, among[int(np.argmin(worth))])
+
+
+def packed(rig: Rig, pool: Pool) -> list[Site]:
+    """
+    Hang the cameras of a rig as close together as they may be, to find out whether all fit.
+
+    :returns: sites of the first cameras of the rig, of all of them where they fit.
+    """
+    best: list[Site] = []
+    first = pool.kind(rig.cameras[0].model)
+    for start in np.unique(np.linspace(0, len(first.poses) - 1, STARTS).astype(int)):
+        sites = [pool.site(rig.cameras[0].model, start)]
+        for camera in rig.cameras[1:]:
+            poses = pool.kind(camera.model).poses
+            left = np.flatnonzero(clear(poses, sites, rig.spacing))
+            if len(left) == 0:
+                break
+            others = np.array([site.pose[:3] for site in sites])
+            away = np.linalg.norm(poses[left, None, :3] - others, axis=2).sum(axis=1)
+            sites.append(pool.site(camera.model, left[int(np.argmin(away))]))
+        best = max(best, sites, key=len)
+        if len(best) == len(rig.cameras):
+            break
+    return best
+
+
+def check_room(objective: Objective, pool: Pool) -> None:
+    """
+    Refuse a rig whose cameras do not all find room.
+
+    :raises ConfigurationError: if the spacing leaves too few places.
+    """
+    rig = objective.rig
+    if len(sites := packed(rig, pool)) < len(rig.cameras):
+        raise rig.document.error(
+            ('spacing',), f'{rig.spacing:g} m, at which only {len(sites)} of the '
+            f'{len(rig.cameras)} cameras find room in {objective.simulator.scene.name}',
+            'a distance at which all do', 'lower it or hang up fewer')
+
+
+def random_sites(rig: Rig, pool: Pool, rng: np.random.Generator) -> tuple[Site, ...]:
+    """Draw a placement of a rig among the candidates; () where the last camera finds no room."""
+    sites: list[Site] = []
+    for camera in rig.cameras:
+        left = np.flatnonzero(clear(pool.kind(camera.model).poses, sites, rig.spacing))
+        if len(left) == 0:
+            return ()
+        sites.append(pool.site(camera.model, rng.choice(left)))
+    return tuple(sites)

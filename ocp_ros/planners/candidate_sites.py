@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Places and directions among which :mod:`ocp_ros.planners.lookahead` chooses a placement."""
+
+from collections.abc import Sequence
+
+from numba import njit
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ocp_ros.agent.partial_map import PartialMap
+from ocp_ros.agent.rig_state import fixed_views, RigState
+from ocp_ros.geometry.blocks import count_bits
+from ocp_ros.geometry.cameras import rotation_matrix
+from ocp_ros.geometry.depth_error import lost_depth
+from ocp_ros.planners.annealing import between
+from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.simulation.simulator import View
+from ocp_ros.util.threads import mapped
+
+#: Proposals of a turn of annealing among candidates.
+EXCHANGES = 3000
+#: Its first and last temperature, in multiples of the error of seeing nothing.
+HOT, COLD = 0.04, 2e-4
+#: Share of its proposals that go anywhere; the others go to one of so many nearest candidates.
+ANYWHERE, NEIGHBOURS = 0.3, 12
+#: Yaws, and at most how many pitches, of cameras that do not see all around.
+YAWS, PITCHES = 8, 2
+#: The most candidates that are a place and a direction.
+SITES = 2000
+#: Metres that a turn by one radian counts as, where neighbours are sought.
+PER_RADIAN = 0.5
+
+
+@njit(cache=True, nogil=True)
+def _worth(seen, covered, trees, pixels, weight):
+    """Return what seeing points and covering unseen cells, packed bits each, is worth, metres."""
+    return lost_depth(trees, seen) / pixels - weight * count_bits(covered)
+
+
+@njit(cache=True, nogil=True)
+def _annealed(chosen, seen, covered, trees, pixels, weight, kind_of, own, firsts, near,
+              temperatures, rng):
+    """
+    Exchange one of a choice after another, and return the best choice that came by.
+
+    :param chosen: (K,) int64, where to begin.
+    :param seen: (S, W) uint64, packed bits of the points that each site sees.
+    :param covered: (S, V) uint64, packed bits of the unseen cells that each covers.
+    :param trees: of the depth error.
+    :param pixels: of its maps.
+    :param weight: what covering a cell is worth, metres.
+    :param kind_of: (K,) int64, the kind of site that each camera takes.
+    :param own: (S,) int64, the sites, those of a kind next to each other.
+    :param firsts: (kinds + 1,) int64, where those of a kind begin in ``own``.
+    :param near: (S, N) int64, the sites of its kind that differ least from each; in a row, no more
+        count than there are of the kind.
+    :param temperatures: one for each proposal, metres.
+    :param rng: numpy.random.Generator.
+    """
+    all_seen, all_covered = np.empty_like(seen[0]), np.empty_like(covered[0])
+    trial, state, best = chosen.copy(), chosen.copy(), chosen.copy()
+    value = best_value = 0.0
+    for step in range(-1, len(temperatures)):
+        if step >= 0:
+            trial[:] = state
+            camera = rng.integers(0, len(trial))
+            first, last = firsts[kind_of[camera]], firsts[kind_of[camera] + 1]
+            neighbours = min(near.shape[1], last - first)
+            if rng.random() < ANYWHERE or not neighbours:
+                trial[camera] = own[first + rng.integers(0, last - first)]
+            else:
+                trial[camera] = near[trial[camera], rng.integers(0, neighbours)]
+        all_seen[:], all_covered[:] = seen[trial[0]], covered[trial[0]]
+        for site in trial[1:]:
+            all_seen |= seen[site]
+            all_covered |= covered[site]
+        trial_value = _worth(all_seen, all_covered, trees, pixels, weight)
+        if step < 0:
+            value = best_value = trial_value
+            continue
+        rise = trial_value - value
+        if rise <= 0.0 or rng.random() < np.exp(-rise / temperatures[step]):
+            state[:], value = trial, trial_value
+            if value < best_value:
+                best[:], best_value = state, value
+    return best
+
+
+class Candidates:
+    """
+    Places where cameras might be, with what each would see.
+
+    A choice of them is a list of indices, one per camera.
+
+    :param model: the engine on what has been seen.
+    :param places: (M, 2) metres, M >= 1.
+    :param space: where cameras may be.
+    :param unseen: packed bits of the model's cells that count as unseen.
+    :param weight: what covering one of them is worth, metres of depth error.
+    :param fixed: what cameras in place see, whatever is chosen.
+    """
+
+    def __init__(self, model: PartialMap, places: np.ndarray, space: FreePlane, unseen: np.ndarray,
+                 weight: float, fixed: Sequence[View] = ()) -> None:
+        self.model, self.places, self.weight = model, places, weight
+        self._see(mapped(model.look, space.placement(places)), fixed, unseen)
+        apart = ((places[:, None] - places[None]) ** 2).sum(axis=-1)
+        self._near = np.argsort(apart, axis=1, kind='stable')[:, 1:NEIGHBOURS + 1].copy()
+        self._of_kind = [np.arange(len(places))]
+
+    def _see(self, views: list[View], fixed: Sequence[View], unseen: np.ndarray) -> None:
+        """Keep what each would see, what cameras in place see included."""
+        self._seen = np.array([view.seen for view in views])
+        self._covered = np.array([view.covered for view in views]) & unseen
+        for view in fixed:
+            self._seen |= view.seen
+            self._covered |= view.covered & unseen
+
+    def value(self, chosen: list[int]) -> float:
+        """Return what a choice is worth, metres; less is better."""
+        return self._value(np.bitwise_or.reduce(self._seen[chosen], axis=0),
+                           np.bitwise_or.reduce(self._covered[chosen], axis=0))
+
+    def _value(self, seen: np.ndarray, covered: np.ndarray) -> float:
+        """Return what seeing points and covering cells, packed bits each, is worth, metres."""
+        error = self.model.depth_error
+        return _worth(seen, covered, error.trees, error.pixels, self.weight)
+
+    def fill(self, cameras: int) -> list[int]:
+        """Choose for one camera after the other, each the best that is left."""
+        chosen: list[int] = []
+        seen, covered = np.zeros_like(self._seen[0]), np.zeros_like(self._covered[0])
+        for kind in self._kinds(cameras):
+            own = self._of_kind[kind]
+            values = [self._value(seen | self._seen[site], covered | self._covered[site])
+                      for site in own]
+            chosen.append(int(own[np.argmin(values)]))
+            seen, covered = seen | self._seen[chosen[-1]], covered | self._covered[chosen[-1]]
+        return chosen
+
+    def anneal(self, chosen: list[int], rng: np.random.Generator) -> list[int]:
+        """Return the best choice that annealing from another one finds, which may be that one."""
+        error = self.model.depth_error
+        temperatures = error.worst * between(HOT, COLD, np.arange(EXCHANGES) / EXCHANGES)
+        firsts = np.cumsum([0, *(len(own) for own in self._of_kind)])
+        return _annealed(np.array(chosen), self._seen, self._covered, error.trees, error.pixels,
+                         self.weight, self._kinds(len(chosen)), np.concatenate(self._of_kind),
+                         firsts, self._near, temperatures, rng).tolist()
+
+    def _kinds(self, cameras: int) -> np.ndarray:
+        """Return the kind of site that each camera takes: there is one."""
+        return np.zeros(cameras, dtype=np.int64)
+
+
+class Sites(Candidates):
+    """
+    Places where cameras might be, each with directions: for rigs some of which look one way.
+
+    A choice of them is a list of indices, one per camera in the order of the rig; each stands for
+    a site of the camera's kind.
+
+    :param model: the engine on what has been seen.
+    :param places: (M, 3) metres, M >= 1.
+    :param plan: (K, 6) the placement so far, whose sites are the first; None where there is none.
+    :param sight: the rig.
+    :param unseen: packed bits of the model's cells that count as unseen.
+    :param weight: what covering one of them is worth, metres of depth error.
+    :ivar sites: (S, 6) x, y, z in metres, yaw, pitch, roll in radians.
+    """
+
+    def __init__(self, model: PartialMap, places: np.ndarray, plan: np.ndarray | None,
+                 sight: RigState, unseen: np.ndarray, weight: float) -> None:
+        self.model, self.weight = model, weight
+        self.kind_of, firsts = kinds_of(sight)
+        sites, of_kind, views = [], [], []
+        if plan is not None:
+            for camera, row in enumerate(plan):
+                views.append(model.look(row, sight.models[camera].lens))
+            sites, of_kind = list(plan), list(self.kind_of)
+        for kind, camera in enumerate(firsts):
+            headings = sight.headings(camera, YAWS, PITCHES)
+            lens = sight.models[camera].lens
+            for some in mapped(lambda place, headings=headings, lens=lens: model.look_many(
+                    place, headings, lens), places):
+                views += some
+            sites += [np.concatenate([place, heading]) for place in places
+                      for heading in headings]
+            of_kind += [kind] * (len(places) * len(headings))
+        self.sites, self.places = np.array(sites), np.array(sites)[:, :2]
+        self._of_kind = [np.flatnonzero(np.array(of_kind) == kind) for kind in range(len(firsts))]
+        self._see(views, fixed_views(model, sight), unseen)
+        self._near = np.zeros((len(sites), NEIGHBOURS + 1), dtype=np.int64)
+        for own in self._of_kind:
+            near = self._neighbours(own)
+            self._near[own, :near.shape[1]] = near
+
+    def _neighbours(self, own: np.ndarray) -> np.ndarray:
+        """List for each site of a kind those of the kind that differ least from it."""
+        forward = np.array([rotation_matrix(*row[3:])[:, 0] for row in self.sites[own]])
+        tree = cKDTree(np.hstack([self.sites[own, :3], PER_RADIAN * forward]))
+        _, near = tree.query(tree.data, min(NEIGHBOURS + 1, len(own)))
+        return own[near.reshape(len(own), -1)]
+
+    def _kinds(self, cameras: int) -> np.ndarray:
+        """Return the kind of site that each camera takes."""
+        return self.kind_of[:cameras]
+
+
+def kinds_of(sight: RigState) -> tuple[np.ndarray, list[int]]:
+    """
+    Tell which cameras of a rig may take each other's place.
+
+    :returns: (K,) the kind of each camera, and the first camera of each kind.
+    """
+    keys = [(model, () if model.omnidirectional else tuple(row[5:] if sight.turns else row[3:]))
+            for model, row in zip(sight.models[:sight.movable], sight.placement)]
+    kinds = list(dict.fromkeys(keys))
+    return np.array([kinds.index(key) for key in keys]), [keys.index(kind) for kind in kinds]
+
+
+def most_places(sight: RigState) -> int:
+    """Return how many places a rig may be tried in at most: each has some directions."""
+    _, firsts = kinds_of(sight)
+    return max(SITES // sum(len(sight.headings(camera, YAWS, PITCHES)) for camera in firsts), 1)

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Every planner as a method that finds a placement of a rig under all its constraints.
+
+``rig_search`` searches full poses itself; what the others propose is decoded.
+"""
+
+from collections.abc import Sequence
+
+from ocp_ros.planners.budget import Budget
+from ocp_ros.planners.candidate_pool import Pool, Site
+from ocp_ros.planners.registry import OFFLINE, ONLINE
+from ocp_ros.planners.rig_offline import search_offline
+from ocp_ros.planners.rig_online import play_online
+from ocp_ros.planners.rig_search import Answer, Progress, search, views_of
+from ocp_ros.rig.feasible_region import FeasibleRegion
+from ocp_ros.simulation.objective import Objective
+from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.util.yaml_files import nearest
+
+#: The planner that is used unless another is named.
+RIG_SEARCH = 'rig_search'
+PLANNERS = (RIG_SEARCH, *OFFLINE, *ONLINE)
+
+
+def check_planner(name: str, counting: bool = False) -> None:
+    """
+    Refuse a planner that does not exist, or that cannot do what is asked.
+
+    :param counting: whether it is to find out how many cameras are needed.
+    :raises ConfigurationError: one sentence that begins with the option.
+    """
+    if name not in PLANNERS:
+        raise ConfigurationError(
+            f'--planner: found {name!r}; expected one of {", ".join(PLANNERS)}; '
+            f'{nearest(name, PLANNERS, "choose one of them")}')
+    if counting and name in ONLINE:
+        raise ConfigurationError(
+            f'--count: found auto with --planner {name}, which moves the cameras there are and '
+            'compares no numbers of them; expected a number; name one, or a planner that '
+            f'searches a scan, such as {RIG_SEARCH}')
+
+
+def find(name: str, objective: Objective, allowed: FeasibleRegion, pool: Pool, budget: Budget,
+         seed: int,
+         start: Sequence[Site] = (), progress: Progress | None = None) -> Answer:
+    """
+    Find the best placement of a rig's cameras by a planner.
+
+    :param name: one of ``PLANNERS``.
+    :param objective: judges placements of the rig.
+    :param allowed: its constraints.
+    :param pool: candidates of all its models.
+    :param budget: how long to go on.
+    :param seed: of all chance.
+    :param start: a placement that the answer is to be no worse than, where there is one.
+    :param progress: called several times a second or after each placement or turn.
+    :raises ConfigurationError: if there is no placement.
+    """
+    if name == RIG_SEARCH:
+        return search(objective, allowed, pool, budget, seed, start, progress)
+    run = play_online if name in ONLINE else search_offline
+    found = run(name, objective, allowed, pool, budget, seed, progress)
+    if start and (loss := objective.loss(views_of(start))) < found.loss:
+        return Answer(tuple(start), loss, (loss,), found.evaluations)
+    return found

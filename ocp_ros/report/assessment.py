@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A placement that was judged in a room: what reports show of it, each thing computed once."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ocp_ros.geometry.blocks import unpack
+from ocp_ros.report.installer import ReferenceWall, walls_around, Words, words_for
+from ocp_ros.rig.placement_file import Placement
+from ocp_ros.rig.structure import floor_height
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.simulation.objective import Objective
+
+
+@dataclass(frozen=True, eq=False)
+class Assessment:
+    """
+    A placement in a room, and what was found of it.
+
+    :ivar objective: the engine in the room, and the rig.
+    :ivar placement: where the cameras hang.
+    :ivar found: what ``ocp score --json`` prints: scores, broken, missed, one_more, notes.
+    """
+
+    objective: Objective
+    placement: Placement
+    found: Mapping[str, Any]
+
+    @property
+    def scene(self) -> Scene:
+        """Return the room."""
+        return self.objective.simulator.scene
+
+    @cached_property
+    def counts(self) -> np.ndarray:
+        """Return how many cameras see each point: (N,) int."""
+        objective, points = self.objective, len(self.scene)
+        views = [*objective.look(self.placement.poses), *objective.fixed]
+        counts = np.zeros(points, dtype=np.int64)
+        counts[self._order] = sum(unpack(view.seen, points).astype(np.int64) for view in views)
+        return counts
+
+    @property
+    def missed(self) -> np.ndarray:
+        """Return the points that fewer cameras see than the rig asks for: (N,) bool."""
+        return self.counts < self.objective.rig.seen_by
+
+    @cached_property
+    def lost(self) -> np.ndarray:
+        """Return where the depth error is: (N,) metres, whose sum is the error."""
+        simulator, lost = self.objective.simulator, np.empty(len(self.scene))
+        seen = self.objective.evaluate(self.placement.poses).seen
+        lost[self._order] = simulator.depth_error.by_point(seen.bits)
+        return lost
+
+    @property
+    def _order(self) -> np.ndarray:
+        """Return the index of each of the engine's points among the scene's: (N,)."""
+        return self.objective.simulator.visibility.order
+
+    @cached_property
+    def walls(self) -> list[ReferenceWall]:
+        """Return the sides of the rectangle around the room, A to D."""
+        return walls_around(self.scene)
+
+    @cached_property
+    def floor(self) -> float:
+        """Return the height of the floor, metres, map frame."""
+        return floor_height(self.scene)
+
+    @cached_property
+    def words(self) -> list[Words]:
+        """Return how to hang up each camera."""
+        return [words_for(placed, self.walls, self.floor) for placed in self.placement.cameras]
+
+    @property
+    def upright(self) -> np.ndarray:
+        """Return the rotation (3, 3) from the map frame to one with wall A at the top."""
+        view = np.eye(3)
+        view[0, :2], view[1, :2] = self.walls[1].outward, self.walls[0].outward
+        return view

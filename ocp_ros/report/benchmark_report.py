@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A comparison of planners as tables and figures."""
+
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+import numpy as np
+
+from ocp_ros.planners.registry import KNOWS, OFFLINE, ONLINE
+from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
+
+#: Told apart with any kind of colour vision, repeated with another line where there are more.
+COLOURS = ('#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '#d55e00', '#8c6d31')
+LINES = ('-', '--', ':')
+#: Searches that given time should all find what is best, and how far apart they may be.
+SEARCHES = ('greedy_swap', 'tdsa', 'annealing', 'bpso', 'bee_colony', 'differential_evolution',
+            'cma_es', 'learned_cma_es')
+ALIKE = 1.10
+TITLES = {'tdsa': 'TDSA', 'bpso': 'BPSO', 'cma_es': 'CMA-ES',
+          'learned_cma_es': 'learned + CMA-ES', 'learned_lookahead': 'learned + lookahead',
+          'learned_paper': 'learned, paper inputs'}
+Rows = list[dict[str, Any]]
+
+
+def style(number: int) -> dict[str, Any]:
+    """Return the colour and the line of a planner."""
+    return {'color': COLOURS[number % len(COLOURS)],
+            'linestyle': LINES[number // len(COLOURS) % len(LINES)]}
+
+
+def write_report(folder: Path, summary: dict[str, Any], rows: Rows) -> None:
+    """
+    Write ``README.md``, ``rooms.png`` and ``anytime.png``.
+
+    :param folder: where; it is made.
+    :param summary: of :func:`ocp_ros.evaluation.summary.summarise`, with ``command``, ``date`` and
+        ``versions`` added.
+    :param rows: the runs.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    draw_rooms(folder / 'rooms.png', summary)
+    draw_anytime(folder / 'anytime.png', summary, rows)
+    (folder / 'README.md').write_text(page(summary))
+
+
+def budgets_of(summary: dict[str, Any]) -> list[str]:
+    """Return the budgets, least first; 0 stands for the turns of online planners."""
+    return sorted({budget for runs in summary['planners'].values() for budget in runs}, key=int)
+
+
+def budget_named(budget: str) -> str:
+    """Write a budget as titles have it."""
+    return f'{int(budget):,} evaluations' if int(budget) else 'the turns of online planners'
+
+
+def last_runs(summary: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return each planner's figures at the largest budget, those of online planners as well."""
+    last = budgets_of(summary)[-1]
+    return {name: runs.get(last, runs.get('0')) for name, runs in summary['planners'].items()
+            if last in runs or '0' in runs}
+
+
+def draw_rooms(path: Path, summary: dict[str, Any]) -> None:
+    """Draw a group of bars for each room: every planner at the largest budget."""
+    budget, rooms = budgets_of(summary)[-1], list(summary['rooms'])
+    runs = last_runs(summary)
+    names = list(runs)
+    wide = max(11.0, 1.2 + 1.5 * len(rooms))
+    figure = Figure(figsize=(wide, 5.5), dpi=100, facecolor='white')
+    axes = figure.add_axes((0.07, 0.12, 0.91, 0.66))
+    width = 0.85 / len(names)
+    for k, name in enumerate(names):
+        values = [runs[name]['rooms'][room] for room in rooms]
+        axes.bar(np.arange(len(rooms)) + (k - 0.5 * (len(names) - 1)) * width, values, width,
+                 color=style(k)['color'], hatch=('', '//', '..')[k // len(COLOURS) % 3],
+                 edgecolor='white', linewidth=0.4, label=spaced(name))
+    for k, room in enumerate(rooms):
+        known = summary['rooms'][room]['best_known']
+        axes.plot([k - 0.45, k + 0.45], [known, known], color=INK, linewidth=1.2,
+                  label='best known' if k == 0 else None)
+    axes.set_xticks(range(len(rooms)), [Path(room).stem for room in rooms])
+    axes.set_ylabel('depth error (m)', color=PALE_INK)
+    axes.set_yscale('log')
+    _quiet(axes)
+    figure.text(0.07, 0.95, f'Depth error of the final placement, {budget_named(budget)}',
+                fontsize=14, fontweight='bold', color=INK, va='center')
+    figure.legend(loc='upper left', bbox_to_anchor=(0.06, 0.92), ncols=6, frameon=False,
+                  fontsize=9)
+    figure.savefig(path)
+
+
+def draw_anytime(path: Path, summary: dict[str, Any], rows: Rows) -> None:
+    """Draw the error during the search against evaluations and against seconds."""
+    budget = int(budgets_of(summary)[-1])
+    figure = Figure(figsize=(14.0, 5.8), dpi=100, facecolor='white')
+    for column, title in ((0, 'evaluations'), (1, 'seconds on one core')):
+        axes = figure.add_axes((0.06 + 0.48 * column, 0.11, 0.43, 0.66))
+        for k, name in enumerate(summary['planners']):
+            runs = [np.array(row['trace']) for row in rows
+                    if row['planner'] == name and row['budget'] == budget and row['trace']]
+            if not runs:
+                continue
+            last = max(run[-1, column] for run in runs)
+            at = np.geomspace(max(min(run[0, column] for run in runs), 1e-3), last, 120)
+            # Before its first answer a run is worth what that answer is.
+            curves = [run[np.maximum(np.searchsorted(run[:, column], at, 'right') - 1, 0), 2]
+                      for run in runs]
+            axes.plot(at, np.mean(curves, axis=0), linewidth=1.8, label=spaced(name),
+                      **style(k))
+        axes.set_xscale('log')
+        axes.set_yscale('log')
+        axes.set_xlabel(title, color=PALE_INK)
+        axes.set_ylabel('mean depth error of what would be answered (m)', color=PALE_INK)
+        _quiet(axes)
+    figure.text(0.06, 0.95, 'How fast planners get better', fontsize=14, fontweight='bold',
+                color=INK, va='center')
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc='upper left',
+                  bbox_to_anchor=(0.05, 0.92), ncols=6, frameon=False, fontsize=9)
+    figure.savefig(path)
+
+
+def _quiet(axes: Axes) -> None:
+    """Leave out what does not tell anything."""
+    axes.spines[['top', 'right']].set_visible(False)
+    axes.tick_params(colors=PALE_INK)
+    axes.grid(axis='y', color='#e4e6e8', linewidth=0.8)
+    axes.set_axisbelow(True)
+
+
+def spaced(name: str) -> str:
+    """Write a planner's name as one says it."""
+    return TITLES.get(name, name.replace('_', ' '))
+
+
+def shown(number: float | None, digits: int) -> str:
+    """Write a number, or a dash where there is none."""
+    return '-' if number is None else f'{number:.{digits}f}'
+
+
+def knows(name: str) -> str:
+    """Say what a planner knows of a room."""
+    return 'what was seen' if name in ONLINE else KNOWS.get(name, 'scores')
+
+
+def page(summary: dict[str, Any]) -> str:
+    """Write the comparison as Markdown."""
+    lines = [
+        '# Planners compared', '',
+        f'Made on {summary["date"]} by', '', f'    {summary["command"]}', '',
+        f'{len(summary["rooms"])} rooms, {summary["rotations"]} rotations of each, '
+        f'{summary["cameras"]} cameras on a plane. While it searches, a planner is scored by the '
+        'preset `fast`; what counts is its final placement alone, judged by `fine` at 128 x 256 '
+        'pixels and averaged over eight ways of mounting the cameras 2 cm off. *Sum* is over '
+        'rooms, each the mean over rotations and seeds, with a 95 % bootstrap interval over '
+        'rooms. *Ratio* is to the best known of all methods, seeds and budgets; *gap closed* is '
+        '(random - method) / (random - best known), random being a placement drawn at random. '
+        '*Wins* are rooms in which no other planner of the same budget was better.', '',
+        compared(summary), '']
+    for budget in budgets_of(summary):
+        heading = f'{int(budget):,} evaluations' if int(budget) else \
+            'Online: turn by turn, knowing only what was seen'
+        lines += [f'## {heading}', '',
+                  '| planner | knows | sum (m) | 95 % | ratio | gap closed | wins | rank | p | '
+                  '5 cm off | 10 cm off |', '|---|---|---|---|---|---|---|---|---|---|---|']
+        test = summary['rank_tests'][budget]
+        runs = [(name, runs[budget]) for name, runs in summary['planners'].items()
+                if budget in runs]
+        for name, run in sorted(runs, key=lambda item: item[1]['sum']):
+            p = test['against_leader'].get(name)
+            low, high = run['interval']
+            lines.append(
+                f'| {spaced(name)} | {knows(name)} | {run["sum"]:.2f} | {low:.2f} to {high:.2f} | '
+                f'{shown(run["ratio_to_best_known"], 2)} | {shown(run["gap_closed"], 4)} | '
+                f'{run["wins"]} | '
+                f'{test["mean_rank"][name]:.1f} | {"" if p is None else f"{p:.3f}"} | '
+                f'{run["off_5_cm"]:.2f} | {run["off_10_cm"]:.2f} |')
+        for name, run in runs:
+            if 'seconds_per_turn' in run:
+                lines += ['', f'{spaced(name)}: {1e3 * run["seconds_per_turn"]:.0f} ms '
+                          f'a turn at the median, {1e3 * run["seconds_at_most"]:.0f} at most.']
+        friedman = test['friedman_p']
+        lines += ['', f"Rank is the mean over rooms; p is Wilcoxon's signed-rank test against "
+                  f'{spaced(test["leader"])}, corrected after Holm'
+                  + ('.' if friedman is None else
+                     f'; that all are alike has p = {friedman:.2g} (Friedman).'), '']
+    lines += _agreement(summary) + _duels(summary) + _times(summary)
+    lines += ['![Depth error of every planner in every room](rooms.png)', '',
+              '![Depth error during the search](anytime.png)', '',
+              '![Where the best planners put the cameras](placements.png)', '', '## Rooms', '',
+              '| room | best known (m) | random placement (m) | share | from everywhere (m) |',
+              '|---|---|---|---|---|']
+    for room, known in summary['rooms'].items():
+        lines.append(
+            f'| {Path(room).stem} | {known["best_known"]:.3f} | {known["random_placement"]:.2f} | '
+            f'{shown(known["share"], 3)} | '
+            f'{known["lower_bound"]:.3f} |')
+    lines += ['', 'The last column is what all places of the plane miss together: no placement '
+              'can do better.', '', 'Versions: ' + ', '.join(
+                  f'{name} {version}' for name, version in summary['versions'].items()) + '.', '']
+    return '\n'.join(lines)
+
+
+def compared(summary: dict[str, Any]) -> str:
+    """Say how many of all planners are compared, and which are not."""
+    left_out = [spaced(name) for name in (*OFFLINE, *ONLINE) if name not in summary['planners']]
+    text = f'Compared are {len(summary["planners"])} of {len(OFFLINE) + len(ONLINE)} planners'
+    return text + (f'; left out: {"; ".join(left_out)}.' if left_out else '.')
+
+
+def _agreement(summary: dict[str, Any]) -> list[str]:
+    """Say how far apart the searches are that had the most evaluations."""
+    last = budgets_of(summary)[-1]
+    sums = {name: runs[last]['sum'] for name, runs in summary['planners'].items()
+            if name in SEARCHES and last in runs}
+    if len(sums) < 2 or not min(sums.values()):
+        return []
+    ratios = {name: total / min(sums.values()) for name, total in sums.items()}
+    near = [name for name, ratio in ratios.items() if ratio <= ALIKE]
+    far = [f'{spaced(name)} {ratio:.2f}' for name, ratio in ratios.items() if ratio > ALIKE]
+    text = f'With {int(last):,} evaluations, {", ".join(map(spaced, near))} are within ' \
+        f'{100 * (ALIKE - 1):.0f} % of the least sum among the searches'
+    if far:
+        text += f'; not so, as multiples of it: {", ".join(far)}'
+    return ['## Do the searches agree?', '', text + '.', '']
+
+
+def _duels(summary: dict[str, Any]) -> list[str]:
+    """Set each online planner against each offline one and budget."""
+    planners = summary['planners']
+    online = [name for name, runs in planners.items() if '0' in runs]
+    offline = [(name, budget) for name, runs in planners.items() for budget in runs
+               if budget != '0']
+    if not online or not offline:
+        return []
+    lines = ['## Online against offline', '',
+             "The online planner's sum as a share of the offline one's, and in how many of the "
+             f'{len(summary["rooms"])} rooms it is better.', '',
+             '| against | evaluations | ' + ' | '.join(map(spaced, online)) + ' |',
+             '|---|---|' + '---|' * len(online)]
+    for name, budget in offline:
+        rival = planners[name][budget]
+        cells = []
+        for one in online:
+            run = planners[one]['0']
+            won = sum(run['rooms'][room] < rival['rooms'][room] for room in summary['rooms'])
+            ratio = run['sum'] / rival['sum'] if rival['sum'] else None
+            cells.append(f'{shown(ratio, 2)} ({won})')
+        lines.append(f'| {spaced(name)} | {int(budget):,} | {" | ".join(cells)} |')
+    return [*lines, '']
+
+
+def _times(summary: dict[str, Any]) -> list[str]:
+    """Tell how long each planner takes on one core."""
+    budgets = budgets_of(summary)
+    lines = ['## Time', '', 'Seconds for one placement on one core; the last column is all rooms '
+             'and rotations once, at the most evaluations. Training the policy is not in it: '
+             '[its card](../../models/README.md) says how long that took.', '',
+             '| planner | ' + ' | '.join(
+                 f'{int(budget):,}' if int(budget) else 'turns' for budget in budgets)
+             + ' | all |', '|---|' + '---|' * (len(budgets) + 1)]
+    places = len(summary['rooms']) * summary['rotations']
+    for name, runs in summary['planners'].items():
+        cells = [f'{runs[budget]["seconds"]:.2f}' if budget in runs else '' for budget in budgets]
+        longest = runs[max(runs, key=int)]['seconds']
+        lines.append(f'| {spaced(name)} | {" | ".join(cells)} | {places * longest:.0f} |')
+    return [*lines, '']

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How many cameras are needed: the curve of error and coverage, as table, data and picture."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.table import Table
+
+from ocp_ros.planners.rig_plan import RigPlan
+from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
+from ocp_ros.report.key_figures import percent
+
+#: What each share is a share of.
+SHARES = {'seen': 'points that can be seen', 'coverage': 'space that can be covered',
+          'error': 'depth error that can be taken away'}
+
+
+def rows_of_curve(plans: Sequence[RigPlan]) -> list[dict[str, Any]]:
+    """Return what each number of cameras is worth, as plain data."""
+    return [{'cameras': len(plan.rig.cameras), 'loss': plan.worth.loss,
+             'depth_error': plan.worth.depth_error, 'space_coverage': plan.worth.space_coverage,
+             **{f'share_{name}': share for name, share in plan.shares.items()},
+             'seconds': round(plan.seconds, 2)} for plan in plans]
+
+
+def show_curve(console: Console, rows: Sequence[dict[str, Any]], count: dict[str, Any]) -> None:
+    """Print how many cameras are needed."""
+    table = Table('cameras', 'loss', 'depth error', *SHARES, title='How many are needed')
+    for row in rows:
+        table.add_row(str(row['cameras']), f'{row["loss"]:.4f}', f'{row["depth_error"]:.3f} m',
+                      *(percent(row[f'share_{name}']) for name in SHARES))
+    console.print(table)
+    console.print(sentence(count), highlight=False)
+
+
+def sentence(count: dict[str, Any]) -> str:
+    """Say how many cameras are needed."""
+    asked = f'{percent(count["target"])} of the {SHARES[count["by"]]}'
+    if count['reached']:
+        return f'{count["cameras"]} are needed for {asked}'
+    return f'{count["cameras"]}, the most that were planned, do not reach {asked}'
+
+
+def draw_curve(path: Path, rows: Sequence[dict[str, Any]], count: dict[str, Any]) -> Path:
+    """Draw shares and depth error against the number of cameras as PNG."""
+    figure = Figure(figsize=(7.0, 4.5), dpi=100, facecolor='white')
+    axes = figure.add_subplot()
+    cameras = [row['cameras'] for row in rows]
+    for name, style in zip(SHARES, ('o-', 's--', '^:')):
+        axes.plot(cameras, [100.0 * row[f'share_{name}'] for row in rows], style,
+                  color=INK if name == count['by'] else PALE_INK, label=SHARES[name])
+    axes.axhline(100.0 * count['target'], color=INK, lw=0.8, ls=':')
+    axes.set(xlabel='cameras', ylabel='per cent', xticks=cameras, ylim=(0.0, 102.0))
+    error = axes.twinx()
+    error.plot(cameras, [row['depth_error'] for row in rows], 'x-', color='tab:red',
+               label='depth error')
+    error.set_ylim(bottom=0.0)
+    error.set_ylabel('depth error (m)', color='tab:red')
+    axes.legend(loc='center right', fontsize=8)
+    axes.set_title(sentence(count), fontsize=9)
+    figure.tight_layout()
+    figure.savefig(path, format='png', dpi=100)
+    return path

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures: plans, rooms, curves, and the labels and fonts on them."""

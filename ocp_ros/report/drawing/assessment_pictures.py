@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pictures of a judged placement: plan, coverage, depth error and looks into the room."""
+
+from typing import NamedTuple
+
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap, PowerNorm, to_rgb
+from matplotlib.image import AxesImage
+from matplotlib.patches import Polygon
+import numpy as np
+from scipy import ndimage
+
+from ocp_ros.report.assessment import Assessment
+from ocp_ros.report.drawing.camera_labels import camera_colour, draw_numbers
+from ocp_ros.report.drawing.frustum_drawing import edges, reach
+from ocp_ros.report.drawing.room_drawing import (
+    cut_open,
+    draw_discs,
+    eye_at,
+    HEIGHTS,
+    heights_of,
+    INK,
+    PALE_INK,
+    Room,
+    room_of,
+)
+
+#: Seen by 0, 1, 2, and 3 or more cameras: lightness tells them apart as well as hue does.
+COUNT_COLOURS = ('#d55e00', '#b7d4ea', '#5b9bd0', '#174f8f')
+COUNT_NAMES = ('seen by no camera', 'by 1', 'by 2', 'by 3 or more')
+#: From little to much; without red and green.
+ERROR_COLOURS = LinearSegmentedColormap.from_list(
+    'errors', ['#f6e8d4', '#f2b96a', '#d55e00', '#7a2c02', '#2b0f00'])
+#: Cells of the error's map along the room's longer edge, and their least and most metres.
+CELLS, CELL = 48, (0.1, 0.5)
+#: How far a cone is drawn, as a share of the room's longer edge and in metres at most.
+CONE, LONGEST = 0.15, 1.2
+#: Points that a picture shows.
+SHOWN = 16000
+#: Metres: edge of the cells that tell inside from outside.
+FINE = 0.1
+
+
+class Stage(NamedTuple):
+    """
+    A room in a frame with wall A at the top, thinned out for drawing.
+
+    :ivar room: without its ceiling; its colours (M, 1) are numbers of points of the scene.
+    :ivar upright: (3, 3) rotation from the map frame.
+    """
+
+    room: Room
+    upright: np.ndarray
+
+    def coloured(self, colours: np.ndarray) -> Room:
+        """Return the room in colours (N, 3) of the scene's points."""
+        return self.room._replace(colours=colours[self.room.colours[:, 0]])
+
+    def shaded(self, colours: np.ndarray) -> Room:
+        """Return the same, a little darker the higher: walls stand out from the floor."""
+        room = self.coloured(colours)
+        dark = 1.0 - 0.12 * heights_of(room.points)[:, None]
+        return room._replace(colours=np.clip(room.colours * dark, 0.0, 1.0))
+
+
+def stage_of(judged: Assessment) -> Stage:
+    """Prepare the room of a placement for drawing."""
+    points, upright = judged.scene.points.astype(np.float64), judged.upright
+    some = np.arange(len(points))
+    if len(points) > SHOWN:
+        some = np.sort(np.random.default_rng(0).choice(len(points), SHOWN, replace=False))
+    return Stage(room_of(points[some] @ upright.T, some[:, None]), upright)
+
+
+def count_colours(judged: Assessment) -> np.ndarray:
+    """Return the colour of each point by how many cameras see it: (N, 3) RGB."""
+    palette = np.array([to_rgb(colour) for colour in COUNT_COLOURS])
+    return palette[np.minimum(judged.counts, len(palette) - 1)]
+
+
+def draw_room_plan(axes: Axes, stage: Stage, judged: Assessment) -> None:
+    """Draw the room from above with its walls' letters, cameras and what they reach."""
+    heights = HEIGHTS(heights_of(judged.scene.points))[:, :3]
+    outline = draw_discs(axes, stage.coloured(0.35 + 0.65 * heights), np.eye(3))
+    low, high = judged.scene.bounds[:, 2]
+    strength = min(1.0, 2.0 / np.sqrt(len(judged.placement.cameras)))
+    for number, placed in enumerate(judged.placement.cameras):
+        colour = camera_colour(number)
+        seen = reach(placed.camera.model, placed.pose, (float(low), float(high)))
+        part = Polygon(seen @ stage.upright[:2, :2].T, facecolor=(*to_rgb(colour), 0.2 * strength),
+                       edgecolor=(*to_rgb(colour), 0.9), linewidth=1.0, zorder=3)
+        axes.add_patch(part).set_clip_path(outline)
+    _hide_outside(axes, stage)
+    letters = _draw_walls(axes, judged)
+    _frame(axes, stage, judged, 0.1)
+    draw_numbers(axes, positions(judged) @ stage.upright[:2].T, 7.0, letters)
+    left, bottom = _corner(judged)
+    for axis, start, edge in ((axes.xaxis, left, judged.walls[0]),
+                              (axes.yaxis, bottom, judged.walls[1])):
+        ticks = _ticks(edge.length)
+        axis.set_ticks(start + ticks, [f'{tick:g}' for tick in ticks])
+    axes.tick_params(colors=PALE_INK, labelsize=6.5, length=2.0, pad=1.5)
+
+
+def _ticks(length: float) -> np.ndarray:
+    """Return round distances up to a length, metres, five or so."""
+    steps = np.array([0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0])
+    step = steps[min(np.searchsorted(steps, length / 6.0), len(steps) - 1)]
+    return np.arange(0.0, length + 1e-6, step)
+
+
+def _hide_outside(axes: Axes, stage: Stage) -> None:
+    """Cover what lies outside an L-shaped room, where nobody looks."""
+    flat = stage.room.points[:, :2]
+    low = flat.min(axis=0) - 4 * FINE
+    cells = np.floor((flat - low) / FINE).astype(int)
+    inside = np.zeros(cells.max(axis=0) + 5, dtype=bool)
+    inside[tuple(cells.T)] = True
+    ball = ndimage.iterate_structure(ndimage.generate_binary_structure(2, 1), 4)
+    inside = ndimage.binary_fill_holes(ndimage.binary_closing(inside, ball))
+    cover = np.ones((*inside.T.shape, 4))
+    cover[..., 3] = 1.0 - np.minimum(ndimage.gaussian_filter(1.6 * inside.T, 0.7), 1.0)
+    high = low + FINE * np.array(inside.shape)
+    axes.imshow(cover, extent=(low[0], high[0], low[1], high[1]), origin='lower',
+                interpolation='bilinear', zorder=3.5)
+
+
+def _draw_walls(axes: Axes, judged: Assessment) -> np.ndarray:
+    """
+    Draw the rectangle around the room and its letters; dashed where no wall stands.
+
+    :returns: where the letters are: (4, 2).
+    """
+    (left, bottom), (right, top) = _corner(judged), _corner(judged, far=True)
+    sides = [((left, right), (top, top)), ((right, right), (top, bottom)),
+             ((right, left), (bottom, bottom)), ((left, left), (bottom, top))]
+    away, letters = 0.055 * max(right - left, top - bottom), []
+    for wall, (x, y), (dx, dy) in zip(judged.walls, sides, ((0, 1), (1, 0), (0, -1), (-1, 0))):
+        axes.plot(x, y, color=INK, linewidth=0.9, linestyle='-' if wall.stands else (0, (3, 3)),
+                  zorder=4)
+        letters.append((np.mean(x) + away * dx, np.mean(y) + away * dy))
+        axes.text(*letters[-1], wall.letter, fontsize=10, fontweight='bold', color=INK,
+                  ha='center', va='center', zorder=5,
+                  path_effects=[patheffects.withStroke(linewidth=2.5, foreground='white')])
+    return np.array(letters)
+
+
+def _corner(judged: Assessment, far: bool = False) -> tuple[float, float]:
+    """Return where walls D and C meet, or with ``far`` B and A, in the frame of the plan."""
+    walls = judged.walls
+    return (walls[1].offset, walls[0].offset) if far else (-walls[3].offset, -walls[2].offset)
+
+
+def _frame(axes: Axes, stage: Stage, judged: Assessment, margin: float) -> None:
+    """Fit the axes to the room, its walls and cameras."""
+    _fit(axes, np.concatenate([positions(judged) @ stage.upright[:2].T, stage.room.points[:, :2],
+                               [_corner(judged), _corner(judged, far=True)]]), margin)
+    axes.spines[:].set_visible(False)
+
+
+def _fit(axes: Axes, shown: np.ndarray, margin: float) -> None:
+    """Fit the axes to places (M, 2), with a margin as a share of the longer edge."""
+    low, high = np.nanmin(shown, axis=0), np.nanmax(shown, axis=0)
+    room = margin * (high - low).max()
+    axes.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room),
+             aspect='equal', anchor='C')
+
+
+def positions(judged: Assessment) -> np.ndarray:
+    """Return where all cameras are: (K, 3) metres, map frame."""
+    return np.array([placed.position for placed in judged.placement.cameras])
+
+
+def draw_count_map(axes: Axes, stage: Stage, judged: Assessment) -> None:
+    """Draw the room from above, coloured by how many cameras see each place."""
+    draw_discs(axes, stage.shaded(count_colours(judged)), np.eye(3), contrast=0.25)
+    _small_map(axes, stage, judged)
+
+
+def draw_error_map(axes: Axes, stage: Stage, judged: Assessment) -> AxesImage:
+    """
+    Draw where the depth error is: millimetres for each square metre of the plan.
+
+    :returns: the image, for a colour bar.
+    """
+    pale = np.full((len(judged.scene), 3), 0.88)
+    draw_discs(axes, stage.shaded(pale), np.eye(3), contrast=0.5)
+    flat = judged.scene.points.astype(np.float64) @ stage.upright[:2].T
+    low, size = flat.min(axis=0), np.ptp(flat, axis=0)
+    edge = float(np.clip(size.max() / CELLS, *CELL))
+    shape = np.floor(size / edge).astype(int) + 1
+    cell = np.ravel_multi_index(tuple(np.floor((flat - low) / edge).astype(int).T), shape)
+    sums = np.bincount(cell, judged.lost, minlength=shape.prod()).reshape(shape)
+    density = 1000.0 * sums / edge ** 2
+    most = max(float(np.percentile(density[density > 0.0], 99.0)) if density.any() else 0.0, 1.0)
+    # Less than a hundredth of the most is nothing to look at, and would hide the room.
+    image = axes.imshow(np.ma.masked_less(density.T, 0.01 * most), cmap=ERROR_COLOURS,
+                        norm=PowerNorm(0.5, 0.0, most), origin='lower', zorder=2,
+                        extent=(low[0], low[0] + shape[0] * edge, low[1],
+                                low[1] + shape[1] * edge))
+    _small_map(axes, stage, judged)
+    return image
+
+
+def _small_map(axes: Axes, stage: Stage, judged: Assessment) -> None:
+    """Frame a map, with the cameras' numbers."""
+    axes.set_xticks([])
+    axes.set_yticks([])
+    _frame(axes, stage, judged, 0.02)
+    draw_numbers(axes, positions(judged) @ stage.upright[:2].T, 5.0)
+
+
+def draw_look(axes: Axes, stage: Stage, judged: Assessment, azimuth: float) -> None:
+    """
+    Draw the room in perspective, without the walls in front, coloured by how many cameras see it.
+
+    :param azimuth: radians, where the viewer stands in the frame of the plan: 0 to the right.
+    """
+    room = stage.shaded(count_colours(judged))
+    eye = eye_at(room.points, azimuth)
+    part = cut_open(room, eye.view)
+    outline = draw_discs(axes, part, eye.view, eye, 0.5)
+    floor = float(np.percentile(room.points[:, 2], 2.0))
+    long = min(CONE * float(np.ptp(room.points, axis=0).max()), LONGEST)
+    places = positions(judged) @ stage.upright.T
+    shown = [outline.get_xy(), eye(places)]
+    for number, (placed, place) in enumerate(zip(judged.placement.cameras, places)):
+        model = placed.camera.model
+        cone = eye(edges(model, placed.pose, min(long, model.max_range)) @ stage.upright.T)
+        shown.append(cone)
+        axes.plot(*cone.T, color=camera_colour(number), linewidth=0.7, zorder=4)
+        axes.plot(*eye(np.stack([place, [*place[:2], floor]])).T, color=INK, linewidth=0.6,
+                  linestyle=(0, (2, 2)), zorder=3)
+    _fit(axes, np.concatenate(shown), 0.02)
+    axes.set_axis_off()
+    draw_numbers(axes, eye(places), 5.0)

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plan beside the installer's page: walls with their letters, cameras and where they look."""
+
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+import numpy as np
+
+from ocp_ros.report.drawing.camera_labels import camera_colour, draw_numbers
+from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
+from ocp_ros.report.installer import walls_around
+from ocp_ros.rig.placement_file import Placement
+from ocp_ros.scenes.scene import Scene
+
+#: Metres above the floor and below the ceiling that a plan leaves out, and points that it shows.
+LOW, HIGH, SHOWN = 0.15, 0.4, 12000
+#: Points: size of the cameras' numbers and of the walls' letters.
+NUMBERS, LETTERS = 12.0, 20.0
+
+
+def draw_plan(path: Path, scene: Scene, placement: Placement) -> None:
+    """Write the plan as PNG."""
+    figure_of(scene, placement).savefig(path, format='png', dpi=100)
+
+
+def figure_of(scene: Scene, placement: Placement) -> Figure:
+    """Draw the room from above, wall A at the top, with its cameras and where they look."""
+    walls = walls_around(scene)
+    frame = np.stack([walls[1].outward, walls[0].outward])
+    low, high = scene.bounds[:, 2]
+    points = scene.points[(scene.points[:, 2] > low + LOW) & (scene.points[:, 2] < high - HIGH)]
+    flat = points[::max(len(points) // SHOWN, 1), :2] @ frame.T
+    figure = Figure(figsize=(10.0, 8.0), dpi=100, facecolor='white')
+    axes = figure.add_axes((0.05, 0.05, 0.9, 0.9), aspect='equal')
+    axes.set_axis_off()
+    axes.scatter(*flat.T, s=2.0, color=PALE_INK, alpha=0.4, linewidths=0.0)
+    sides = [wall.offset for wall in walls]
+    x, y = (sides[1], -sides[3]), (sides[0], -sides[2])
+    axes.plot([x[0], x[0], x[1], x[1], x[0]], [y[0], y[1], y[1], y[0], y[0]], color=INK, lw=1.0)
+    margin = 0.05 * max(wall.length for wall in walls)
+    letters = np.array([(np.mean(x), y[0] + margin), (x[0] + margin, np.mean(y)),
+                        (np.mean(x), y[1] - margin), (x[1] - margin, np.mean(y))])
+    for wall, at in zip(walls, letters):
+        axes.text(*at, wall.letter, fontsize=LETTERS, fontweight='bold', color=INK, ha='center',
+                  va='center')
+    places = np.array([frame @ placed.position[:2] for placed in placement.cameras])
+    corners = np.concatenate([places, np.column_stack([x, y])])
+    low, high = corners.min(axis=0) - 2.0 * margin, corners.max(axis=0) + 2.0 * margin
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    _draw_arrows(axes, placement, places, 2.0 * margin * frame)
+    draw_numbers(axes, places, NUMBERS, letters)
+    return figure
+
+
+def _draw_arrows(axes: Axes, placement: Placement, places: np.ndarray, frame: np.ndarray) -> None:
+    """Draw where cameras look that do not see all around; the frame says how long arrows are."""
+    for number, (placed, place) in enumerate(zip(placement.cameras, places)):
+        if placed.camera.model.horizontal_fov < 2.0 * np.pi - 1e-9:
+            yaw = np.deg2rad(placed.angles[0])
+            axes.annotate('', place + frame @ [np.cos(yaw), np.sin(yaw)], place, arrowprops={
+                'arrowstyle': '-|>', 'color': camera_colour(number), 'lw': 2.5})

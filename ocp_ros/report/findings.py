@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What there is to say about a placement: scores, broken constraints, what is missed, one more."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ocp_ros.geometry.blocks import Subset
+from ocp_ros.rig.feasible_region import apart, FeasibleRegion
+from ocp_ros.rig.rig_file import Camera
+from ocp_ros.simulation.objective import Objective
+from ocp_ros.simulation.simulator import View
+from ocp_ros.util.settings import ConfigurationError
+
+#: Candidates that one more camera is chosen from.
+CANDIDATES = 480
+#: Metres: edge of the cells that what is missed is gathered in, and how many parts are named.
+CELL, NAMED = 1.0, 3
+
+
+def verdict(objective: Objective, allowed: FeasibleRegion, poses: np.ndarray) -> dict[str, Any]:
+    """
+    Return all there is to say about a placement as plain data.
+
+    :param poses: (K, 6) metres, map frame, and radians.
+    :returns: ``scores``, ``broken``, ``missed`` and ``one_more``.
+    """
+    views = objective.look(poses)
+    scores = scores_of(objective, views)
+    return {'scores': scores, 'broken': broken_by(allowed, poses, scores),
+            **improvements(objective, allowed, poses, views)}
+
+
+def scores_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
+    """
+    Return what a placement is worth as plain data, as placement files have it.
+
+    :param views: what the cameras to be placed see.
+    """
+    simulator, rig = objective.simulator, objective.rig
+    worth, points = objective.judge(views), len(simulator.scene)
+    overlap = dict(zip(('0', '1', '2', '3 or more'), objective.overlap(views)))
+    return {
+        'loss': worth.loss, 'depth_error': worth.depth_error,
+        'depth_error_of_nothing': simulator.depth_error.worst,
+        'space_coverage': worth.space_coverage, 'volume': simulator.volume,
+        'seen_by': rig.seen_by, 'seen': len(worth.seen) / points, 'points': points,
+        'overlap': overlap,
+        'regions': [{'name': region.name, 'seen': float(share), 'must_see': region.must_see,
+                     'weight': region.weight, 'met': bool(share >= region.must_see)}
+                    for region, share in zip(rig.regions, worth.regions)],
+        'cameras': [{'name': camera.name, 'depth_error': added.depth_error, 'only': added.only}
+                    for camera, added in zip(rig.all_cameras, objective.contributions(views))]}
+
+
+def broken_by(allowed: FeasibleRegion, poses: np.ndarray, scores: dict[str, Any]) -> list[str]:
+    """
+    Return a sentence for each constraint that a placement breaks, those of regions included.
+
+    :param poses: (K, 6) metres, map frame, and radians.
+    :param scores: from :func:`scores_of`.
+    """
+    return allowed.broken(poses) + [
+        f'{region["name"]}: found {100.0 * region["seen"]:.1f} % of its points seen; expected '
+        f'{100.0 * region["must_see"]:.1f} % (must_see); turn or move a camera towards it'
+        for region in scores['regions'] if not region['met']]
+
+
+def improvements(objective: Objective, allowed: FeasibleRegion, poses: np.ndarray,
+                 views: Sequence[View]) -> dict[str, Any]:
+    """
+    Return what a placement misses and where one more camera helps most, as plain data.
+
+    :param poses: (K, 6) metres, map frame, and radians.
+    :param views: what these cameras see.
+    :returns: ``missed``: share of the points, the share that no candidate would see either, and
+        where most of it is; ``one_more``: the best candidate, or None where none is allowed.
+    """
+    simulator, rig = objective.simulator, objective.rig
+    worth = objective.judge(views)
+    seen = worth.seen
+    models = [rig.models.index(model) for model in dict.fromkeys(
+        camera.model for camera in rig.cameras)]
+    best, reachable = None, seen.bits.copy()
+    for camera in models:
+        try:
+            offered = allowed.candidates(rig.models[camera], CANDIDATES // len(models))
+        except ConfigurationError:
+            continue
+        offered = offered[apart(offered[:, :3], poses[:, :3], rig.spacing)]
+        more = simulator.look_many(offered, camera)
+        for view in more:
+            reachable |= view.seen
+        errors = objective.with_one_more(views, more)
+        if len(errors) and (best is None or errors.min() < best[0]):
+            best = errors.min(), rig.cameras[camera], offered[int(errors.argmin())]
+    missed = ~seen.mask
+    hopeless = ~Subset(reachable, simulator.visibility.order).mask
+    return {'missed': {'share': float(missed.mean()), 'hopeless': float(hopeless.mean()),
+                       'places': _parts(simulator.scene.points[missed], len(simulator.scene))},
+            'one_more': best and _addition(*best, worth.depth_error)}
+
+
+def _addition(error: float, camera: Camera, pose: np.ndarray, before: float) -> dict[str, Any]:
+    """Describe one more camera."""
+    yaw, pitch, roll = np.round(np.rad2deg(pose[3:]), 1).tolist()
+    return {'sensor': camera.sensor or camera.name,
+            'position': np.round(pose[:3], 3).tolist(), 'yaw': yaw, 'pitch': pitch, 'roll': roll,
+            'depth_error': float(error), 'gain': float(before - error)}
+
+
+def _parts(points: np.ndarray, total: int) -> list[dict[str, Any]]:
+    """Return the fullest cells of some points (M, 3), metres, of so many in all."""
+    if len(points) == 0:
+        return []
+    points = points.astype(np.float64)
+    cells = np.floor((points - points.min(axis=0)) / CELL).astype(int)
+    _, cell, sizes = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    found = []
+    for number in np.argsort(-sizes, kind='stable')[:NAMED]:
+        inside = points[cell.ravel() == number]
+        found.append({'share': float(sizes[number] / total),
+                      'low': np.round(inside.min(axis=0), 2).tolist(),
+                      'high': np.round(inside.max(axis=0), 2).tolist()})
+    return found

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The key figures of a judged placement in words, for the sheet and the page."""
+
+from collections import Counter
+from typing import NamedTuple
+
+from ocp_ros.report.assessment import Assessment
+
+
+class Figures(NamedTuple):
+    """
+    What stands above and below the pictures.
+
+    :ivar title: which room and how many cameras.
+    :ivar subtitle: sizes and sensors.
+    :ivar verdict: whether every constraint is kept.
+    :ivar kept: the same.
+    :ivar cards: label, value and a remark of each key figure.
+    :ivar foot: by which planner, by what command and when.
+    """
+
+    title: str
+    subtitle: str
+    verdict: str
+    kept: bool
+    cards: list[tuple[str, str, str]]
+    foot: str
+
+
+def figures_of(judged: Assessment) -> Figures:
+    """Put the key figures of a placement into words."""
+    scene, scores, broken = judged.scene, judged.found['scores'], judged.found['broken']
+    cameras = judged.placement.cameras
+    width, depth = (wall.length for wall in judged.walls[:2])
+    sensors = Counter(placed.camera.sensor or 'own sensor' for placed in cameras)
+    title = f'{scene.name}: {len(cameras)} camera{"s" * (len(cameras) != 1)}'
+    subtitle = f'{width:.1f} x {depth:.1f} x {scene.size[2]:.1f} m, {len(scene):,} points; ' + \
+        ', '.join(f'{count} x {sensor.replace("_", " ")}' for sensor, count in sensors.items())
+    verdict = 'every constraint is kept' if not broken else (
+        f'{len(broken)} constraint{"s" * (len(broken) != 1)} broken')
+    made = judged.placement.created
+    foot = '; '.join(filter(None, [
+        f'found by the planner {made["planner"]}' if 'planner' in made else '',
+        f'made by {made["command"]}' if 'command' in made else '', made.get('date', ''),
+        f'ocp_ros {made["version"]}' if 'version' in made else '',
+        'distances are at right angles to the walls, to the middle of the front of a camera']))
+    return Figures(title, subtitle, verdict, not broken, _cards(judged, scores), foot)
+
+
+def _cards(judged: Assessment, scores: dict) -> list[tuple[str, str, str]]:
+    """Return label, value and remark of each key figure."""
+    points, least = scores['points'], scores['seen_by']
+    error, nothing = scores['depth_error'], scores['depth_error_of_nothing']
+    twice = sum(count for number, count in scores['overlap'].items() if number not in '01')
+    cards = [
+        ('depth error', metres(error), f'{percent(error / nothing)} of seeing nothing'),
+        ('seen', percent(scores['seen']),
+         'of the points, by a camera' if least == 1 else f'of the points, by {least} cameras'),
+        ('seen twice', percent(twice / points), 'by two cameras or more'),
+        ('space coverage', f'{scores["space_coverage"]:.1f} m³',
+         f'of {scores["volume"]:.1f} m³ in all'),
+        _missed(judged)]
+    if scores['regions']:
+        met = sum(region['met'] for region in scores['regions'])
+        worst = min(scores['regions'], key=lambda region: region['seen'] - region['must_see'])
+        cards.append(('regions', f'{met} of {len(scores["regions"])} met',
+                      f'{worst["name"]}: {percent(worst["seen"])} seen'))
+    more = judged.found.get('one_more')
+    if more:
+        x, y, z = more['position']
+        cards.append(('one more camera', f'-{metres(max(more["gain"], 0.0))}',
+                      f'of error, at {x:.1f}, {y:.1f}, {z:.1f}'))
+    return cards
+
+
+def _missed(judged: Assessment) -> tuple[str, str, str]:
+    """Return the card of what is missed."""
+    missed = judged.found['missed']
+    return ('missed', percent(missed['share']),
+            f'{percent(missed["hopeless"])} no place sees either')
+
+
+def metres(length: float) -> str:
+    """Return a length with as many digits as matter."""
+    return f'{length:.{3 if length < 1.0 else 2 if length < 10.0 else 1}f} m'
+
+
+def percent(share: float) -> str:
+    """Return a share as per cent."""
+    return f'{100.0 * share:.1f} %'

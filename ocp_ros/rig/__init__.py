@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cameras, their mounts and constraints, and the region in which they may hang."""

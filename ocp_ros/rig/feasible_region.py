@@ -1,0 +1,327 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the cameras of a rig may hang in a room, and what is wrong where they may not."""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.rig.free_plane import EDGE, FreePlane
+from ocp_ros.rig.mounts import headings_of, onto_mount, places_in, spread
+from ocp_ros.rig.rig_file import Rig
+from ocp_ros.rig.structure import (
+    Air,
+    ceiling_of,
+    Contact,
+    floor_height,
+    MountSurface,
+    REACH,
+    walls_of,
+)
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.util.settings import ConfigurationError
+
+#: Metres and radians that a camera may be off its height and its pitch, and metres that distances
+#: may fall short: who hangs exactly where it is asked for is not a rounding away from it.
+LEEWAY, SHORT, ROUNDING = 0.01, 0.001, 1e-5
+#: Metres from a camera on a wall into the room, where there has to be floor.
+INTO_THE_ROOM = 0.3
+#: Neighbours that are looked at first where some belong to the surface that a camera hangs on.
+FIRST_NEIGHBOURS = 16
+#: Least height above the floor that floor is looked for from, metres.
+LEAST_VIEW = 1.0
+
+
+class Check(NamedTuple):
+    """
+    One constraint for each of some cameras.
+
+    :ivar name: what it is called where it leaves no place at all.
+    :ivar broken: (M,) bool.
+    :ivar says: what is wrong with the camera of a number.
+    """
+
+    name: str
+    broken: np.ndarray
+    says: Callable[[int], str]
+
+
+def check_heights(scene: Scene, rig: Rig, top: float | None = None) -> None:
+    """
+    Refuse heights that a room does not have.
+
+    :param top: z up to where the room goes, metres, where its points do not show all of it.
+    :raises ConfigurationError: if the cameras' least height is not inside the room.
+    """
+    highest = float(scene.bounds[1, 2])
+    height = (highest if top is None else max(highest, top)) - floor_height(scene)
+    if rig.mount.heights is not None and rig.mount.heights[0] >= height:
+        given = 'height' in rig.document.data.get('mount', {})
+        raise rig.document.error(
+            ('mount', 'height'), f'{round(rig.mount.heights[0], 2):g} m'
+            f'{"" if given else " by default"}',
+            f'less than the {height:.2f} m that {scene.name} is high', 'lower it' if given else
+            f'write mount: {{on: {rig.mount.on}, height: {0.7 * height:.1f}}} in a rig file '
+            '(--rig)')
+
+
+class FeasibleRegion:
+    """
+    Judge whether cameras may hang where they are.
+
+    :param scene: the room.
+    :param rig: the cameras and what is asked of their places.
+    :param top: z up to where the room goes at least, metres: where cameras stand is air, though
+        those that look down do not see what is above them.
+    :raises ConfigurationError: if a height, a camera in place or the mount does not go with the
+        room.
+    """
+
+    def __init__(self, scene: Scene, rig: Rig, top: float | None = None) -> None:
+        self.scene, self.rig = scene, rig
+        self.floor, self.top = floor_height(scene), float(scene.bounds[1, 2])
+        if top is not None:
+            self.top = max(self.top, top)
+        check_heights(scene, rig, top)
+        high = self.top - self.floor if rig.mount.heights is None else rig.mount.heights[1]
+        height = self.floor + max(high, LEAST_VIEW)
+        self.space = FreePlane.of(scene.points, height, len(rig.cameras), 0.0)
+        self.air = Air(scene, self.space)
+        self.surface = self._find_surface()
+        self._tree = cKDTree(scene.points)
+        for fixed in rig.fixed:
+            position = fixed.pose[:3]
+            if (np.clip(position, scene.bounds[0] - 1.0, scene.bounds[1] + 1.0) != position).any():
+                raise ConfigurationError(
+                    f'{fixed.where}: found a camera at {_place(position)}, outside {scene.name}; '
+                    f'expected one in the box from {_place(scene.bounds[0])} to '
+                    f'{_place(scene.bounds[1])}; correct its position')
+
+    def _find_surface(self) -> MountSurface | None:
+        """Find what the cameras hang on, where it is something."""
+        on = self.rig.mount.on
+        if on in ('plane', 'free'):
+            return None
+        surface = ceiling_of(self.scene) if on == 'ceiling' else walls_of(self.scene)
+        if len(surface.points) == 0:
+            raise self.rig.document.error(
+                ('mount', 'on'), f'{on}, of which {self.scene.name} shows none', 'a scan that '
+                'shows it', 'choose another, such as plane with a height, or scan it too')
+        return surface
+
+    def candidates(self, model: CameraModel, most: int) -> np.ndarray:
+        """
+        Return poses that a search may choose from, all of them allowed.
+
+        :param model: the camera.
+        :param most: how many at most, above 0; places are spread evenly, each with all headings.
+        :returns: (M, 6) metres, map frame, and radians.
+        :raises ConfigurationError: if there is no place where the camera may hang.
+        """
+        offered = places_in(self.rig, self.scene, self.space, self.surface)
+        headings = headings_of(self.rig, model)
+        # A pitch that is allowed, so that only the place is judged.
+        level = np.zeros((len(offered.positions), 6))
+        level[:, :3], level[:, 4] = offered.positions, headings[0, 1]
+        good = self.allowed(level, model)
+        if not good.any():
+            raise self.rig.document.error(
+                ('mount',), f'no place in {self.scene.name} where a camera may hang'
+                f'{self._bites(level, model)}', 'one at least', 'change that, or the mount or '
+                'its height')
+        positions, inwards = offered.positions[good], offered.inwards[good]
+        chosen = spread(positions, max(most // len(headings), 1))
+        poses = np.zeros((len(chosen), len(headings), 6))
+        poses[..., :3], poses[..., 3:] = positions[chosen, None], headings
+        poses[..., 3] += inwards[chosen, None]
+        return poses.reshape(-1, 6)[:most]
+
+    def _bites(self, poses: np.ndarray, model: CameraModel) -> str:
+        """Name the constraint without which most of some poses, all broken, would be allowed."""
+        if len(poses) == 0:
+            return ', for the mount offers none over its floor'
+        checks = list(self._checks(poses, [model] * len(poses), ROUNDING))
+        count = np.sum([check.broken for check in checks], axis=0)
+        # Where no constraint alone is to blame, the one that most break.
+        bites = max(checks, key=lambda check: (np.count_nonzero(check.broken & (count == 1)),
+                                               np.count_nonzero(check.broken)))
+        number = np.count_nonzero(bites.broken)
+        return f', for {bites.name} takes {number} of the {len(poses)} that the mount offers'
+
+    def onto_mount(self, positions: np.ndarray) -> np.ndarray:
+        """
+        Move positions (M, 3), metres, to the nearest places that the mount offers.
+
+        They need not be allowed; as they were where there is no ceiling or wall near.
+        """
+        return onto_mount(positions, self.rig, self.floor, self.surface)
+
+    def broken(self, poses: np.ndarray, cameras: Sequence[int] | None = None) -> list[str]:
+        """
+        Say what is wrong with a placement.
+
+        :param poses: (K, 6) metres, map frame, and radians; (K, 3) where no camera has a heading.
+        :param cameras: which cameras of the rig the rows are; the first K unless told otherwise.
+        :returns: one sentence for each broken constraint.
+        :raises ValueError: for another shape, or more rows than cameras.
+        """
+        poses = _checked(poses)
+        cameras = range(len(poses)) if cameras is None else cameras
+        if len(poses) > len(self.rig.cameras):
+            raise ValueError(f'poses: found {len(poses)} cameras; expected at most '
+                             f'{len(self.rig.cameras)}, those of the rig that are to be placed')
+        chosen = [self.rig.cameras[camera] for camera in cameras]
+        # The floor that is known ends up to a cell before the walls.
+        checks = list(self._checks(poses, [camera.model for camera in chosen], EDGE))
+        found = [f'{camera.name}: {check.says(k)}' for k, camera in enumerate(chosen)
+                 for check in checks if check.broken[k]]
+        for k, camera in enumerate(chosen):
+            for other in range(k):
+                away = float(np.linalg.norm(poses[k, :3] - poses[other, :3]))
+                if away < self.rig.spacing - SHORT:
+                    found.append(f'{camera.name}: {self._too_near(away, chosen[other].name)}')
+        return found
+
+    def allowed(self, poses: np.ndarray, model: CameraModel | None = None) -> np.ndarray:
+        """
+        Tell where one camera may hang; how far it is from others is not looked at.
+
+        What is allowed breaks nothing. A search is held to the floor that is known, while whoever
+        hangs already has the benefit of the doubt next to walls: through one whose glass no scan
+        shows there is much to be seen.
+
+        :param poses: (M, 6) metres, map frame, and radians, or (M, 3).
+        :param model: the camera; one whose pitch matters unless told otherwise.
+        :returns: (M,) bool.
+        """
+        poses = _checked(poses)
+        checks = self._checks(poses, [model] * len(poses), ROUNDING)
+        return ~np.any([check.broken for check in checks], axis=0)
+
+    def _checks(self, poses: np.ndarray, models: Sequence[CameraModel | None], beyond: float
+                ) -> Iterator[Check]:
+        """Yield all constraints of single cameras, so many metres beyond the floor included."""
+        positions = poses[:, :3]
+        contact = None if self.surface is None else self.surface.at(positions)
+        yield (outside := self._outside(positions, contact, beyond))
+        closed = self.air.closed(positions) & ~outside.broken
+        yield Check('the air of the room', closed, lambda k: (
+            'found a place inside furniture or behind it; expected one in the air of the room; '
+            'move it into the open'))
+        yield self._too_close(positions, contact)
+        yield from self._off_mount(positions, contact)
+        for number, zone in enumerate(self.rig.no_go):
+            inside = zone.contains(positions, self.floor)
+            yield Check(f'no_go[{number}]', inside, lambda k, number=number: (
+                f'found a place in no_go[{number}]; expected one outside it; move it out'))
+        yield from self._pitch(poses, models)
+        for fixed in self.rig.fixed:
+            away = np.linalg.norm(positions - fixed.pose[:3], axis=1)
+            near = away < self.rig.spacing - SHORT
+            yield Check('spacing', near, lambda k, away=away, fixed=fixed: (
+                self._too_near(away[k], fixed.camera.name)))
+
+    def _outside(self, positions: np.ndarray, contact: Contact | None, beyond: float) -> Check:
+        """Check that there is floor below or, for walls, in front, and the room's own height."""
+        places, z = positions[:, :2], positions[:, 2]
+        if self.rig.mount.on == 'walls':
+            places = places + INTO_THE_ROOM * contact.normals[:, :2]
+        away = np.linalg.norm(self.space.inside(places) - places, axis=1)
+        wrong = (away > beyond) | (z < self.floor) | (z > self.top)
+        return Check('the floor of the room', wrong, lambda k: (
+            f'found {_place(positions[k])}, which is not over floor that {self.scene.name} shows; '
+            'expected a place in the room and not in furniture; move it into the open'))
+
+    def _too_close(self, positions: np.ndarray, contact: Contact | None) -> Check:
+        """Check that surfaces are far enough, but for the one that a camera hangs on."""
+        least, points = self.rig.keep_clear, self.scene.points
+        nearest, left = np.full(len(positions), np.inf), np.arange(len(positions))
+        count = 1 if contact is None else FIRST_NEIGHBOURS
+        while len(left):
+            count = min(count, len(points))
+            away, index = self._tree.query(
+                positions[left], np.arange(1, count + 1), distance_upper_bound=least)
+            others = np.isfinite(away)
+            full = others[:, -1] & (count < len(points))
+            if contact is not None:
+                ways = points[np.minimum(index, len(points) - 1)] - positions[left, None]
+                others &= ~contact.own(left, ways)
+            nearest[left] = np.where(others, away, np.inf).min(axis=1)
+            # All neighbours so far belong to the surface itself: look at more.
+            left, count = left[full & ~others.any(axis=1)], 4 * count
+        return Check('keep_clear', nearest < least - SHORT, lambda k: (
+            f'found {nearest[k]:.2f} m to the nearest surface; expected at least {least:.2f} m '
+            '(keep_clear); move it away'))
+
+    def _off_mount(self, positions: np.ndarray, contact: Contact | None) -> Iterator[Check]:
+        """Check the height and that there is something to hang on."""
+        on, heights = self.rig.mount
+        if heights is not None:
+            low, high = heights
+            above = positions[:, 2] - self.floor
+            expected = f'{low:.2f}' + (f' to {high:.2f}' if high > low else '')
+            wrong = (above < low - LEEWAY) | (above > high + LEEWAY)
+            yield Check('mount.height', wrong, lambda k: (
+                f'found {above[k]:.2f} m above the floor; expected {expected} m (mount.height); '
+                'raise or lower it'))
+        if contact is not None:
+            on_it = contact.on
+            if on == 'ceiling':
+                # Where a height says so, cameras hang lower, on rods.
+                below = self.surface.height_above(positions[:, :2]) - positions[:, 2]
+                on_it = (below > 0.0) & (below <= (REACH if heights is None else np.inf))
+            surface = 'wall' if on == 'walls' else on
+            near = 'above it' if on == 'ceiling' and heights is not None else (
+                f'within {REACH:g} m')
+            yield Check('mount.on', ~on_it, lambda k: (
+                f'found no {surface} {near} (mount.on); expected one that {self.scene.name} '
+                'shows; hang it there'))
+
+    def _pitch(self, poses: np.ndarray, models: Sequence[CameraModel | None]) -> Iterator[Check]:
+        """Check how far cameras look down that do not see all around."""
+        if poses.shape[1] == 3:
+            return
+        low, high = self.rig.pitch
+        turned = np.array([model is None or not model.omnidirectional for model in models],
+                          dtype=bool)
+        pitch = poses[:, 4]
+        wrong = turned & ((pitch < low - LEEWAY) | (pitch > high + LEEWAY))
+        yield Check('pitch', wrong, lambda k: (
+            f'found a pitch of {np.rad2deg(pitch[k]):.0f} degrees; expected '
+            f'{np.rad2deg(low):.0f} to {np.rad2deg(high):.0f} (pitch); tilt it'))
+
+    def _too_near(self, away: float, other: str) -> str:
+        """Say that two cameras are too near to each other."""
+        return (f'found {away:.2f} m to {other}; expected at least {self.rig.spacing:.2f} m '
+                '(spacing); move one of the two')
+
+
+def _place(position: np.ndarray) -> str:
+    """Return a position as messages show it."""
+    return '(' + ', '.join(f'{value:.2f}' for value in position) + ')'
+
+
+def _checked(poses: np.ndarray) -> np.ndarray:
+    """Return poses as (M, 3) or (M, 6) float64, all finite."""
+    poses = np.asarray(poses, dtype=np.float64)
+    if poses.ndim != 2 or poses.shape[1] not in (3, 6) or not np.isfinite(poses).all():
+        raise ValueError(f'poses: found shape {poses.shape}; expected (M, 6): x, y, z, yaw, '
+                         'pitch, roll, or (M, 3), all finite')
+    return poses
+
+
+def apart(places: np.ndarray, others: np.ndarray, spacing: float) -> np.ndarray:
+    """
+    Tell which places are far enough from all cameras.
+
+    :param places: (M, 3) metres.
+    :param others: (C, 3) metres, where the cameras are.
+    :param spacing: metres.
+    :returns: (M,) bool.
+    """
+    if spacing <= 0.0 or len(others) == 0:
+        return np.ones(len(places), dtype=bool)
+    away = np.linalg.norm(places[:, None] - others[None], axis=2)
+    return (away >= spacing).all(axis=1)

@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where cameras may be: over the floor of a room, at one height."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import ndimage
+
+from ocp_ros.geometry.clouds import corners_of
+from ocp_ros.rig.motion import kept_inside, towards
+from ocp_ros.scenes.scene import LARGEST
+
+#: Metres: edge of a cell of the floor, and how far below the cameras things are that count as it.
+EDGE, BELOW = 0.2, 0.3
+#: Radii, in cells, of the gaps between points that are closed: furniture's shadows, and where
+#: points are few all that lies between them. The least is taken whose floor is worth such a share
+#: of that of the largest.
+RADII, LEAST_SHARE = (1, 2, 3, 5), 0.6
+#: Square metres: larger holes are no shadows, and the least floor that is believed.
+HOLE, LEAST = 10.0, 1.0
+
+
+@dataclass(frozen=True)
+class Floor:
+    """
+    The cells of a grid that have a room below them.
+
+    :ivar low: (2,) metres, corner of the first cell.
+    :ivar open: (X, Y) bool; at least one cell is open.
+    """
+
+    low: np.ndarray
+    open: np.ndarray
+
+    @property
+    def area(self) -> float:
+        """Return the area of the open cells, square metres."""
+        return float(np.count_nonzero(self.open) * EDGE ** 2)
+
+    @cached_property
+    def _nearest(self) -> np.ndarray:
+        """Return (2, X, Y) the indices of the open cell nearest to each."""
+        return ndimage.distance_transform_edt(~self.open, return_distances=False,
+                                              return_indices=True)
+
+    def inside(self, positions: np.ndarray) -> np.ndarray:
+        """Move positions (..., 2) that are over a closed cell into the nearest open one."""
+        cell = np.floor((positions - self.low) / EDGE).astype(np.int64)
+        cell = np.clip(cell, 0, np.array(self.open.shape) - 1)
+        low = self.low + EDGE * np.moveaxis(self._nearest[:, cell[..., 0], cell[..., 1]], 0, -1)
+        return np.clip(positions, low + 1e-6, low + EDGE - 1e-6)
+
+
+def floor_of(points: np.ndarray, height: float) -> Floor | None:
+    """
+    Find where a room is: things lie below, or in small gaps between them; walls are a cell away.
+
+    Rooms fill their bounding boxes badly where they are L-shaped or stand askew, and a camera
+    outside would look through the back of a wall.
+
+    :param points: (N, 3) metres, z up.
+    :param height: of the cameras, metres.
+    :returns: the largest connected part; None if there is hardly any floor to be seen, only scraps
+        of it, or points so far apart that they are no room.
+    """
+    below = points[np.flatnonzero(points[:, 2] < height - BELOW), :2]
+    if len(below) == 0:
+        return None
+    lowest, highest = corners_of(below)
+    if (highest - lowest).max() > LARGEST:
+        return None
+    low = lowest - 4.0 * EDGE
+    cell = np.floor((below - low) / EDGE).astype(np.int64)
+    # Cells at the edge of the grid would not be closed.
+    cell, low = cell + max(RADII), low - max(RADII) * EDGE
+    seen = np.zeros(corners_of(cell)[1] + max(RADII) + 5, dtype=bool)
+    seen[cell[:, 0], cell[:, 1]] = True
+    widest = _largest_part(seen, RADII[-1])
+    enough = max(LEAST_SHARE * np.count_nonzero(widest), LEAST / EDGE ** 2)
+    parts = (_largest_part(seen, radius) for radius in RADII[:-1])
+    part = next((part for part in parts if np.count_nonzero(part) >= enough), widest)
+    return Floor(low.astype(np.float64), part) if np.count_nonzero(part) >= enough else None
+
+
+def _closed(seen: np.ndarray, radius: int) -> np.ndarray:
+    """Close gaps up to a radius, and what holes are then left but for large ones."""
+    x, y = np.ogrid[-radius:radius + 1, -radius:radius + 1]
+    closed = ndimage.binary_closing(seen, x * x + y * y <= radius ** 2)
+    holes, _ = ndimage.label(ndimage.binary_fill_holes(closed) & ~closed)
+    small = np.bincount(holes.ravel()) * EDGE ** 2 <= HOLE
+    small[0] = False
+    return closed | small[holes]
+
+
+def _largest_part(seen: np.ndarray, radius: int) -> np.ndarray:
+    """Close gaps, keep a cell away from the edge, and return the largest connected part."""
+    cells = ndimage.binary_erosion(_closed(seen, radius))
+    parts, _ = ndimage.label(cells)
+    sizes = np.bincount(parts.ravel())
+    sizes[0] = 0
+    return (parts == np.argmax(sizes)) & cells
+
+
+@dataclass(frozen=True)
+class FreePlane:
+    """
+    Where cameras may be: in a rectangle at a height, and over the floor where it is known.
+
+    :ivar low: (2,) lowest x and y, metres, map frame.
+    :ivar high: (2,) highest x and y, metres.
+    :ivar height: z, metres.
+    :ivar cameras: K, how many there are.
+    :ivar floor: the cells they may be over; None for the whole rectangle.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    height: float
+    cameras: int
+    floor: Floor | None = None
+
+    @classmethod
+    def of(cls, points: np.ndarray, height: float, cameras: int, margin: float) -> 'FreePlane':
+        """
+        Build the space of a room.
+
+        :param points: (N, 3) metres, the room.
+        :param height: z of the cameras, metres.
+        :param cameras: K.
+        :param margin: cameras stay this far inside the bounding box, metres.
+        """
+        bounds = corners_of(points).astype(np.float64)
+        corners, _ = kept_inside(bounds, bounds, margin)
+        low, high = corners[:, :2]
+        floor = floor_of(points, height)
+        if floor is not None:
+            # A cell counts whose middle is in the rectangle.
+            middles = [floor.low[k] + EDGE * (np.arange(floor.open.shape[k]) + 0.5)
+                       for k in (0, 1)]
+            within = np.logical_and.outer(*((middles[k] > low[k]) & (middles[k] < high[k])
+                                            for k in (0, 1)))
+            floor = Floor(floor.low, floor.open & within)
+            floor = floor if floor.open.any() else None
+        return cls(low, high, height, cameras, floor)
+
+    @property
+    def size(self) -> np.ndarray:
+        """Return the edges of the rectangle: (2,) metres."""
+        return self.high - self.low
+
+    @property
+    def area(self) -> float:
+        """Return how much floor there is to be over, square metres."""
+        return float(np.prod(self.size)) if self.floor is None else self.floor.area
+
+    def random(self, rng: np.random.Generator, cameras: int | None = None) -> np.ndarray:
+        """Draw a placement, (cameras, 2), uniformly; K cameras unless told otherwise."""
+        count = self.cameras if cameras is None else cameras
+        drawn = rng.uniform(self.low, self.high, (count, 2))
+        while not (good := self.contains(drawn)).all():
+            drawn[~good] = rng.uniform(self.low, self.high, (np.count_nonzero(~good), 2))
+        return drawn
+
+    def inside(self, positions: np.ndarray) -> np.ndarray:
+        """Move positions (..., 2) to the nearest place where cameras may be, roughly."""
+        if self.floor is not None:
+            positions = self.floor.inside(positions)
+        return np.clip(positions, self.low, self.high)
+
+    def contains(self, positions: np.ndarray) -> np.ndarray:
+        """Tell of positions (..., 2) whether cameras may be there: (...) bool."""
+        return (np.abs(self.inside(positions) - positions) <= 1e-5).all(axis=-1)
+
+    def moved(self, positions: np.ndarray, moves: np.ndarray, max_step: float) -> np.ndarray:
+        """
+        Move cameras, but none away from where it may be.
+
+        :param positions: (K, 2) metres; who is not where it may be goes as it likes.
+        :param moves: (K, 2) metres.
+        :param max_step: no camera moves farther, metres.
+        :returns: (K, 2) metres.
+        """
+        target = positions + moves
+        good = self.contains(positions)[:, None]
+        return towards(positions, np.where(good, self.inside(target), target), max_step)
+
+    def folded(self, positions: np.ndarray) -> np.ndarray:
+        """Fold positions (..., 2) back at the rectangle's edges: a symmetric step stays so."""
+        size = np.maximum(self.size, 1e-12)
+        folded = np.mod(positions - self.low, 2.0 * size)
+        return self.low + np.minimum(folded, 2.0 * size - folded)
+
+    def reflected(self, positions: np.ndarray) -> np.ndarray:
+        """Fold positions (..., 2) back at the edges and move them to where cameras may be."""
+        return self.inside(self.folded(positions))
+
+    def grid(self, most: int) -> np.ndarray:
+        """
+        Return a regular grid of at most so many places: (M, 2), M >= 1.
+
+        The cells that the places are the middles of are as square as can be.
+        """
+        if self.floor is None:
+            return self._lattice(most)
+        wanted = most * np.prod(self.size) / self.area
+        while len(places := self._over_floor(int(wanted))) > most:
+            wanted *= 0.97
+        return places if len(places) else self.inside(0.5 * (self.low + self.high))[None]
+
+    def _over_floor(self, count: int) -> np.ndarray:
+        """Return the places of a grid of the rectangle where cameras may be."""
+        places = self._lattice(max(count, 1))
+        return places[self.contains(places)]
+
+    def _lattice(self, most: int) -> np.ndarray:
+        """Return a regular grid of the rectangle."""
+        size = np.maximum(self.size, 1e-9)
+        across = max(1, min(most, int(np.sqrt(most * size[0] / size[1]))))
+        counts = across, max(1, most // across)
+        axes = [self.low[k] + (np.arange(counts[k]) + 0.5) * size[k] / counts[k] for k in (0, 1)]
+        return np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 2)
+
+    def placement(self, positions: np.ndarray) -> np.ndarray:
+        """Return positions (n, 2) as a placement (n, 3) at the cameras' height."""
+        return np.column_stack([positions, np.full(len(positions), self.height)])

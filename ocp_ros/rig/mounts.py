@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Places and headings to choose from: what a mount offers before constraints are looked at."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.rig.rig_file import Rig
+from ocp_ros.rig.structure import floor_height, MountSurface, STAND_OFF
+from ocp_ros.scenes.scene import Scene
+
+#: Places that are looked at, and metres between the levels where cameras may hang at any height.
+DENSE, LEVELS = 4000, 0.3
+#: Points of a wall as far as this above or below a height stand for it, metres.
+BAND = 0.2
+#: Degrees: step of yaw; cameras with a wider view than the second take the wider step; how far
+#: to either side a camera on a wall looks; how much of a range each pitch stands for.
+NARROW_STEP, WIDE_STEP, WIDE, SIDEWAYS, PITCHES = 30.0, 45.0, 75.0, 60.0, 30.0
+#: Metres: places this near to each other are one.
+ALIKE = 0.02
+FULL_TURN = 2.0 * np.pi
+
+
+class MountPlaces(NamedTuple):
+    """
+    Where cameras may hang.
+
+    :ivar positions: (P, 3) metres, map frame.
+    :ivar inwards: (P,) radians, the yaw of looking into the room; 0 where there is no wall.
+    """
+
+    positions: np.ndarray
+    inwards: np.ndarray
+
+
+def places_in(rig: Rig, scene: Scene, space: FreePlane,
+              surface: MountSurface | None) -> MountPlaces:
+    """
+    List the places that a mount offers.
+
+    :param space: where there is floor.
+    :param surface: the ceiling or the walls; None for mounts without.
+    """
+    on, heights = rig.mount
+    floor = floor_height(scene)
+    if on == 'walls':
+        return _along_walls(floor + np.array(heights), space, surface)
+    if on == 'free':
+        levels = floor + _levels(*heights)
+        grid = space.grid(max(DENSE // len(levels), 1))
+        places = np.repeat(grid, len(levels), axis=0)
+        z = np.tile(levels, len(grid))
+    else:
+        places = space.grid(DENSE)
+        z = surface.height_above(places) - STAND_OFF if heights is None else np.full(
+            len(places), floor + heights[0])
+        places, z = places[np.isfinite(z)], z[np.isfinite(z)]
+    return MountPlaces(np.column_stack([places, z]), np.zeros(len(places)))
+
+
+def onto_mount(positions: np.ndarray, rig: Rig, floor: float, surface: MountSurface | None
+               ) -> np.ndarray:
+    """
+    Move positions to the nearest places that a mount offers, whether or not they are allowed.
+
+    :param positions: (M, 3) metres, map frame.
+    :param floor: its height, metres.
+    :param surface: the ceiling or the walls; None for mounts without.
+    :returns: (M, 3); as it was where there is no ceiling or wall near.
+    """
+    on, heights = rig.mount
+    moved = positions.copy()
+    if on == 'walls':
+        contact = surface.at(positions)
+        off = np.where(contact.on, STAND_OFF - contact.distances, 0.0)
+        moved += off[:, None] * contact.normals
+    if heights is None:
+        z = surface.height_above(positions[:, :2]) - STAND_OFF
+        moved[:, 2] = np.where(np.isfinite(z), z, positions[:, 2])
+    else:
+        moved[:, 2] = np.clip(moved[:, 2], *(floor + np.array(heights)))
+    return moved
+
+
+def _levels(low: float, high: float) -> np.ndarray:
+    """Return heights from the lowest to the highest."""
+    return np.linspace(low, high, int(np.ceil((high - low) / LEVELS)) + 1)
+
+
+def _along_walls(heights: np.ndarray, space: FreePlane, walls: MountSurface) -> MountPlaces:
+    """List places on the side of walls that faces the floor."""
+    low, high = heights
+    z = walls.points[:, 2]
+    near = np.flatnonzero((z >= low - BAND) & (z <= high + BAND))
+    near = near[::max(len(near) // DENSE, 1)]
+    points, normals = walls.points[near].astype(np.float64), walls.normals[near]
+    positions, inwards = [], []
+    for side in (-1.0, 1.0):
+        moved = points + side * STAND_OFF * normals
+        moved[:, 2] = np.clip(moved[:, 2], low, high)
+        floor = space.contains(moved[:, :2] + 2.0 * side * STAND_OFF * normals[:, :2])
+        positions.append(moved[floor])
+        inwards.append(np.arctan2(*(side * normals[floor, 1::-1]).T))
+    return MountPlaces(np.concatenate(positions), np.concatenate(inwards))
+
+
+def headings_of(rig: Rig, model: CameraModel) -> np.ndarray:
+    """
+    Return the ways a camera may be turned, relative to looking into the room.
+
+    :returns: (H, 3) yaw, pitch, roll in radians; one for a camera that sees all around.
+    """
+    if model.omnidirectional:
+        return np.zeros((1, 3))
+    low, high = rig.pitch
+    count = int(np.clip(np.ceil(np.rad2deg(high - low) / PITCHES), 1, 3))
+    pitches = low + (high - low) * (np.arange(count) + 0.5) / count
+    if model.horizontal_fov >= FULL_TURN - 1e-9:
+        # As level as may be.
+        return np.array([[0.0, np.clip(0.0, low, high), 0.0]])
+    step = np.deg2rad(WIDE_STEP if model.horizontal_fov >= np.deg2rad(WIDE) else NARROW_STEP)
+    yaws = np.arange(0.0, FULL_TURN - 1e-9, step)
+    if rig.mount.on == 'walls':
+        yaws = np.deg2rad(np.arange(-SIDEWAYS, SIDEWAYS + 1.0, NARROW_STEP))
+    return np.array([(yaw, pitch, 0.0) for pitch in pitches for yaw in yaws])
+
+
+def spread(positions: np.ndarray, count: int) -> np.ndarray:
+    """
+    Choose some of many places, each time the one farthest from those before.
+
+    :param positions: (P, 3) metres, P >= 1.
+    :returns: at most so many indices, the place nearest to the middle first.
+    """
+    nearest = np.linalg.norm(positions - positions.mean(axis=0), axis=1)
+    chosen = [int(np.argmin(nearest))]
+    nearest = np.linalg.norm(positions - positions[chosen[0]], axis=1)
+    while len(chosen) < count and nearest.max() > ALIKE:
+        chosen.append(int(np.argmax(nearest)))
+        away = np.linalg.norm(positions - positions[chosen[-1]], axis=1)
+        nearest = np.minimum(nearest, away)
+    return np.array(chosen)

@@ -1,0 +1,319 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Where the cameras of a rig hang, as a file: what a planner writes and an installer carries out.
+
+A file holds all that its scores depend on: the sensors' numbers, the rig, the engine's settings
+and the hash of the room. Its numbers are rounded before they are judged, so that who reads it
+gets the same scores. docs/placement.md explains every key.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ocp_ros import __version__
+from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.rig.rig_file import (
+    Camera,
+    cameras_at,
+    model_of,
+    names_of,
+    pose_of,
+    Rig,
+    rig_from,
+)
+from ocp_ros.rig.schemas import MODEL, PLACEMENT
+from ocp_ros.rig.structure import floor_height
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.util.files import write_atomically
+from ocp_ros.util.yaml_files import Document, read_document, timestamp, Way, written
+
+VERSION, FRAME, FIXED = 1, 'map', 'fixed'
+#: Decimals of metres and of degrees in files: nobody mounts a camera to the tenth of a millimetre.
+METRES, DEGREES = 4, 3
+#: Metres from surfaces where no rig says how far: less than a camera's own size.
+TOUCHING = 0.05
+#: Degrees that further cameras may look down where no rig says how far.
+MORE_PITCH = 60.0
+#: Metres and radians that a camera in place may be off where rig and placement both have it.
+SAME = 1e-3
+ANGLES = ('yaw', 'pitch', 'roll')
+
+
+class Placed(NamedTuple):
+    """
+    A camera where it hangs.
+
+    :ivar camera: the camera.
+    :ivar position: x, y, z, metres.
+    :ivar angles: yaw, pitch, roll, degrees.
+    :ivar mount: what it hangs on, or ``fixed`` if it hung there before.
+    """
+
+    camera: Camera
+    position: tuple[float, float, float]
+    angles: tuple[float, float, float]
+    mount: str
+
+    @property
+    def pose(self) -> np.ndarray:
+        """Return (6,) x, y, z in metres and yaw, pitch, roll in radians."""
+        return np.array([*self.position, *np.deg2rad(self.angles)])
+
+
+@dataclass(frozen=True)
+class Placement:
+    """
+    A placement of a rig.
+
+    :ivar cameras: those that were to be placed, then those that hung there before.
+    :ivar rig: what was asked for; None where the file does not say.
+    :ivar room: which room, as the file has it: file or seed, sha256, points, scale, up.
+    :ivar engine: settings that the scores were found with.
+    :ivar scores: figures, as the file has them.
+    :ivar created: date, command and version, as the file has them.
+    :ivar frame: the frame of all poses.
+    :ivar document: what it was read from, if it was.
+    :ivar ways: where each camera stands in that document.
+    """
+
+    cameras: tuple[Placed, ...]
+    rig: Rig | None = None
+    room: dict[str, Any] = field(default_factory=dict)
+    engine: EngineConfig = EngineConfig()
+    scores: dict[str, Any] = field(default_factory=dict)
+    created: dict[str, str] = field(default_factory=dict)
+    frame: str = FRAME
+    document: Document | None = None
+    ways: tuple[Way, ...] = ()
+
+    @property
+    def poses(self) -> np.ndarray:
+        """Return the cameras that were to be placed: (K, 6) metres and radians."""
+        return np.array([placed.pose for placed in self.cameras
+                         if placed.mount != FIXED]).reshape(-1, 6)
+
+    def rig_in(self, scene: Scene) -> Rig:
+        """
+        Return the rig, or one like it that asks for nothing but what these cameras have.
+
+        :param scene: the room, for heights above its floor.
+        """
+        return self.rig or _rig_like(self, floor_height(scene))
+
+
+def created_by(command: str, planner: str = '') -> dict[str, str]:
+    """Return who made a placement, and which planner found it if any did, for its file."""
+    return {'date': timestamp(), 'command': command, 'version': __version__,
+            **({'planner': planner} if planner else {})}
+
+
+def placement_of(rig: Rig, poses: np.ndarray, **more: Any) -> Placement:
+    """
+    Make the placement of a rig, rounded as its file will be.
+
+    :param poses: (K, 6) metres, map frame, and radians; (K, 3) where no camera has a heading.
+    :param more: other fields of :class:`Placement`.
+    :raises ValueError: if there are not as many poses as cameras to be placed.
+    """
+    poses = np.asarray(poses, dtype=np.float64)
+    if len(poses) != len(rig.cameras):
+        raise ValueError(f'poses: found {len(poses)}; expected {len(rig.cameras)}, one for each '
+                         'camera that is to be placed')
+    full = np.zeros((len(poses), 6))
+    full[:, :poses.shape[1]] = poses
+    mounts = [*[rig.mount.on] * len(rig.cameras), *[FIXED] * len(rig.fixed)]
+    placed = zip(rig.all_cameras, [*full, *rig.fixed_poses], mounts)
+    return Placement(tuple(_rounded(*one) for one in placed), rig, **more)
+
+
+def _rounded(camera: Camera, pose: np.ndarray, mount: str) -> Placed:
+    """Return a camera where it hangs, with as many decimals as its file will have."""
+    position, angles = _rounded_numbers(np.asarray(pose)[None])
+    return Placed(camera, tuple(position[0].tolist()), tuple(angles[0].tolist()), mount)
+
+
+def _rounded_numbers(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions in metres and angles in degrees, (M, 3) each, as files have them."""
+    angles = np.rad2deg(poses[:, 3:])
+    angles[:, [0, 2]] = (angles[:, [0, 2]] + 180.0) % 360.0 - 180.0
+    # No minus zeros.
+    return np.round(poses[:, :3], METRES) + 0.0, np.round(angles, DEGREES) + 0.0
+
+
+def as_written(poses: np.ndarray) -> np.ndarray:
+    """
+    Return poses as they come back from a file, so that a search can judge what it will write.
+
+    :param poses: (M, 6) metres, map frame, and radians.
+    """
+    position, angles = _rounded_numbers(poses)
+    return np.hstack([position, np.deg2rad(angles)])
+
+
+def load_placement(path: str | Path, rig: Rig | None = None) -> Placement:
+    """
+    Read a placement.
+
+    :param path: a YAML or JSON file; docs/placement.md explains its keys.
+    :param rig: what is asked for, in place of what the file says.
+    :raises ConfigurationError: if the file cannot be used or is not of this rig: one sentence
+        with file, line and key.
+    """
+    document = read_document(path, PLACEMENT)
+    data = document.data
+    if rig is None and 'rig' in data:
+        rig = rig_from(document.part('rig'))
+    entries = data['cameras']
+    moved, fixed = ([('cameras', k) for k, entry in enumerate(entries)
+                     if (entry.get('mount') == FIXED) == hung] for hung in (False, True))
+    names = dict(zip(ways := [*moved, *fixed], names_of(document, ways)))
+    if rig is not None:
+        rig = _matched(document, rig, moved, names)
+        _check_fixed(document, rig, fixed)
+    elif not moved:
+        raise document.error(('cameras',), 'cameras in place only', 'one at least that may be '
+                             'moved', f'write another mount than {FIXED}')
+    if rig is None:
+        placed = [_placed(document, way, camera, 'free')
+                  for way, camera in zip(ways, cameras_at(document, ways))]
+    else:
+        placed = [_placed(document, way, camera, rig.mount.on)
+                  for way, camera in zip(moved, rig.cameras)]
+        placed += [_rounded(one.camera, one.pose, FIXED) for one in rig.fixed]
+    return Placement(tuple(placed), rig, data.get('room', {}),
+                     EngineConfig(**data.get('engine', {})), data.get('scores', {}),
+                     data.get('created', {}), data.get('frame', FRAME), document, tuple(ways))
+
+
+def _placed(document: Document, way: Way, camera: Camera, mount: str) -> Placed:
+    """Read where a camera hangs, and on what unless the file does not say."""
+    data = document.value(*way)
+    return Placed(camera, tuple(float(value) for value in data['position']),
+                  tuple(float(data.get(angle, 0.0)) for angle in ANGLES),
+                  data.get('mount', mount))
+
+
+def _matched(document: Document, rig: Rig, ways: Sequence[Way], names: dict[Way, str]) -> Rig:
+    """Return the rig with the names of the file; its cameras have to be the same, in order."""
+    if len(ways) != len(rig.cameras):
+        raise document.error(
+            ('cameras',), f'{len(ways)} cameras that may be moved', f'{len(rig.cameras)}, as in '
+            f'{rig.document.name}', 'add or remove some, or mark those in place by '
+            f'mount: {FIXED}')
+    cameras = []
+    for way, camera in zip(ways, rig.cameras):
+        data = document.value(*way)
+        if any(key in data for key in MODEL) and not _sees_as(document, way, camera.model):
+            raise document.error(
+                way, 'the numbers of another sensor', f'those of {camera.name} in '
+                f'{rig.document.name}', "put the cameras in the rig's order, or leave them out")
+        name = names[way] if 'name' in data else camera.name
+        if name in {other.name for other in (*cameras, *(one.camera for one in rig.fixed))}:
+            raise document.error(way, f'the name {name!r}, which another camera of '
+                                 f'{rig.document.name} has', 'one of its own',
+                                 'give it another name')
+        cameras.append(camera._replace(name=name))
+    return replace(rig, cameras=tuple(cameras))
+
+
+def _check_fixed(document: Document, rig: Rig, ways: Sequence[Way]) -> None:
+    """Refuse cameras in place that are not those of the rig; they may be left out."""
+    for k, way in enumerate(ways):
+        data = document.value(*way)
+        if (len(ways) != len(rig.fixed) or not _sees_as(document, way, rig.fixed[k].camera.model)
+                or not _alike(pose_of(data), rig.fixed[k].pose)):
+            raise document.error(way, 'a camera in place', f'those that {rig.document.name} has, '
+                                 'or none', 'correct it, or leave all of them out')
+
+
+def _sees_as(document: Document, way: Way, model: CameraModel) -> bool:
+    """Tell whether a camera of a file has the numbers of a model; files round angles."""
+    found = model_of(document, way)
+    return found.resolution == model.resolution and all(
+        math.isclose(getattr(found, key), getattr(model, key))
+        for key in ('min_range', 'max_range', 'horizontal_fov', 'vertical_fov'))
+
+
+def _alike(pose: np.ndarray, other: np.ndarray) -> bool:
+    """Tell whether two poses are the same, whatever their angles are called."""
+    turns = rotation_matrix(*pose[3:]) - rotation_matrix(*other[3:])
+    return max(np.abs(pose[:3] - other[:3]).max(), np.abs(turns).max()) <= SAME
+
+
+def _rig_like(placement: Placement, floor: float) -> Rig:
+    """Describe the rig of a placement's cameras: more of them may hang as these do."""
+    placed = placement.cameras
+    moved = [one for one in placed if one.mount != FIXED]
+    heights = [max(one.position[2] - floor, 0.0) for one in moved]
+    pitches = [one.angles[1] for one in moved if not one.camera.model.omnidirectional]
+    mounts = {one.mount for one in moved}
+    on = mounts.pop() if len(mounts) == 1 else 'free'
+    mount: dict[str, Any] = {'on': on}
+    if on == 'plane' and np.ptp(heights) > SAME:
+        mount['on'] = 'free'
+    if on != 'ceiling':
+        mount['height'] = heights[0] if mount['on'] == 'plane' else [min(heights), max(heights)]
+    data = {
+        'cameras': [{'name': one.camera.name, **numbers_of(one.camera)} for one in moved],
+        'fixed': [_entry(one, mount=False) for one in placed if one.mount == FIXED],
+        'mount': mount, 'pitch': [min([0.0, *pitches]), max([MORE_PITCH, *pitches])],
+        'keep_clear': TOUCHING}
+    return rig_from(_made_of(placement, data, int(np.argmin(heights))))
+
+
+def _made_of(placement: Placement, data: dict[str, Any], lowest: int) -> Document:
+    """Return a rig that a placement stands for; its errors name the placement's keys."""
+    document, ways = placement.document, placement.ways
+    if document is None:
+        return Document('placement', data)
+    in_place = (way for way, one in zip(ways, placement.cameras) if one.mount == FIXED)
+    written = {('mount', 'height'): (*ways[lowest], 'position'),
+               ('mount', 'on'): (*ways[lowest], 'mount'),
+               **{('fixed', k): (*way, 'position') for k, way in enumerate(in_place)}}
+    return Document(document.name, data, document.lines, written)
+
+
+def numbers_of(camera: Camera) -> dict[str, Any]:
+    """Return a camera's sensor and numbers as files have them, angles in degrees."""
+    model: CameraModel = camera.model
+    numbers = {'sensor': camera.sensor} if camera.sensor else {}
+    for key in ('horizontal_fov', 'vertical_fov'):
+        numbers[key] = float(f'{np.rad2deg(getattr(model, key)):.12g}')
+    numbers |= {'min_range': model.min_range, 'max_range': model.max_range}
+    if model.resolution is not None:
+        numbers['resolution'] = list(model.resolution)
+    return numbers
+
+
+def _entry(placed: Placed, mount: bool = True) -> dict[str, Any]:
+    """Return a camera as files have it."""
+    return {'name': placed.camera.name, **numbers_of(placed.camera),
+            'position': list(placed.position), **dict(zip(ANGLES, placed.angles)),
+            **({'mount': placed.mount} if mount else {})}
+
+
+def data_of(placement: Placement) -> dict[str, Any]:
+    """Return a placement as plain data, as its file has it."""
+    data = {'version': VERSION, 'frame': placement.frame, 'room': placement.room,
+            'cameras': [_entry(placed) for placed in placement.cameras],
+            'engine': asdict(placement.engine),
+            'rig': placement.rig.document.data if placement.rig else None,
+            'scores': placement.scores, 'created': placement.created}
+    return {key: value for key, value in data.items() if value}
+
+
+def save_placement(path: str | Path, placement: Placement) -> None:
+    """
+    Write a placement.
+
+    :param path: ``.json`` for JSON, YAML for any other suffix.
+    :raises OSError: if it cannot be written.
+    """
+    path = Path(path)
+    write_atomically(path, written(data_of(placement), path.suffix.lower()))

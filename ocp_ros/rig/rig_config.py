@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of the simplest rig: depth cameras on a horizontal plane."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.rig.sensors import SENSORS
+from ocp_ros.util.settings import check_known, ConfigurationError, MOST_CAMERAS, setting
+
+OMNIDIRECTIONAL = 'omnidirectional'
+KINDS = (OMNIDIRECTIONAL, *SENSORS)
+
+
+@dataclass(frozen=True)
+class RigConfig:
+    """Depth cameras on a horizontal plane."""
+
+    cameras: int = setting(4, 'number of cameras', 1, MOST_CAMERAS)
+    sensors: str = setting(
+        OMNIDIRECTIONAL, 'omnidirectional or the preset of a sensor, one for all cameras or one '
+        'for each with commas between')
+    min_range: float = setting(
+        0.0, 'nearest distance an omnidirectional camera measures, metres', 0.0, 10.0)
+    max_range: float = setting(
+        4.0, 'effective range of an omnidirectional camera, metres', 0.1, 100.0)
+    height: float = setting(1.9, 'height of the cameras above the floor, metres', 0.0, 20.0)
+    tilt: float = setting(
+        0.0, 'how far the cameras look down, radians; negative looks up', -1.5708, 1.5708)
+
+    def __post_init__(self) -> None:
+        """Refuse ranges that exclude each other and sensors that do not exist."""
+        if self.min_range >= self.max_range:
+            raise ConfigurationError(
+                f'rig.min_range: found {self.min_range} m with rig.max_range {self.max_range} m; '
+                'expected less than it')
+        names = self._names
+        check_known(names, KINDS, 'rig.sensors')
+        if len(names) not in (1, self.cameras):
+            raise ConfigurationError(
+                f'rig.sensors: found {len(names)} sensors for rig.cameras {self.cameras}; '
+                'expected one for all or one for each')
+
+    @property
+    def _names(self) -> list[str]:
+        """Return the names of the sensors."""
+        return [name.strip() for name in self.sensors.split(',')]
+
+    @property
+    def models(self) -> tuple[CameraModel, ...]:
+        """Return the model that all cameras share, or one for each."""
+        own = CameraModel(self.min_range, self.max_range)
+        return tuple(own if name == OMNIDIRECTIONAL else SENSORS[name].model
+                     for name in self._names)
+
+    @property
+    def ranges(self) -> np.ndarray:
+        """Return how far each camera sees: (K,) metres."""
+        return np.broadcast_to([model.max_range for model in self.models], self.cameras)
+
+    @property
+    def headings(self) -> np.ndarray:
+        """Return how the cameras of an episode are turned, outwards: (K, 3) yaw, pitch, roll."""
+        headings = np.zeros((self.cameras, 3))
+        headings[:, 0] = 2.0 * np.pi * np.arange(self.cameras) / self.cameras
+        headings[:, 1] = self.tilt
+        return headings

@@ -1,0 +1,335 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+A real rig: its cameras, where they may hang and what they shall see, read from a YAML file.
+
+In files angles are degrees, here they are radians; docs/rig.md explains every key.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.rig.rig_config import KINDS, OMNIDIRECTIONAL, RigConfig
+from ocp_ros.rig.schemas import LONGEST_NAME, MODEL, RIG
+from ocp_ros.rig.sensors import SENSORS
+from ocp_ros.rig.zones import Zone, zone_of
+from ocp_ros.util.settings import ConfigurationError, MOST_CAMERAS
+from ocp_ros.util.yaml_files import check, describe, Document, nearest, read_document, Way
+
+#: Share of a region's points that has to be seen where it says ``must_see: true``: some are
+#: noise, and some lie behind others wherever the cameras hang.
+MUST_SEE = 0.95
+#: Metres above the floor where a file names none; on the ceiling it is the ceiling's own.
+HEIGHTS = {'plane': (1.9, 1.9), 'ceiling': None, 'walls': (1.5, 2.5), 'free': (1.5, 2.5)}
+
+
+class Camera(NamedTuple):
+    """
+    A camera of a rig.
+
+    :ivar name: what tables call it; no other camera of the rig has it.
+    :ivar sensor: its preset, or '' for numbers of one's own.
+    :ivar model: what it sees.
+    """
+
+    name: str
+    sensor: str
+    model: CameraModel
+
+
+class Fixed(NamedTuple):
+    """
+    A camera that hangs already and stays.
+
+    :ivar camera: the camera.
+    :ivar pose: (6,) x, y, z, yaw, pitch, roll: metres, map frame, and radians.
+    :ivar where: the place in the file, for messages.
+    """
+
+    camera: Camera
+    pose: np.ndarray
+    where: str
+
+
+class Mount(NamedTuple):
+    """
+    What cameras hang on.
+
+    :ivar on: ``plane``, ``ceiling``, ``walls`` or ``free``.
+    :ivar heights: the lowest and highest metres above the floor; None for just below the ceiling.
+    """
+
+    on: str
+    heights: tuple[float, float] | None
+
+
+class Region(NamedTuple):
+    """
+    A part of the room that matters more than the rest.
+
+    :ivar weight: how much, the whole room being 1.
+    :ivar must_see: the share of its points that has to be seen; 0 where none has.
+    :ivar where: the place in the file, for messages.
+    """
+
+    name: str
+    zone: Zone
+    weight: float
+    must_see: float
+    where: str
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """
+    Cameras that are to be placed, those that hang already, and what is asked of a placement.
+
+    :ivar cameras: K, to be placed.
+    :ivar fixed: F, in place.
+    :ivar mount: what the K cameras hang on.
+    :ivar pitch: radians, the least and the most that cameras look down.
+    :ivar keep_clear: metres from a camera to any surface but the one it hangs on.
+    :ivar spacing: metres, least distance of two cameras.
+    :ivar no_go: where no camera may be.
+    :ivar regions: what matters more than the rest.
+    :ivar seen_by: how many cameras have to see a place.
+    :ivar document: what the rig was read from.
+    """
+
+    cameras: tuple[Camera, ...]
+    fixed: tuple[Fixed, ...]
+    mount: Mount
+    pitch: tuple[float, float]
+    keep_clear: float
+    spacing: float
+    no_go: tuple[Zone, ...]
+    regions: tuple[Region, ...]
+    seen_by: int
+    document: Document
+
+    @property
+    def models(self) -> tuple[CameraModel, ...]:
+        """Return the models of all cameras: K to be placed, then F in place."""
+        return tuple(camera.model for camera in self.all_cameras)
+
+    @property
+    def all_cameras(self) -> tuple[Camera, ...]:
+        """Return all cameras: K to be placed, then F in place."""
+        return self.cameras + tuple(fixed.camera for fixed in self.fixed)
+
+    @property
+    def fixed_poses(self) -> np.ndarray:
+        """Return the poses of the cameras in place: (F, 6) metres, map frame, and radians."""
+        return np.array([fixed.pose for fixed in self.fixed]).reshape(-1, 6)
+
+
+def load_rig(path: str | Path) -> Rig:
+    """
+    Read a rig.
+
+    :param path: a YAML or JSON file; docs/rig.md explains its keys.
+    :raises ConfigurationError: if it cannot be used: one sentence with file, line and key.
+    """
+    return rig_from(read_document(path, RIG))
+
+
+def rig_of(cameras: int, sensor: str = OMNIDIRECTIONAL, **more: Any) -> Rig:
+    """
+    Describe a rig of equal cameras without a file.
+
+    :param cameras: how many.
+    :param sensor: a preset, or a part of the name of one only, such as ``d455``.
+    :param more: other keys of a rig file.
+    :raises ConfigurationError: for an unknown or ambiguous sensor, or another bad value.
+    """
+    data = {'cameras': [{'sensor': sensor_named(sensor), 'count': cameras}], **more}
+    document = Document('rig', data)
+    check(document, RIG)
+    return rig_from(document)
+
+
+def with_count(rig: Rig, count: int) -> Rig:
+    """
+    Return a rig with another number of cameras that are to be placed.
+
+    :param rig: one whose cameras are of one group.
+    :param count: how many, above 0.
+    :raises ConfigurationError: if its cameras are of several groups, or too few or too many.
+    """
+    document = rig.document
+    if len(groups := document.data['cameras']) > 1:
+        raise document.error(('cameras',), f'{len(groups)} groups', 'one, whose cameras can be '
+                             'counted', 'leave out --count, or all groups but one')
+    data = {**document.data, 'cameras': [{**groups[0], 'count': count}]}
+    return rig_from(Document(document.name, data, document.lines))
+
+
+def sensor_named(name: str) -> str:
+    """
+    Find a preset by its name or a part of it that no other has.
+
+    :raises ConfigurationError: if none or several have it; the message lists them.
+    """
+    if name in KINDS:
+        return name
+    found = [kind for kind in KINDS if name and name.lower() in kind]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise ConfigurationError(f'sensor: found {name!r}, which {" and ".join(found)} have in '
+                                 'common; expected one of them; write more of its name')
+    raise ConfigurationError(f'sensor: found {name!r}; expected one of {", ".join(KINDS)} or a '
+                             f'part of it; {nearest(name, KINDS, "choose one of them")}')
+
+
+def model_of(document: Document, way: Way) -> CameraModel:
+    """
+    Read what a camera sees: the numbers of its sensor, and those given beside it in their place.
+
+    :param way: where the camera stands in the document.
+    :raises ConfigurationError: if numbers are missing or exclude each other.
+    """
+    data = document.value(*way)
+    given = {key: data[key] for key in MODEL if key in data}
+    given = {key: float(np.deg2rad(value)) if key.endswith('fov') else value
+             for key, value in given.items()}
+    if 'resolution' in given:
+        given['resolution'] = tuple(given['resolution'])
+    sensor = given.pop('sensor', None)
+    if sensor is None:
+        for key in ('horizontal_fov', 'vertical_fov', 'max_range'):
+            if key not in given:
+                raise document.error(
+                    way, f'no {key} and no sensor', MODEL[key]['description'],
+                    f'add {key}: {MODEL[key]["examples"][0]:g}, or a sensor')
+        preset = CameraModel()
+    elif sensor == OMNIDIRECTIONAL:
+        preset, = RigConfig(cameras=1).models
+    else:
+        preset = SENSORS[sensor].model
+    low = given.get('min_range', preset.min_range)
+    high = given.get('max_range', preset.max_range)
+    if not low < high:
+        key = 'min_range' if 'min_range' in given else 'max_range'
+        raise document.error((*way, key), f'min_range {low:g} m with max_range {high:g} m',
+                             'the first to be less', 'exchange or correct them')
+    return replace(preset, **given)
+
+
+def pose_of(data: dict[str, Any]) -> np.ndarray:
+    """Return position, yaw, pitch and roll of a file as a pose: (6,) metres and radians."""
+    angles = np.deg2rad([float(data.get(key, 0.0)) for key in ('yaw', 'pitch', 'roll')])
+    return np.array([*data['position'], *angles], dtype=np.float64)
+
+
+def rig_from(document: Document) -> Rig:
+    """
+    Build a rig from a document that its schema holds for.
+
+    :raises ConfigurationError: for values that contradict each other.
+    """
+    data = document.data
+    cameras, fixed = _cameras(document)
+    regions = tuple(_regions(document))
+    seen_by = data.get('seen_by', 1)
+    if seen_by > len(cameras) + len(fixed):
+        raise document.error(('seen_by',), str(seen_by), f'at most {len(cameras) + len(fixed)}, '
+                             'as many as there are cameras', 'lower it or add cameras')
+    low, high = _range(document, ('pitch',), data.get('pitch', [0.0, 90.0]))
+    return Rig(cameras, fixed, _mount(document), (float(np.deg2rad(low)), float(np.deg2rad(high))),
+               float(data.get('keep_clear', 0.2)), float(data.get('spacing', 0.0)),
+               tuple(zone_of(document, ('no_go', k)) for k in range(len(data.get('no_go', ())))),
+               regions, seen_by, document)
+
+
+def _cameras(document: Document) -> tuple[tuple[Camera, ...], tuple[Fixed, ...]]:
+    """Read the cameras of both kinds, each with a name of its own."""
+    groups, fixed = document.data['cameras'], document.data.get('fixed', [])
+    movable = [('cameras', k) for k, group in enumerate(groups)
+               for _ in range(group.get('count', 1))]
+    if len(movable) + len(fixed) > MOST_CAMERAS:
+        raise document.error(('cameras',), f'{len(movable) + len(fixed)} cameras',
+                             f'at most {MOST_CAMERAS}, those in place included', 'lower a count')
+    ways = [*movable, *(('fixed', k) for k in range(len(fixed)))]
+    cameras = tuple(cameras_at(document, ways))
+    count = len(movable)
+    return cameras[:count], tuple(
+        Fixed(camera, pose_of(data), document.where('fixed', k))
+        for k, (camera, data) in enumerate(zip(cameras[count:], fixed)))
+
+
+def cameras_at(document: Document, ways: list[Way]) -> Iterator[Camera]:
+    """
+    Read cameras, each with a name of its own.
+
+    :param ways: where each stands in the document; those of one group have one way.
+    :raises ConfigurationError: where a name is given twice or a camera makes no sense.
+    """
+    for way, name in zip(ways, names_of(document, ways)):
+        yield Camera(name, document.value(*way).get('sensor', ''), model_of(document, way))
+
+
+def names_of(document: Document, ways: list[Way]) -> Iterator[str]:
+    """
+    Name cameras by their name, sensor or kind, numbered where several have it.
+
+    :param ways: where each stands in the document; those of one group have one way.
+    :raises ConfigurationError: where a name is given twice.
+    """
+    entries = [document.value(*way) for way in ways]
+    stems = [entry.get('name', entry.get('sensor', 'camera')) for entry in entries]
+    totals, used = Counter(stems), Counter()
+    given: dict[str, Way] = {}
+    taken: set[str] = set()
+    for way, entry, stem in zip(ways, entries, stems):
+        used[stem] += 1
+        named = 'name' in entry
+        # Cameras of one group share a name, and have a number behind it.
+        number = '' if totals[stem] == 1 else f'_{used[stem]}'
+        name = stem[:LONGEST_NAME - len(number)] + number
+        if name in taken or (named and given.setdefault(stem, way) != way):
+            raise document.error((*way, 'name' if named else 'sensor'), f'the name {stem!r}, '
+                                 'which another camera has', 'one of its own',
+                                 'give it another name')
+        taken.add(name)
+        yield name
+
+
+def _mount(document: Document) -> Mount:
+    """Read what the cameras hang on."""
+    data = document.data.get('mount', {'on': 'plane'})
+    on, given = data['on'], data.get('height')
+    if given is None:
+        return Mount(on, HEIGHTS[on])
+    if isinstance(given, list) and on in ('plane', 'ceiling'):
+        raise document.error(('mount', 'height'), describe(given), f'one number for {on}',
+                             f'write, for example, height: {given[0]:g}, or on: free')
+    return Mount(on, _range(document, ('mount', 'height'), given))
+
+
+def _range(document: Document, way: Way, value: Any) -> tuple[float, float]:
+    """Read one number or a range."""
+    low, high = value if isinstance(value, list) else (value, value)
+    if low > high:
+        raise document.error(way, describe(value), 'the lower number first',
+                             f'write [{high:g}, {low:g}]')
+    return float(low), float(high)
+
+
+def _regions(document: Document) -> Iterator[Region]:
+    """Read the regions, each with a name of its own."""
+    names = set()
+    for k, data in enumerate(document.data.get('regions', [])):
+        if data['name'] in names:
+            raise document.error(('regions', k, 'name'), f'the name {data["name"]!r}, which '
+                                 'another region has', 'one of its own', 'give it another name')
+        names.add(data['name'])
+        must_see = data.get('must_see', False)
+        share = MUST_SEE * must_see if isinstance(must_see, bool) else float(must_see)
+        yield Region(data['name'], zone_of(document, ('regions', k)),
+                     float(data.get('weight', 1.0)), share, document.where('regions', k))

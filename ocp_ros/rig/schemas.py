@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+JSON Schemas of rig files and placement files: every key, its unit, its range, an example.
+
+Editors complete and check files with them (docs/rig.schema.json, docs/placement.schema.json); the
+messages about a file that breaks one are made of their descriptions and examples.
+"""
+
+from typing import Any
+
+from ocp_ros.geometry.visibility import PRESETS
+from ocp_ros.rig.rig_config import KINDS
+
+Schema = dict[str, Any]
+DIALECT = 'https://json-schema.org/draft/2020-12/schema'
+MOUNTS = ('plane', 'ceiling', 'walls', 'free')
+#: Metres that nothing in a room exceeds.
+FAR = 1000.0
+#: Letters of a name.
+LONGEST_NAME = 60
+POINT = {'type': 'number', 'minimum': -FAR, 'maximum': FAR}
+
+
+def number(description: str, example: float, **limits: float) -> Schema:
+    """Describe a number; limits as JSON Schema calls them."""
+    return {'description': description, 'type': 'number', **limits, 'examples': [example]}
+
+
+def one_or_two(description: str, example: Any, low: float, high: float) -> Schema:
+    """Describe a number or the lowest and highest of a range."""
+    one = {'type': 'number', 'minimum': low, 'maximum': high}
+    return {'description': description, 'examples': [example], 'anyOf': [
+        one, {'type': 'array', 'items': one, 'minItems': 2, 'maxItems': 2}]}
+
+
+def many(description: str, items: Schema, example: Any, least: int = 0, most: int = 64) -> Schema:
+    """Describe a list."""
+    return {'description': description, 'type': 'array', 'items': items, 'minItems': least,
+            'maxItems': most, 'examples': [example]}
+
+
+def mapping(description: str, example: Any, required: tuple[str, ...] = (), **keys: Schema
+            ) -> Schema:
+    """Describe a mapping that has no other keys."""
+    return {'description': description, 'type': 'object', 'properties': keys,
+            'required': list(required), 'additionalProperties': False, 'examples': [example]}
+
+
+NAME = {'description': f'a name of letters, digits, _, - and blanks, at most {LONGEST_NAME}',
+        'type': 'string', 'pattern': f'^[A-Za-z0-9_][A-Za-z0-9_ -]{{0,{LONGEST_NAME - 1}}}$',
+        'examples': ['door']}
+MODEL: dict[str, Schema] = {
+    'sensor': {
+        'description': f'one of {", ".join(KINDS)}', 'enum': list(KINDS),
+        'examples': ['realsense_d455']},
+    'horizontal_fov': number('degrees above 0, at most 360', 90.0, exclusiveMinimum=0,
+                             maximum=360),
+    'vertical_fov': number('degrees above 0, at most 180', 60.0, exclusiveMinimum=0, maximum=180),
+    'min_range': number('metres, 0 or more', 0.3, minimum=0, maximum=FAR),
+    'max_range': number('metres above 0', 5.0, exclusiveMinimum=0, maximum=FAR),
+    'resolution': many('whole pixels across and down, both above 0',
+                       {'type': 'integer', 'minimum': 1}, [640, 480], 2, 2),
+}
+POSITION = many('x, y and z in metres, map frame', POINT, [1.0, 2.0, 2.2], 3, 3)
+ANGLES: dict[str, Schema] = {
+    'yaw': number('degrees counter-clockwise from the x axis, -360 to 360', 90.0, minimum=-360,
+                  maximum=360),
+    'pitch': number('degrees downwards, -90 to 90', 20.0, minimum=-90, maximum=90),
+    'roll': number('degrees about the viewing direction, -180 to 180', 0.0, minimum=-180,
+                   maximum=180),
+}
+BOX = many('the lowest and the highest corner, metres, map frame',
+           {'type': 'array', 'items': POINT, 'minItems': 3, 'maxItems': 3},
+           [[0, 0, 0], [1, 1, 3]], 2, 2)
+POLYGON = many('three or more corners x, y in metres, map frame',
+               {'type': 'array', 'items': POINT, 'minItems': 2, 'maxItems': 2},
+               [[0, 0], [2, 0], [2, 1]], 3, 1000)
+BETWEEN = many('the lowest and the highest metres above the floor', POINT, [0.0, 3.0], 2, 2)
+#: A zone is a box, or a polygon between two heights.
+ZONE = {'box': BOX, 'polygon': POLYGON, 'height': BETWEEN}
+CAMERA = mapping(
+    'a sensor, or horizontal_fov, vertical_fov and max_range',
+    {'sensor': 'realsense_d455', 'count': 3}, (), **MODEL, name=NAME,
+    count={'description': 'a whole number from 1 to 64', 'type': 'integer', 'minimum': 1,
+           'maximum': 64, 'examples': [3]})
+FIXED = mapping(
+    'a camera and its position', {'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2], 'yaw': 90},
+    ('position',), **MODEL, **ANGLES, position=POSITION, name=NAME)
+NO_GO = mapping('a box or a polygon', {'box': [[0, 0, 0], [1, 1, 3]]}, (), **ZONE)
+REGION = mapping(
+    'a name with a box or a polygon', {'name': 'table', 'box': [[1, 1, 0.5], [2, 2, 1.2]]},
+    ('name',), name=NAME, **ZONE,
+    weight=number('a number from 0 to 1000, the whole room being 1', 3.0, minimum=0,
+                  maximum=1000),
+    must_see={'description': 'true, false or the share that has to be seen, above 0, at most 1',
+              'anyOf': [{'type': 'boolean'},
+                        {'type': 'number', 'exclusiveMinimum': 0, 'maximum': 1}],
+              'examples': [True]})
+RIG = mapping(
+    'a rig with the key cameras', {'cameras': [{'sensor': 'realsense_d455', 'count': 3}]},
+    ('cameras',),
+    cameras=many('a list of one camera or more', CAMERA, [{'sensor': 'realsense_d455'}], 1),
+    fixed=many('a list of cameras that stay where they are', FIXED,
+               [{'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2]}]),
+    mount=mapping(
+        'a mapping with the key on', {'on': 'plane', 'height': 1.9}, ('on',),
+        on={'description': f'one of {", ".join(MOUNTS)}', 'enum': list(MOUNTS),
+            'examples': ['plane']},
+        height=one_or_two('metres above the floor, for walls and free one number or [low, high]',
+                          1.9, 0.0, 100.0)),
+    pitch=one_or_two('degrees downwards, one number or [low, high] within -90 to 90', [0, 60],
+                     -90, 90),
+    keep_clear=number('metres, 0 to 10', 0.2, minimum=0, maximum=10),
+    spacing=number('metres, 0 to 100', 0.5, minimum=0, maximum=100),
+    no_go=many('a list of boxes and polygons', NO_GO, [{'box': [[0, 0, 0], [1, 1, 3]]}], 0, 1000),
+    regions=many('a list of regions', REGION,
+                 [{'name': 'table', 'box': [[1, 1, 0.5], [2, 2, 1.2]]}], 0, 1000),
+    seen_by={'description': 'a whole number of cameras, 1 or more', 'type': 'integer',
+             'minimum': 1, 'maximum': 64, 'examples': [2]})
+
+PLACED = mapping(
+    'a camera and its position', {'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2], 'yaw': 90},
+    ('position',), name=NAME, **MODEL, position=POSITION, **ANGLES,
+    mount={'description': f'fixed or one of {", ".join(MOUNTS)}', 'enum': ['fixed', *MOUNTS],
+           'examples': ['plane']})
+ROOM = mapping(
+    'a mapping with the key file or seed', {'file': 'room.ply'}, (),
+    file={'description': 'the path of a scan', 'type': 'string', 'examples': ['room.ply']},
+    seed={'description': 'the seed of a generated room', 'type': 'integer', 'minimum': 0,
+          'examples': [7]},
+    sha256={'description': 'the SHA-256 of the file, or of the points of a generated room, as 64 '
+            'hexadecimal digits', 'type': 'string', 'pattern': '^[0-9a-f]{64}$',
+            'examples': ['0' * 64]},
+    points={'description': 'the most points that are kept of the scan, 1000 or more',
+            'type': 'integer', 'minimum': 1000, 'maximum': 5_000_000, 'examples': [25000]},
+    scale=number('metres per unit of the file, above 0', 1.0, exclusiveMinimum=0),
+    up={'description': 'x, y or z', 'enum': ['x', 'y', 'z'], 'examples': ['z']},
+    drop_nonfinite={'description': 'true or false', 'type': 'boolean', 'examples': [True]})
+ENGINE = mapping(
+    'settings of the engine', {'preset': 'fine'}, (),
+    preset={'description': f'one of {", ".join(PRESETS)}', 'enum': list(PRESETS),
+            'examples': ['fine']},
+    error_rows={'description': 'a whole number from 16 to 2048', 'type': 'integer', 'minimum': 16,
+                'maximum': 2048, 'examples': [128]},
+    coverage_cell=number('metres from 0.02 to 5', 0.25, minimum=0.02, maximum=5))
+PLACEMENT = mapping(
+    'a placement with the key cameras',
+    {'cameras': [{'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2]}]}, ('cameras',),
+    version={'description': 'the number 1', 'const': 1, 'examples': [1]},
+    frame={'description': 'the name of the frame of all positions', 'type': 'string',
+           'pattern': '^[A-Za-z][A-Za-z0-9_/]{0,99}$', 'examples': ['map']},
+    room=ROOM, engine=ENGINE,
+    cameras=many('a list of one camera or more', PLACED,
+                 [{'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2]}], 1),
+    rig=RIG,
+    scores={'description': 'figures as ocp score --json writes them', 'type': 'object',
+            'examples': [{'depth_error': 1.0}]},
+    created={'description': 'a mapping of texts', 'type': 'object',
+             'additionalProperties': {'type': 'string'}, 'examples': [{'date': '2026-01-01'}]})
+#: The files of docs/ and what is in them.
+FILES = {'rig.schema.json': {'$schema': DIALECT, 'title': 'A rig of depth cameras', **RIG},
+         'placement.schema.json': {
+             '$schema': DIALECT, 'title': 'Where the cameras of a rig hang', **PLACEMENT}}

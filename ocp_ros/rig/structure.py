@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What cameras hang on and where the air of a room is, both found in its points."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.scenes.scene import Scene
+
+#: Metres: how far off its surface a camera is hung, and how far off it still counts as on it.
+STAND_OFF, REACH = 0.1, 0.25
+#: Metres: what is as near as this to the plane of a surface belongs to the surface.
+FLAT = 0.08
+#: Points that the plane of a surface is taken from, and the least cosine between their normals.
+VOTERS, ALIKE = 8, 0.9
+#: Least part of a normal that is upright on a ceiling, and most on a wall.
+LEVEL, STEEP = 0.7, 0.3
+#: Metres, and shares of the room's height: ceilings are higher than a head, walls go up to them.
+HEADROOM, HEADROOM_SHARE, WALL_SHARE = 2.0, 0.8, 0.8
+#: Metres: least edge of the columns that a ceiling or wall is looked for in; how far below the
+#: highest point around it a ceiling, and the top of a wall, may be.
+COLUMN, CEILING_DROP, WALL_DROP = 0.2, 0.25, 0.5
+#: Share of a room's height that its floor is looked for in, and metres that it is thick.
+LOWER_PART, LAYER = 0.4, 0.1
+#: Square metres: what is smaller is no ceiling and no wall.
+LEAST_AREA = 1.0
+#: Metres: the ball that is carried through the air of a room, and the least edge of its cells.
+BALL, CELL = 0.2, 0.1
+MOST_CELLS = 4_000_000
+
+
+class Contact(NamedTuple):
+    """
+    Where positions are relative to a surface.
+
+    :ivar normals: (M, 3) unit vectors from the surface to the positions.
+    :ivar distances: (M,) metres from the surface's plane; inf where there is no surface.
+    """
+
+    normals: np.ndarray
+    distances: np.ndarray
+
+    @property
+    def on(self) -> np.ndarray:
+        """Return which positions hang on the surface: (M,) bool."""
+        return self.distances <= REACH
+
+    def own(self, which: np.ndarray, ways: np.ndarray) -> np.ndarray:
+        """
+        Tell which points belong to the surface that a position hangs on.
+
+        :param which: (L,) positions by number.
+        :param ways: (L, P, 3) metres, from each to the points near it.
+        :returns: (L, P) bool.
+        """
+        off = np.einsum('lpk,lk->lp', ways, self.normals[which]) + self.distances[which, None]
+        return self.on[which, None] & (np.abs(off) <= FLAT)
+
+
+@dataclass(frozen=True, eq=False)
+class MountSurface:
+    """
+    The points of a ceiling or of walls.
+
+    :ivar points: (P, 3) metres, map frame.
+    :ivar normals: (P, 3) unit vectors of either sign.
+    :ivar gap: metres between neighbours; where there are none as near, the surface has a hole.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    gap: float
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        """Return the points for queries."""
+        return cKDTree(self.points)
+
+    def at(self, positions: np.ndarray) -> Contact:
+        """Return where positions (M, 3), metres, are relative to the surface."""
+        if len(self.points) == 0:
+            return Contact(np.zeros((len(positions), 3)), np.full(len(positions), np.inf))
+        count = min(VOTERS, len(self.points))
+        away, index = self._tree.query(positions, k=np.arange(1, count + 1))
+        normals = self.normals[index].astype(np.float64)
+        along = np.einsum('mvk,mk->mv', normals, normals[:, 0])
+        votes = (np.abs(along) >= ALIKE) & (away <= away[:, :1] + self.gap)
+        normal = np.einsum('mv,mvk->mk', np.sign(along) * votes, normals)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        ways = positions[:, None] - self.points[index]
+        distances = np.einsum('mvk,mk,mv->m', ways, normal, votes) / votes.sum(axis=1)
+        normal *= np.where(distances < 0.0, -1.0, 1.0)[:, None]
+        hole = away[:, 0] > np.hypot(REACH, self.gap)
+        return Contact(normal, np.where(hole, np.inf, np.abs(distances)))
+
+    def height_above(self, places: np.ndarray) -> np.ndarray:
+        """
+        Return how high a ceiling is above places.
+
+        :param places: (M, 2) metres.
+        :returns: (M,) z, metres; -inf where there is none.
+        """
+        count = min(VOTERS, len(self.points))
+        away, index = self._plan.query(places, k=np.arange(1, count + 1))
+        height = np.median(self.points[index, 2], axis=1)
+        return np.where(away[:, 0] <= self.gap, height, -np.inf)
+
+    @cached_property
+    def _plan(self) -> cKDTree:
+        """Return the points seen from above for queries."""
+        return cKDTree(self.points[:, :2])
+
+
+def floor_height(scene: Scene) -> float:
+    """
+    Find the floor: the fullest level layer in the lower part of a room.
+
+    Its lowest point is not: scans have stray points, and reflections below the floor.
+
+    :returns: z of its middle, metres, map frame.
+    """
+    z, level = scene.points[:, 2], np.abs(scene.normals_or_estimate[:, 2]) >= LEVEL
+    low, high = np.percentile(z, [0.1, 99.9])
+    level &= z <= low + LOWER_PART * (high - low)
+    if not level.any():
+        return float(scene.bounds[0, 2])
+    heights, areas = np.sort(z[level]), scene.pitch[level][np.argsort(z[level])] ** 2
+    above = np.searchsorted(heights, heights + LAYER, side='right')
+    total = np.concatenate([[0.0], np.cumsum(areas)])
+    first = int(np.argmax(total[above] - total[:-1]))
+    return float(np.median(heights[first:above[first]]))
+
+
+def gap_of(scene: Scene) -> float:
+    """Return how far apart the points of a closed surface may be, metres."""
+    return max(COLUMN, 2.0 * float(np.median(scene.pitch)))
+
+
+class _Columns:
+    """The highest points of a scene in square columns as wide as its surfaces have gaps."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.low, self.edge = scene.bounds[0, :2], gap_of(scene)
+        self.shape = tuple(np.floor(scene.size[:2] / self.edge).astype(int) + 1)
+
+    def of(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the column of each point: two arrays of indices (M,)."""
+        cells = np.floor((points[:, :2] - self.low) / self.edge).astype(int)
+        x, y = np.clip(cells, 0, np.array(self.shape) - 1).T
+        return x, y
+
+    def highest(self, points: np.ndarray) -> np.ndarray:
+        """Return the highest z in each column; -inf where there are no points."""
+        top = np.full(self.shape, -np.inf)
+        np.maximum.at(top, self.of(points), points[:, 2])
+        return top
+
+
+def ceiling_of(scene: Scene) -> MountSurface:
+    """
+    Find the ceiling: level, higher than a head, and with nothing higher around it.
+
+    :returns: its points; none where the scan shows no ceiling.
+    """
+    points, columns = scene.points, _Columns(scene)
+    top = ndimage.maximum_filter(columns.highest(points), 3)[columns.of(points)]
+    floor = floor_height(scene)
+    height = np.percentile(points[:, 2], 99.0) - floor
+    chosen = ((np.abs(scene.normals_or_estimate[:, 2]) >= LEVEL)
+              & (points[:, 2] >= top - CEILING_DROP)
+              & (points[:, 2] >= floor + min(HEADROOM, HEADROOM_SHARE * height)))
+    return _surface(scene, chosen, scene.normals_or_estimate)
+
+
+def walls_of(scene: Scene) -> MountSurface:
+    """
+    Find the walls: upright and going up to the ceiling, which furniture hardly does.
+
+    :returns: their points with level normals.
+    """
+    points, columns = scene.points, _Columns(scene)
+    floor = floor_height(scene)
+    steep = np.abs(scene.normals_or_estimate[:, 2]) <= STEEP
+    around = int(np.ceil(0.4 / columns.edge))
+    top = ndimage.maximum_filter(columns.highest(points), 2 * around + 1)[columns.of(points)]
+    reached = columns.highest(points[steep])[columns.of(points)]
+    chosen = (steep & (reached >= top - WALL_DROP)
+              & (reached >= floor + WALL_SHARE * (np.percentile(points[:, 2], 99.0) - floor)))
+    return _surface(scene, chosen, scene.normals_or_estimate * np.array([1.0, 1.0, 0.0]))
+
+
+def _surface(scene: Scene, chosen: np.ndarray, normals: np.ndarray) -> MountSurface:
+    """Return some points of a scene as a surface; none where they are too few to be one."""
+    if (scene.pitch[chosen] ** 2).sum() < LEAST_AREA:
+        chosen = np.zeros_like(chosen)
+    normals = normals[chosen]
+    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    return MountSurface(scene.points[chosen], normals, gap_of(scene))
+
+
+class Air:
+    """
+    The air of a room: where a ball can be carried to, from where there is most of it.
+
+    What is left is inside of furniture, or behind it. Scans show the outside of things alone, so
+    the distance to the nearest point does not tell.
+
+    :param scene: the room.
+    :param space: where its floor is.
+    """
+
+    def __init__(self, scene: Scene, space: FreePlane) -> None:
+        self.edge = max(CELL, float((scene.size.prod() / MOST_CELLS) ** (1.0 / 3.0)))
+        self.low = scene.bounds[0]
+        shape = np.floor(scene.size / self.edge).astype(int) + 1
+        taken = np.zeros(shape, dtype=bool)
+        taken[tuple(self._cells(scene.points, shape))] = True
+        # A ball that does not fit through the gaps between the points of a surface.
+        self.ball = max(BALL, 1.5 * float(np.median(scene.pitch)))
+        free = ndimage.distance_transform_edt(~taken) * self.edge > self.ball
+        middles = [self.low[k] + self.edge * (np.arange(shape[k]) + 0.5) for k in (0, 1)]
+        columns = np.stack(np.meshgrid(*middles, indexing='ij'), axis=-1)
+        free &= space.contains(columns)[..., None]
+        parts, count = ndimage.label(free)
+        largest = int(np.argmax(np.bincount(parts.ravel())[1:])) + 1 if count else 0
+        self._away = self.edge * ndimage.distance_transform_edt(
+            parts != largest) if count else np.zeros(shape)
+
+    def _cells(self, positions: np.ndarray, shape: np.ndarray) -> np.ndarray:
+        """Return the cells of positions (M, 3): (3, M) indices, the nearest for those outside."""
+        cells = np.floor((positions - self.low) / self.edge).astype(int)
+        return np.clip(cells, 0, np.array(shape) - 1).T
+
+    def closed(self, positions: np.ndarray) -> np.ndarray:
+        """Tell which positions (M, 3), metres, the ball does not come near: (M,) bool."""
+        away = self._away[tuple(self._cells(positions, self._away.shape))]
+        # In a corner of three walls the ball's middle stays root 3 radii away.
+        return away > max(self.ball + self.edge, np.sqrt(3.0) * (self.ball - 0.5 * BALL))

@@ -1,0 +1,267 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+``ocp replay``: publish the clouds of a bag, so that ``policy_node`` can be tried on them.
+
+Where the cameras are comes from the command line, from recorded ``camera_poses`` or from recorded
+transforms. In the first and the last case cloud topic i is camera i, and its frame is said to be
+``camera_<i>``, which ``policy_node`` places by the poses: nobody needs tf2.
+"""
+
+from collections.abc import Iterator
+import time
+from typing import Any
+
+from geometry_msgs.msg import PoseArray, Quaternion
+import numpy as np
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message
+from rclpy.task import Future
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
+
+from ocp_ros.geometry.cameras import Pose
+from ocp_ros.ros.bags.bag_files import Bag, BrokenMessage, CLOUD, KINDS, Recorded, TRANSFORMS
+from ocp_ros.ros.bags.replay_options import chosen_topics, ReplayOptions, TYPES
+from ocp_ros.ros.interface import topics
+from ocp_ros.ros.interface.conversions import (
+    MessageError,
+    ns_to_stamp,
+    positions_to_msg,
+    stamp_to_ns,
+)
+from ocp_ros.ros.interface.frames import OPTICAL, SENSOR
+from ocp_ros.ros.interface.qos import LOOP
+from ocp_ros.ros.interface.transform_tree import TransformTree
+from ocp_ros.util.settings import check_known, ConfigurationError
+
+#: Seconds: between two looks whether somebody listens, and from then until the first message,
+#: since who listens learns of the other side a little later.
+TICK, SETTLE = 0.05, 0.3
+#: Seconds that the last messages may take to arrive.
+FLUSH = 2.0
+#: Seconds of the recording between the end of a loop and the next, at least.
+GAP = 0.1
+#: How the names of frames end in which z is forward, x right and y down.
+OPTICAL_ENDS = ('optical', 'optical_frame')
+
+
+class Replay(Node):
+    """
+    Publish a bag's messages when they are due.
+
+    :param bag: open.
+    :param options: what and how.
+    :ivar done: is done when all is published; its exception says why it could not be.
+    :raises ConfigurationError: if the bag has nothing of what is wanted.
+    """
+
+    def __init__(self, bag: Bag, options: ReplayOptions, **kwargs) -> None:
+        super().__init__('replay', **kwargs)
+        self.bag, self.options, self.done = bag, options, Future()
+        self.topics = chosen_topics(bag, options.topics)
+        if options.poses and not options.topics:
+            # Who says where the cameras are knows better than the bag.
+            self.topics = {name: one for name, one in self.topics.items() if one[0] == CLOUD}
+        self.counts = dict.fromkeys(self.topics, 0)
+        self.left_out = 0
+        self._clouds = [name for name, (kind, _) in self.topics.items() if kind == CLOUD]
+        self._frames_given = dict(options.frames)
+        check_known([name for name in self._frames_given if name], self._clouds, '--frame')
+        has_poses = len(self._clouds) < len(self.topics)
+        self._has_transforms = any(KINDS.get(t.kind) == TRANSFORMS for t in bag.topics)
+        #: Whether the poses are ours to say: by the command line, or by transforms.
+        self._posing = bool(options.poses) or (self._has_transforms and not has_poses)
+        self._check_poses(has_poses)
+        self._tree = TransformTree()
+        self._posed: dict[str, Pose] = {}
+        self._make_publishers()
+        self._ahead = self._schedule()
+        self._next: tuple[float, int, Recorded | BrokenMessage] | None = None
+        self._began: float | None = None
+        self._patience = time.monotonic() + options.wait
+        self._timer = self.create_timer(
+            TICK, self._on_time, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _check_poses(self, has_poses: bool) -> None:
+        """Make sure that each camera has a pose, or warn that nobody will say where it is."""
+        given, clouds = len(self.options.poses), len(self._clouds)
+        if given and has_poses:
+            raise ConfigurationError('--pose: found it with recorded poses; expected one of the '
+                                     'two; name with --topics the clouds alone')
+        if given and given != clouds:
+            raise ConfigurationError(
+                f'--pose: found {given} for {clouds} topics of clouds; expected one for each, in '
+                f'the order {", ".join(self._clouds)}; add --pose or name fewer --topics')
+        if not (given or has_poses or self._has_transforms):
+            self.get_logger().warning(
+                f'found neither poses nor transforms in {self.bag.path.name}; expected somebody '
+                'to say where the cameras are, which policy_node waits for; add --pose for each '
+                'cloud')
+
+    def _make_publishers(self) -> None:
+        """Create a publisher for each topic, and one for what is known of the cameras."""
+        self._publishers_of: dict[str, Any] = {
+            name: self.create_publisher(TYPES[kind], new, LOOP)
+            for name, (kind, new) in self.topics.items()}
+        if self._posing:
+            self._poses = self.create_publisher(PoseArray, topics.CAMERA_POSES, LOOP)
+
+    def _schedule(self) -> Iterator[tuple[float, int, Recorded | BrokenMessage]]:
+        """Yield what comes when, seconds, and by how much its stamps move on, nanoseconds."""
+        options, names = self.options, list(self.topics)
+        if self._has_transforms:
+            names += [t.name for t in self.bag.topics if KINDS.get(t.kind) == TRANSFORMS]
+        begin = self.bag.start + int(options.start * 1e9)
+        end = None if options.duration is None else begin + int(options.duration * 1e9)
+        left = self.bag.seconds - options.start
+        length = left if options.duration is None else min(left, options.duration)
+        moved = 0
+        while True:
+            count, last = 0, begin
+            # Transforms that never change may have been told before the part that is wanted.
+            since = self.bag.start if self._has_transforms else begin
+            for item in self.bag.messages(names, since, end):
+                if isinstance(item, Recorded):
+                    if item.time < begin and item.kind != TRANSFORMS:
+                        continue
+                    last = max(item.time, begin)
+                    count += item.kind == CLOUD
+                yield (last - begin + moved) * 1e-9 / options.rate, moved, item
+            if not count:
+                raise ConfigurationError(
+                    f'{self.bag.path}: found no cloud from {options.start:g} s on for '
+                    f'{max(length, 0.0):g} s; expected some in a recording of '
+                    f'{self.bag.seconds:.3g} s; change --start or --duration')
+            if not options.loop:
+                return
+            # As far apart as clouds are on average.
+            moved += int(1e9 * (length + max(length / count, GAP)))
+
+    def _on_time(self) -> None:
+        """Publish what is due, and come again when the next is."""
+        try:
+            if self._began is None and not self._somebody_listens():
+                return
+            self._publish_due()
+        except ConfigurationError as error:
+            self._end(error)
+
+    def _somebody_listens(self) -> bool:
+        """Tell whether to begin: everything is listened to, or that was waited for in vain."""
+        now, mine = time.monotonic(), list(self._publishers_of.values())
+        if self._posing:
+            mine.append(self._poses)
+        deaf = [one.topic_name for one in mine if not one.get_subscription_count()]
+        if deaf and now < self._patience:
+            return False
+        if deaf and self.options.wait:
+            self.get_logger().warning(f'found nobody listening to {", ".join(deaf)} after '
+                                      f'{self.options.wait:g} s; expected policy_node with these '
+                                      'cloud_topics; going on')
+        self._began = now + (0.0 if deaf else SETTLE)
+        return True
+
+    def _publish_due(self) -> None:
+        """Publish one message if it is due."""
+        if self._next is None:
+            self._next = next(self._ahead, None)
+            if self._next is None:
+                self._end(self._nothing_placed())
+                return
+        wait = self._began + self._next[0] - time.monotonic()
+        if wait <= 0.0:
+            (_, moved, item), self._next = self._next, None
+            self._publish(item, moved)
+        self._timer.timer_period_ns = int(1e9 * min(max(wait, 1e-4), 1.0))
+
+    def flush(self) -> None:
+        """Wait until who listens reliably has everything, but not for long."""
+        for publisher in self.publishers:
+            publisher.wait_for_all_acked(Duration(seconds=FLUSH))
+
+    def _nothing_placed(self) -> ConfigurationError | None:
+        """Return what is wrong if no cloud was published."""
+        if any(self.counts[name] for name in self._clouds):
+            return None
+        return ConfigurationError(f'{self.bag.path}: found no cloud that could be published; '
+                                  'expected some; the warnings say why')
+
+    def _end(self, error: ConfigurationError | None = None) -> None:
+        """Stop."""
+        self._timer.cancel()
+        if error is not None:
+            self.done.set_exception(error)
+        elif not self.done.done():
+            self.done.set_result(None)
+
+    def _publish(self, item: Recorded | BrokenMessage, moved: int) -> None:
+        """Publish a message, or say why not."""
+        try:
+            if isinstance(item, BrokenMessage):
+                raise item
+            if item.kind == TRANSFORMS:
+                self._tree.add(self.bag.transforms(item.cdr))
+                return
+            message = self._message(item)
+            stamp = stamp_to_ns(message.header.stamp) or item.time
+            message.header.stamp = ns_to_stamp(stamp + moved)
+            if item.kind == CLOUD:
+                self._place(item.topic, message)
+        except (BrokenMessage, MessageError) as error:
+            self.left_out += 1
+            self.get_logger().warning(str(error), throttle_duration_sec=1.0)
+            return
+        self._publishers_of[item.topic].publish(message)
+        self.counts[item.topic] += 1
+
+    def _message(self, item: Recorded):
+        """Return a message that rclpy knows."""
+        try:
+            return deserialize_message(item.cdr, TYPES[item.kind])
+        except Exception as error:
+            raise BrokenMessage(f'{item.topic}: found a message that is no {item.kind} '
+                                f'({error}); expected one; it is left out') from error
+
+    def _place(self, topic: str, cloud: PointCloud2) -> None:
+        """Give a cloud its frame, and say where the cameras are before it comes."""
+        frame, number = cloud.header.frame_id, self._clouds.index(topic)
+        optical = frame.endswith(OPTICAL_ENDS)
+        if self._posing:
+            if self.options.poses:
+                at = self.options.poses
+                self._posed = {name: Pose.of(at[k]) for k, name in enumerate(self._clouds)}
+            else:
+                self._posed[topic] = self._looked_up(topic, frame, optical)
+            if len(self._posed) == len(self._clouds):
+                self._say_where(cloud.header)
+            if frame != self.options.fixed_frame and not (
+                    self.options.poses and SENSOR.fullmatch(frame)):
+                cloud.header.frame_id = f'camera_{number}' + optical * '_optical'
+        given = self._frames_given.get(topic, self._frames_given.get('', ''))
+        cloud.header.frame_id = given or cloud.header.frame_id
+
+    def _looked_up(self, topic: str, frame: str, optical: bool) -> Pose:
+        """Return where the camera of a cloud is by the recorded transforms."""
+        fixed = self.options.fixed_frame
+        found = None if frame == fixed else self._tree.pose(frame, fixed)
+        if found is None:
+            what = f'clouds in {fixed!r} itself' if frame == fixed else (
+                f'no transform from {frame!r} to {fixed!r}')
+            raise MessageError(f'{topic}: found {what}; expected one that says where the camera '
+                               'is; name another --fixed-frame, or add --pose for each cloud')
+        return Pose(found.position, found.rotation @ OPTICAL.T) if optical else found
+
+    def _say_where(self, header: Header) -> None:
+        """Publish where the cameras are, with the stamp of a cloud."""
+        posed = [self._posed[name] for name in self._clouds]
+        message = positions_to_msg(
+            np.array([pose.position for pose in posed]),
+            Header(stamp=header.stamp, frame_id=self.options.fixed_frame))
+        for told, pose in zip(message.poses, posed, strict=True):
+            x, y, z, w = Rotation.from_matrix(pose.rotation).as_quat()
+            told.orientation = Quaternion(x=x, y=y, z=z, w=w)
+        self._poses.publish(message)

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ``ocp replay`` publishes, and how."""
+
+from dataclasses import dataclass
+
+from geometry_msgs.msg import PoseArray
+import numpy as np
+from sensor_msgs.msg import PointCloud2
+
+from ocp_ros.ros.bags.bag_files import Bag, CLOUD, KINDS, POSES
+from ocp_ros.ros.interface import topics
+from ocp_ros.util.settings import check_known, ConfigurationError
+
+#: What is published of what is recorded.
+TYPES = {CLOUD: PointCloud2, POSES: PoseArray}
+
+
+@dataclass(frozen=True)
+class ReplayOptions:
+    """
+    What is replayed and how.
+
+    :ivar topics: names of topics, or ``name:=new``; empty for all clouds, and the poses if any.
+    :ivar rate: how many times as fast as it was recorded.
+    :ivar loop: whether to begin anew at the end, without end.
+    :ivar start: seconds of the recording to leave out.
+    :ivar duration: seconds of it to replay; all unless told otherwise.
+    :ivar frames: the frame of the clouds of a topic in place of the recorded one; that of ``''``
+        is for all others.
+    :ivar poses: (6,) each, x, y, z, yaw, pitch, roll of each camera, metres and radians.
+    :ivar fixed_frame: of the poses.
+    :ivar wait: seconds to wait for somebody who listens.
+    """
+
+    topics: tuple[str, ...] = ()
+    rate: float = 1.0
+    loop: bool = False
+    start: float = 0.0
+    duration: float | None = None
+    frames: tuple[tuple[str, str], ...] = ()
+    poses: tuple[np.ndarray, ...] = ()
+    fixed_frame: str = 'map'
+    wait: float = 10.0
+
+
+def chosen_topics(bag: Bag, wanted: tuple[str, ...]) -> dict[str, tuple[str, str]]:
+    """
+    Choose what to replay.
+
+    :param wanted: see :class:`ReplayOptions`.
+    :returns: recorded name to kind and the name to publish under, clouds in their order.
+    :raises ConfigurationError: if a topic is not there or of another kind, or there is no cloud.
+    """
+    known = {topic.name: topic for topic in bag.topics}
+    names = dict(name.split(':=', 1) if ':=' in name else (name, name) for name in wanted)
+    check_known(names, known, f'{bag.path}: topics')
+    for name in names:
+        if KINDS.get(known[name].kind) not in TYPES:
+            raise ConfigurationError(f'{bag.path}: found {known[name].kind} on {name}; expected '
+                                     f'{" or ".join(TYPES)}; leave it out')
+    if not any(KINDS.get(known[name].kind) == CLOUD for name in names or known):
+        found = ', '.join(f'{t.name} ({t.kind})' for t in known.values()) or 'no topic at all'
+        raise ConfigurationError(f'{bag.path}: found no clouds among {found}; expected {CLOUD}; '
+                                 'record a topic of clouds')
+    if not names:
+        names = {topic.name: topic.name for topic in known.values() if topic.kind == CLOUD}
+        if (poses := _poses_among(list(known.values()))) is not None:
+            names[poses] = topics.CAMERA_POSES
+    return {name: (KINDS[known[name].kind], new) for name, new in names.items()}
+
+
+def _poses_among(known: list) -> str | None:
+    """Return the topic that says where the cameras are: by its name, or the only one."""
+    arrays = [topic.name for topic in known if topic.kind == POSES]
+    named = [name for name in arrays if name.split('/')[-1] == topics.CAMERA_POSES]
+    if named:
+        return named[0]
+    return arrays[0] if len(arrays) == 1 else None

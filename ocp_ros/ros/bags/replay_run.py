@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ``ocp replay`` does with its command line."""
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+import signal
+from typing import Any
+
+import numpy as np
+import rclpy
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+from ocp_ros.ros.bags.bag_files import Bag
+from ocp_ros.ros.bags.bag_replay import Replay
+from ocp_ros.ros.bags.replay_options import chosen_topics, ReplayOptions
+from ocp_ros.ros.runtime.network import stay_local
+from ocp_ros.ros.runtime.node_main import ENDING
+from ocp_ros.util.settings import ConfigurationError
+
+
+def options_of(arguments: argparse.Namespace) -> ReplayOptions:
+    """
+    Read the options of the command line.
+
+    :raises ConfigurationError: for a pose that is none.
+    """
+    frames = [given.rpartition('=')[::2] for given in arguments.frame]
+    return ReplayOptions(
+        tuple(arguments.topics), arguments.rate, arguments.loop, arguments.start,
+        arguments.duration, tuple(frames), tuple(map(pose_of, arguments.pose)),
+        arguments.fixed_frame, arguments.wait)
+
+
+def pose_of(text: str) -> np.ndarray:
+    """
+    Read a pose, angles in degrees.
+
+    :returns: (6,) x, y, z, yaw, pitch, roll: metres and radians.
+    :raises ConfigurationError: if it is none.
+    """
+    try:
+        numbers = [float(number) for number in text.split(',')]
+    except ValueError:
+        numbers = []
+    if not 3 <= len(numbers) <= 6 or not np.isfinite(numbers).all():
+        raise ConfigurationError(f'--pose: found {text!r}; expected three to six numbers with '
+                                 'commas between; write, for example, --pose 1.0,2.0,1.9,90,20,0')
+    pose = np.zeros(6)
+    pose[:len(numbers)] = numbers
+    pose[3:] = np.deg2rad(pose[3:])
+    return pose
+
+
+def topics_of(bag: Bag) -> list[dict[str, Any]]:
+    """Return what is in a bag, topic by topic, and what would be published of it."""
+    chosen: dict[str, tuple[str, str]] = {}
+    with suppress(ConfigurationError):
+        chosen = chosen_topics(bag, ())
+    return [{'topic': topic.name, 'type': topic.kind.replace('/msg/', '/'),
+             'messages': topic.count, 'frames': list(bag.frames(topic)),
+             'published_as': chosen.get(topic.name, ('', None))[1]} for topic in bag.topics]
+
+
+@contextmanager
+def _noted_signals(executor: Executor) -> Iterator[list[int]]:
+    """
+    Note the signals that end a program, and wake who waits.
+
+    Nothing is raised: rclpy swallows what is raised in the wrong moment, and would go on for ever.
+    """
+    noted: list[int] = []
+
+    def note(number, frame):
+        noted.append(number)
+        executor.wake()
+
+    before = {number: signal.signal(number, note) for number in ENDING}
+    try:
+        yield noted
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def replay(arguments: argparse.Namespace) -> dict[str, Any]:
+    """
+    Publish the clouds of a bag, or list its topics.
+
+    :returns: what was published, or what is there, as plain data.
+    :raises ConfigurationError: if the bag or an option cannot be used.
+    """
+    options = options_of(arguments)
+    with Bag(arguments.bag) as bag:
+        if arguments.list:
+            return {'bag': bag.path.name, 'seconds': bag.seconds, 'topics': topics_of(bag)}
+        return _publish(bag, options)
+
+
+def _publish(bag: Bag, options: ReplayOptions) -> dict[str, Any]:
+    """Publish a bag to its end, and return what it was."""
+    stay_local()
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    executor, node = SingleThreadedExecutor(), None
+    try:
+        with _noted_signals(executor) as noted:
+            node = Replay(bag, options)
+            executor.add_node(node)
+            while not (node.done.done() or noted):
+                executor.spin_once()
+        if noted:
+            raise KeyboardInterrupt
+        if node.done.exception() is not None:
+            raise node.done.exception()
+        node.flush()
+        return {'left_out': node.left_out, 'published': {
+            name: {'as': node.topics[name][1], 'messages': count}
+            for name, count in node.counts.items()}}
+    finally:
+        executor.shutdown()
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()

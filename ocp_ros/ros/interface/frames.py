@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Clouds of live cameras in the frame of the poses, cut to what a camera measures well."""
+
+import re
+from typing import NamedTuple
+
+import numpy as np
+from rclpy.node import Node
+from rclpy.time import Time
+
+from ocp_ros.geometry.cameras import Pose
+from ocp_ros.ros.interface.conversions import MessageError, rotation_of, stamp_to_ns
+
+#: Frames of the cameras by their place among the poses: body (x forward, y left, z up) and
+#: optical (z forward, x right, y down), as REP-103 has them.
+SENSOR = re.compile(r'camera_([0-9]{1,4})(_optical)?')
+#: Metres from a camera within which a frame that tf2 knows is taken to be that camera's own.
+OWN = 0.3
+#: Optical to body frame.
+OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+class LiveRig(NamedTuple):
+    """
+    Where cameras stand.
+
+    :ivar frame: of the poses, usually ``map``.
+    :ivar poses: one per camera.
+    :ivar since: stamp in nanoseconds from which on they have been standing there.
+    """
+
+    frame: str
+    poses: list[Pose]
+    since: int = 0
+
+    @property
+    def positions(self) -> np.ndarray:
+        """Return where the cameras are: (K, 3) float64, metres."""
+        return np.array([pose.position for pose in self.poses])
+
+
+class Transforms:
+    """
+    What tf2 knows of frames, where it is installed: without it nothing.
+
+    :param node: listens to ``/tf`` and ``/tf_static``.
+    """
+
+    def __init__(self, node: Node) -> None:
+        try:
+            import tf2_ros
+        except ImportError:
+            self._buffer = None
+            return
+        self._error, self._buffer = tf2_ros.TransformException, tf2_ros.Buffer()
+        self._listener = tf2_ros.TransformListener(self._buffer, node)
+
+    def forget(self) -> None:
+        """Forget what is not static: its stamps are those of a clock that has been set."""
+        if self._buffer is not None:
+            self._buffer.clear()
+
+    def pose(self, frame: str, rig: LiveRig) -> Pose:
+        """
+        Look up where a frame is in that of the rig.
+
+        The newest transform is taken, not that of a cloud's stamp, which transforms reach later
+        than clouds do: cameras whose clouds count stand still.
+
+        :raises MessageError: if nobody knows, or nothing newer than the arrival of the cameras.
+        """
+        expected = (f'expected {rig.frame!r}, camera_<i> or camera_<i>_optical with i from 0 to '
+                    f'{len(rig.poses) - 1}, or one that tf2 takes to {rig.frame!r}')
+        if self._buffer is None:
+            raise MessageError(f"cloud: found the frame {frame!r}; {expected}; set the driver's "
+                               'frame, or install tf2_ros')
+        try:
+            found = self._buffer.lookup_transform(rig.frame, frame, Time())
+        except self._error as error:
+            raise MessageError(f'cloud: found the frame {frame!r} ({error}); {expected}; publish '
+                               'its transform') from error
+        stamp, move = stamp_to_ns(found.header.stamp), found.transform
+        # Static transforms have the stamp 0.
+        if 0 < stamp < rig.since:
+            raise MessageError(
+                f'cloud: found the frame {frame!r} with a transform '
+                f'{(rig.since - stamp) * 1e-9:.3f} s older than the poses; expected one since the '
+                'cameras stand; publish it as often as the poses')
+        position = np.array([move.translation.x, move.translation.y, move.translation.z])
+        if not np.isfinite(position).all():
+            raise MessageError(f'cloud: found the frame {frame!r} at {position.tolist()}; '
+                               'expected finite metres; mend its transform')
+        return Pose(position, rotation_of(move.rotation, f'transform of {frame!r}'))
+
+
+def placed(points: np.ndarray, frame: str, rig: LiveRig, transforms: Transforms
+           ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Take a cloud into the frame of the poses.
+
+    Points in the very origin of their frame are a sensor's word for "no return". A frame of tf2
+    that is at a camera is that camera's; who has seen the points of any other, nobody knows.
+
+    :param points: (N, 3) float32, metres, in ``frame``.
+    :returns: (M, 3) float32, metres, in the frame of the poses, M <= N, and (C, 3) metres, where
+        the cameras are that may have seen them.
+    :raises MessageError: if nobody knows where the frame is.
+    """
+    points = points[points.any(axis=1)]
+    if frame == rig.frame:
+        return points, rig.positions
+    found, seen_from = SENSOR.fullmatch(frame), rig.positions
+    if found is None or int(found[1]) >= len(rig.poses):
+        pose = transforms.pose(frame, rig)
+        if np.linalg.norm(rig.positions - pose.position, axis=1).min() <= OWN:
+            seen_from = pose.position[None]
+    else:
+        pose = rig.poses[int(found[1])]
+        seen_from = pose.position[None]
+        if found[2]:
+            pose = Pose(pose.position, pose.rotation @ OPTICAL)
+    # What is too far out for float32 is out of range in any case.
+    with np.errstate(over='ignore', invalid='ignore'):
+        moved = points @ pose.rotation.T.astype(np.float32) + pose.position.astype(np.float32)
+    return moved, seen_from
+
+
+def in_range(points: np.ndarray, cameras: np.ndarray, low: float, high: float) -> np.ndarray:
+    """
+    Keep the points whose nearest camera is neither too near nor too far.
+
+    :param points: (N, 3) float32, metres.
+    :param cameras: (C, 3) metres, same frame.
+    :param low: least distance, metres.
+    :param high: largest distance, metres.
+    :returns: (M, 3) float32, all finite, M <= N.
+    """
+    nearest = np.full(len(points), np.inf, dtype=np.float32)
+    with np.errstate(over='ignore', invalid='ignore'):
+        for camera in cameras.astype(np.float32):
+            away = points - camera
+            nearest = np.fmin(nearest, np.einsum('ij,ij->i', away, away))
+    keep = (nearest >= low * low) & (nearest <= high * high)
+    return points if keep.all() else points[keep]

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What one can look at: the rig, and clouds of what it sees and misses.
+
+Nothing of it is made unless somebody looks, and then after the turn: an answer never waits.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo, PointCloud2
+from std_msgs.msg import Header
+from visualization_msgs.msg import MarkerArray
+
+from ocp_ros.geometry.cameras import CameraModel, Pose
+from ocp_ros.ros.interface import topics
+from ocp_ros.ros.interface.camera_info import camera_info
+from ocp_ros.ros.interface.conversions import cloud_with
+from ocp_ros.ros.interface.markers import rig_markers
+from ocp_ros.ros.interface.on_demand import OnDemand
+from ocp_ros.simulation.point_maps import PointMaps
+
+#: Metres that a camera has to move for its way to go on.
+STEP = 0.001
+#: Places of a camera's way that are kept; of a longer one every other is left out.
+LONGEST = 2000
+
+
+class RigView:
+    """
+    Show a rig: markers, and a CameraInfo for each camera with an image plane.
+
+    :param node: publishes.
+    :param topic: of the markers.
+    :param models: what each camera sees, or one model for all.
+    :param cameras: how many have a CameraInfo.
+    """
+
+    def __init__(self, node: Node, topic: str, models: Sequence[CameraModel], cameras: int
+                 ) -> None:
+        self.models, self._header, self._poses = models, Header(), []
+        self._way: list[np.ndarray] = []
+        self._views = [OnDemand(node, MarkerArray, topic, self._markers)]
+        for camera in range(cameras):
+            model = models[camera if len(models) > 1 else 0]
+            if camera_info(model, Header()) is not None:
+                self._views.append(OnDemand(node, CameraInfo, topics.camera_info(camera),
+                                            partial(self._info, camera, model)))
+
+    def forget(self) -> None:
+        """Forget the ways of the cameras."""
+        self._way.clear()
+
+    def turn(self, header: Header, poses: list[Pose]) -> None:
+        """Show where the cameras are."""
+        self._header, self._poses = header, poses
+        now = np.array([pose.position for pose in poses])
+        if self._way and self._way[-1].shape != now.shape:
+            self._way.clear()
+        if not self._way or np.abs(now - self._way[-1]).max() > STEP:
+            self._way.append(now)
+        if len(self._way) > LONGEST:
+            self._way = self._way[::2] + self._way[-1:]
+        for view in self._views:
+            view.update()
+
+    def _markers(self) -> MarkerArray | None:
+        """Draw the rig."""
+        if not self._poses:
+            return None
+        return rig_markers(np.array(self._way), self._poses, self.models, self._header)
+
+    def _info(self, camera: int, model: CameraModel) -> CameraInfo | None:
+        """Describe a camera."""
+        if not self._poses:
+            return None
+        return camera_info(model, Header(stamp=self._header.stamp,
+                                         frame_id=f'camera_{camera}_optical'))
+
+
+class CloudView:
+    """
+    Show what the cameras see and miss as two clouds.
+
+    :param node: publishes.
+    :param coverage: topic of the points with ``count``: how many cameras see each.
+    :param error: topic of the points with ``error``, where depth is lost: metres, which add up to
+        the depth error.
+    :param judge: tells both of the latest turn; None where there is nothing to tell.
+    """
+
+    def __init__(self, node: Node, coverage: str, error: str, judge: Callable[[], PointMaps | None]
+                 ) -> None:
+        self._judge, self._maps, self._header = judge, None, Header()
+        self._views = [OnDemand(node, PointCloud2, coverage, self._coverage),
+                       OnDemand(node, PointCloud2, error, self._error)]
+        # When what called has ended, which may be somebody's answer.
+        self._soon = node.create_timer(
+            1e-3, self._update, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._soon.cancel()
+
+    def turn(self, header: Header) -> None:
+        """Show a turn soon."""
+        self._header, self._maps = header, None
+        if any(view.wanted for view in self._views):
+            self._soon.reset()
+
+    def _update(self) -> None:
+        """Publish for those who listen."""
+        self._soon.cancel()
+        for view in self._views:
+            view.update()
+
+    def _known(self) -> PointMaps | None:
+        """Judge the latest turn, once."""
+        if self._maps is None:
+            self._maps = self._judge()
+        return self._maps
+
+    def _coverage(self) -> PointCloud2 | None:
+        """Return how many cameras see each point."""
+        if (maps := self._known()) is None:
+            return None
+        return cloud_with(maps.points, 'count', maps.count.astype(np.uint32), self._header)
+
+    def _error(self) -> PointCloud2 | None:
+        """Return the points at which depth is lost."""
+        if (maps := self._known()) is None:
+            return None
+        lost = maps.error > 0.0
+        return cloud_with(maps.points[lost], 'error', maps.error[lost].astype(np.float32),
+                          self._header)

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a placement is final and why, for all to see."""
+
+from rclpy.node import Node
+from std_msgs.msg import String
+
+from ocp_ros.ros.interface import topics
+from ocp_ros.ros.interface.qos import LATCHED
+from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
+
+#: Radians: cameras that are turned by less count as standing still.
+WIDEST = 0.02
+
+
+class Convergence:
+    """
+    Tell on ``placement_status`` how near the placement is to being final, and why it is.
+
+    :param node: publishes.
+    :ivar still: turns in which no camera has moved.
+    :ivar longest: metres, the longest move of the last turn.
+    :ivar why: why the placement is final; empty while it is not.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._status = node.create_publisher(String, topics.PLACEMENT_STATUS, LATCHED)
+        self._said = ''
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin an episode."""
+        self.still, self.longest, self.why = 0, 0.0, ''
+        #: Turns played when the placement became final.
+        self._after: int | None = None
+
+    def moved(self, longest: float, widest: float, config: PolicyNodeConfig) -> None:
+        """Take note of the longest move of a turn, metres, and the widest turn, radians."""
+        self.longest = longest
+        still = longest < config.convergence_distance and widest < WIDEST
+        self.still = self.still + 1 if still else 0
+
+    def reason(self, step: int, over: bool, alone: bool, config: PolicyNodeConfig) -> str:
+        """
+        Say why the placement is final from now on; nothing while it is not.
+
+        :param step: turns played so far.
+        :param over: whether a simulation has said that its last turn is played.
+        :param alone: whether a policy plays without lookahead, which refines to the end.
+        """
+        if over:
+            return 'the simulation has played its last turn'
+        if config.explore:
+            return ''
+        if step >= config.turns:
+            return f'all {config.turns} turns are used up'
+        if alone and self.still >= config.convergence_turns:
+            return (f'no camera has moved {config.convergence_distance:g} m or more for '
+                    f'{self.still} turns')
+        return ''
+
+    def say(self, step: int, config: PolicyNodeConfig) -> str:
+        """Publish how it stands, if that is news, and return it."""
+        if self.why:
+            self._after = step if self._after is None else self._after
+            text = f'final after {self._after} turns: {self.why}'
+        else:
+            text = (f'not final: turn {step} of {config.turns}, longest move {self.longest:.3f} '
+                    f'm, standing still for {self.still} turns')
+        if text != self._said:
+            self._said = text
+            self._status.publish(String(data=text))
+        return text
+
+    def values(self) -> dict[str, object]:
+        """Return what diagnostics show."""
+        return {'final': self.why or '-', 'longest_move': f'{self.longest:.3f}',
+                'standing_still': self.still}

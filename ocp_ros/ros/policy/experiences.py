@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a policy tells those who learn from it, and how it waits for them."""
+
+from collections.abc import Callable
+import time
+
+import numpy as np
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from std_msgs.msg import Float64MultiArray, UInt8MultiArray
+
+from ocp_ros.agent.policy import Policy
+from ocp_ros.ros.interface import topics
+from ocp_ros.ros.interface.conversions import bytes_to_msg, MessageError, msg_to_fields
+from ocp_ros.ros.interface.qos import LATCHED, LOOP
+from ocp_ros.training.experience import Choice, Experience, to_bytes
+
+#: Seconds after which a trainer that asked to wait and says nothing more is not waited for.
+PATIENCE = 5.0
+
+
+class RecordedPolicy(Policy):
+    """A policy that remembers what it read and chose since somebody asked last."""
+
+    def __init__(self, *args) -> None:
+        super().__init__(*args)
+        self._choices: list[Choice] = []
+
+    def choose(self, encoded: dict[str, np.ndarray], rng: np.random.Generator | None = None
+               ) -> np.ndarray:
+        """Choose the next moves; see :meth:`~ocp_ros.agent.policy.Policy.choose`."""
+        moves = super().choose(encoded, rng)
+        self._choices.append(Choice(encoded, moves))
+        return moves
+
+    def take(self) -> list[Choice]:
+        """Return the choices since the last call, in their order."""
+        choices, self._choices = self._choices, []
+        return choices
+
+
+class Experiences:
+    """
+    Publish what a policy read and chose, and hold it while a trainer is behind.
+
+    :param node: gets the publisher and the subscription.
+    :param policy: tells the policy that runs.
+    :param go_on: is called when the trainer has caught up.
+    """
+
+    def __init__(self, node: Node, policy: Callable[[], RecordedPolicy],
+                 go_on: Callable[[], None]) -> None:
+        self._policy, self._go_on = policy, go_on
+        self._held_at: float | None = None
+        self._publisher = node.create_publisher(UInt8MultiArray, topics.EXPERIENCE, LOOP)
+        node.create_subscription(Float64MultiArray, topics.TRAINING, self._on_training, LATCHED)
+        node.create_timer(0.5, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    @property
+    def held(self) -> bool:
+        """Return whether the next turn has to wait for the trainer."""
+        return self._held_at is not None and time.monotonic() - self._held_at < PATIENCE
+
+    def _on_training(self, message: Float64MultiArray) -> None:
+        """Learn whether the trainer can take more; what cannot be read holds nobody."""
+        try:
+            hold = bool(msg_to_fields(message, ('hold',))['hold'])
+        except MessageError:
+            return
+        before, self._held_at = self._held_at, time.monotonic() if hold else None
+        if before is not None and not hold:
+            self._go_on()
+
+    def _look(self) -> None:
+        """Go on without a trainer that has fallen silent."""
+        if self._held_at is not None and not self.held:
+            self._held_at = None
+            self._go_on()
+
+    def tell(self, stamp: int, turn: int, targets: np.ndarray) -> None:
+        """
+        Publish what was chosen since the last call, if it was for all cameras.
+
+        :param stamp: of the turn, nanoseconds.
+        :param turn: turns of the episode before it.
+        :param targets: (K, 3) metres: where the cameras were sent.
+        """
+        choices = self._policy().take()
+        whole = sum(len(choice.actions) for choice in choices) == len(targets)
+        if whole and all(np.isfinite(choice.actions).all() for choice in choices):
+            self._publisher.publish(bytes_to_msg(
+                to_bytes(Experience(stamp, turn, targets, choices))))

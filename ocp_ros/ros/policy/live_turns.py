@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Turns of real cameras: clouds come when they come, and a rig or a person carries out commands.
+
+Messages wait unread, the newest of each topic; each turn reads one of each. So the executor is
+busy for one cloud or for one answer at a time, however fast the cameras are.
+"""
+
+from collections.abc import Callable
+from functools import partial
+import math
+
+from geometry_msgs.msg import PoseArray
+import numpy as np
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header, String
+from visualization_msgs.msg import MarkerArray
+
+from ocp_ros.agent.cloud_fusion import FusedCloud
+from ocp_ros.geometry.cameras import heading_of
+from ocp_ros.rig.motion import way_between
+from ocp_ros.ros.interface import topics
+from ocp_ros.ros.interface.conversions import (
+    cloud_to_msg,
+    MessageError,
+    msg_to_cloud,
+    msg_to_poses,
+    msg_to_positions,
+    ns_to_stamp,
+    rotation_of,
+    stamp_to_ns,
+)
+from ocp_ros.ros.interface.frames import in_range, LiveRig, placed, Transforms
+from ocp_ros.ros.interface.markers import move_markers
+from ocp_ros.ros.interface.qos import LATCHED, LOOP, SENSOR
+from ocp_ros.ros.policy.instructions import FINAL, instructions, moving
+from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
+from ocp_ros.ros.policy.turns import Turns
+from ocp_ros.util.settings import ConfigurationError
+
+#: Seconds between two looks at the clock, where no message comes, and between two times that a
+#: command is sent while the cameras have not arrived: it may have been lost.
+TICK, AGAIN = 0.1, 1.0
+
+
+class LiveTurns:
+    """
+    Fuse what cameras see while they stand, and ask where they shall go.
+
+    :param node: gets the subscriptions, and tells its log what goes wrong.
+    :param config: of the node.
+    :param commands: where commands go.
+    :param answer: is asked once per turn: the fused cloud (N, 3) float32, metres, and where the
+        cameras are give the command.
+    :param final: tells whether the cameras stay where they are: then clouds are no longer read.
+    :param refuse: takes note of a message that cannot be used.
+    :param waits: tells whether nothing may be commanded now.
+    :raises ConfigurationError: if there can be no such topic.
+    """
+
+    def __init__(self, node: Node, config: PolicyNodeConfig, commands: Publisher,
+                 answer: Callable[[np.ndarray, PoseArray], PoseArray], final: Callable[[], bool],
+                 refuse: Callable[[ValueError], None], waits: Callable[[], bool]) -> None:
+        self._waits = waits
+        self._node, self._config, self._commands = node, config, commands
+        self._answer, self._final, self._refuse = answer, final, refuse
+        self._fused = FusedCloud(config.voxel_size, config.most_points)
+        self._turns: Turns[PointCloud2] = Turns(config.clouds, *self._patience()[:3])
+        self._turns.change(*self._patience())
+        self._transforms, self._jumps = Transforms(node), 0
+        #: The newest poses, as they came and as what they mean.
+        self._poses: PoseArray | None = None
+        self._rig: LiveRig | None = None
+        #: How many cameras there are and the frame of their poses, once a turn was answered.
+        self._known: tuple[int, str] | None = None
+        self._command: PoseArray | None = None
+        #: Where it sends the cameras, (K, 3) metres, and the rotations of those that it turns.
+        self._sent: tuple[np.ndarray, dict[int, np.ndarray]] = np.empty((0, 3)), {}
+        self._instruction = ''
+        self._observation = node.create_publisher(PointCloud2, topics.OBSERVATION, LOOP)
+        if config.manual:
+            self._instructions = node.create_publisher(String, topics.INSTRUCTIONS, LATCHED)
+            self._markers = node.create_publisher(MarkerArray, topics.MARKERS, LATCHED)
+        node.create_subscription(PoseArray, topics.CAMERA_POSES, self._on_poses, LOOP)
+        for topic, name in self._names(config.clouds).items():
+            node.create_subscription(PointCloud2, name, partial(self._on_cloud, topic), SENSOR)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(TICK, self._act, clock=steady)
+        self._again = node.create_timer(AGAIN, self._command_again, clock=steady)
+
+    def _patience(self) -> tuple[float, float, float, float, float]:
+        """Return what turns wait for: distance, how long for what, and angle."""
+        config = self._config
+        return (config.arrival_distance,
+                math.inf if config.manual else config.arrival_timeout, config.cloud_timeout,
+                # Cameras that shall stay need not be told so as often as clouds come.
+                max(config.turn_seconds, AGAIN if self._final() else 0.0), config.arrival_angle)
+
+    def change(self, config: PolicyNodeConfig) -> None:
+        """Go on with other parameters."""
+        self._config = config
+        self._turns.change(*self._patience())
+
+    def _names(self, clouds: list[str]) -> dict[str, str]:
+        """Return the full names of the topics of clouds."""
+        try:
+            names = {topic: self._node.resolve_topic_name(topic) for topic in clouds}
+        except rclpy_implementation.RCLError as error:
+            raise ConfigurationError(f'cloud_topics: found {clouds}; expected names of topics '
+                                     f'with commas between; {" ".join(str(error).split())}'
+                                     ) from error
+        own = self._node.resolve_topic_name(topics.OBSERVATION)
+        if len(set(names.values())) < len(clouds) or own in names.values():
+            raise ConfigurationError(
+                f'cloud_topics: found {clouds}; expected each once, and not {own}, which is '
+                'where the fused cloud goes')
+        return names
+
+    def _on_cloud(self, topic: str, message: PointCloud2) -> None:
+        """Keep a cloud; act if it was the last one that was waited for."""
+        self._turns.on_cloud(topic, stamp_to_ns(message.header.stamp), message)
+        self._act()
+
+    def _on_poses(self, message: PoseArray) -> None:
+        """Take note of where the cameras are; act if that is where they were sent."""
+        try:
+            rig = LiveRig(message.header.frame_id, msg_to_poses(message))
+            self._check_known(rig)
+            if not stamp_to_ns(message.header.stamp):
+                raise MessageError('poses: found the stamp 0; expected when the cameras were '
+                                   'there, by the clock of the clouds')
+        except MessageError as error:
+            self._refuse(error)
+            return
+        if self._turns.on_poses(stamp_to_ns(message.header.stamp), rig.positions,
+                                [pose.rotation for pose in rig.poses]):
+            self._poses, self._rig = message, rig
+        self._act()
+
+    def _check_known(self, rig: LiveRig) -> None:
+        """Refuse poses of another rig than that which has been commanded."""
+        found = len(rig.poses), rig.frame
+        if self._known not in (None, found):
+            raise MessageError(
+                f'poses: found {found[0]} cameras in the frame {found[1]!r}; expected '
+                f'{self._known[0]} in {self._known[1]!r}, as before; for another rig start '
+                f'{self._node.get_name()} again')
+
+    def _act(self) -> None:
+        """Read the clouds that this turn can use, and play it once they are all here."""
+        if self._jumps != self._turns.jumps:
+            # Transforms have stamps of a clock that has been set.
+            self._jumps = self._turns.jumps
+            self._transforms.forget()
+        while (taken := self._turns.take()) is not None:
+            topic, message = taken
+            try:
+                self._fuse(message)
+            except ValueError as error:
+                self._turns.refuse(topic)
+                self._refuse(error)
+        if self._turns.due() and not self._waits():
+            self._play()
+
+    def _fuse(self, message: PointCloud2) -> None:
+        """Add what a camera sees to the fused cloud."""
+        if self._final():
+            return
+        rig = self._rig._replace(since=self._turns.since)
+        points, cameras = placed(msg_to_cloud(message), message.header.frame_id, rig,
+                                 self._transforms)
+        self._fused.add(in_range(points, cameras, self._config.min_range, self._config.max_range))
+
+    def _play(self) -> None:
+        """Ask where the cameras shall go, and wait for them."""
+        self._complain()
+        header = Header(stamp=ns_to_stamp(self._turns.stamp), frame_id=self._rig.frame)
+        poses = PoseArray(header=header, poses=self._poses.poses)
+        before = self._final()
+        try:
+            self._command = self._answer(self._fused.points, poses)
+        except MessageError as error:
+            # What was fused belongs together no longer, or there is nothing of it.
+            self._fused.clear()
+            self._turns.again()
+            self._refuse(error)
+            return
+        if not before:
+            self._observation.publish(cloud_to_msg(self._fused.points, header))
+        self._commands.publish(self._command)
+        self._again.reset()
+        targets = msg_to_positions(self._command)
+        self._known = len(targets), header.frame_id
+        turned = self._turned(poses)
+        if self._config.manual:
+            self._instruct(self._turns.positions, targets, turned, header)
+        self._turns.sent(targets, turned)
+        self._sent = targets, turned
+        if self._final():
+            self._turns.change(*self._patience())
+
+    def _turned(self, poses: PoseArray) -> dict[int, np.ndarray]:
+        """Return the rotations, (3, 3), of the cameras that the command turns."""
+        return {camera: rotation_of(goal.orientation, f'command: camera {camera}')
+                for camera, (goal, now) in enumerate(zip(self._command.poses, poses.poses))
+                if goal.orientation != now.orientation}
+
+    def _command_again(self) -> None:
+        """Send the command again to cameras that have not arrived; tell a person what is left."""
+        if self._waits():
+            # What was seen is old when others stop commanding: see it again.
+            self._turns.again()
+        elif self._command is not None and not self._turns.standing:
+            self._commands.publish(self._command)
+            if self._config.manual and self._turns.positions is not None:
+                self._instruct(self._turns.positions, *self._sent, self._poses.header)
+
+    def _instruct(self, positions: np.ndarray, targets: np.ndarray,
+                  turned: dict[int, np.ndarray], header: Header) -> None:
+        """Tell a person which cameras to move where, (K, 3) metres each, and to turn how."""
+        least = self._config.arrival_distance
+        turns = np.zeros((len(targets), 2))
+        for camera, rotation in turned.items():
+            turns[camera] = way_between(heading_of(self._rig.poses[camera].rotation),
+                                        heading_of(rotation))
+        text = FINAL if self._final() else instructions(
+            positions, targets, least, turns, self._config.arrival_angle)
+        if text != self._instruction:
+            self._instruction = text
+            self._instructions.publish(String(data=text))
+            self._markers.publish(
+                move_markers(positions, targets, moving(positions, targets, least), header))
+            self._node.get_logger().info(text)
+
+    def _complain(self) -> None:
+        """Say in the log what this turn does without."""
+        log = self._node.get_logger()
+        if self._turns.silent():
+            log.warning(f'{self._silence()}; expected a cloud since the cameras stand; going on '
+                        'without', throttle_duration_sec=1.0)
+        if self._turns.overdue:
+            log.warning('cameras: found them on their way after '
+                        f'{self._config.arrival_timeout:.1f} s; expected them within '
+                        f'{self._config.arrival_distance} m of where they were sent; going on '
+                        'from where they are', throttle_duration_sec=1.0)
+
+    def _silence(self) -> str:
+        """Say which topics are silent, and what is known of them."""
+        return 'no clouds: ' + ', '.join(
+            f'{topic} ({why})' for topic, why in self._turns.silent().items())
+
+    def status(self) -> tuple[str, dict[str, object]]:
+        """Return what is wrong, if anything, and values to show."""
+        silent, wrong = self._turns.silent(), ''
+        if self._turns.lost and not (
+                self._config.manual and self._command is not None):
+            wrong = f'nothing on {topics.CAMERA_POSES}'
+        elif self._turns.backward():
+            wrong = (f'stamps of {self._turns.backward()} go back: found two clocks, or one that '
+                     'was set')
+        elif silent:
+            wrong = self._silence()
+        elif self._turns.overdue:
+            wrong = 'the cameras do not arrive'
+        return wrong, {
+            'silent_topics': ','.join(silent), 'late_turns': self._turns.late,
+            'clock_jumps': self._turns.jumps, 'fused_points': len(self._fused),
+            'voxel_size': self._fused.edge}

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which planner ``policy_node`` asks, by its parameters."""
+
+import numpy as np
+
+from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.agent.encoder import Encoder
+from ocp_ros.agent.policy import Policy
+from ocp_ros.planners.lookahead import Lookahead
+from ocp_ros.planners.online_planner import Learned, Online, ThenLookahead
+from ocp_ros.rig.motion import bounded_moves
+from ocp_ros.ros.policy.experiences import RecordedPolicy
+from ocp_ros.ros.policy.policy_config import LEARNED, PolicyNodeConfig
+
+#: Parameters that a planner is made with and that may change.
+PLANNED_WITH = ('max_step', 'max_range', 'wall_margin')
+
+
+class Exploring(Learned):
+    """Moves drawn from the distribution of a trained policy."""
+
+    def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
+        """Choose the next moves; see :meth:`~ocp_ros.planners.online_planner.Online.move`."""
+        actions = self.policy.act(cloud, positions, turn, turns, self.rng)
+        return bounded_moves(actions, self.max_step)
+
+
+def make_planner(config: PolicyNodeConfig, checkpoint: Checkpoint | None
+                 ) -> tuple[Online, Learned | None]:
+    """
+    Build what chooses the moves.
+
+    :param config: which planner, and what it is told of the rig.
+    :param checkpoint: weights of the policy; None where none is asked.
+    :returns: the planner, and its part that runs the policy.
+    """
+    rng = np.random.default_rng(config.seed)
+    rig = config.max_range, config.max_step, config.wall_margin
+    settings = rng, config.max_step, config.max_range, config.wall_margin
+    if checkpoint is None:
+        return Lookahead(*settings), None
+    encoder = Encoder(checkpoint.config, *rig)
+    if config.explore:
+        exploring = Exploring(RecordedPolicy(checkpoint, encoder), *settings)
+        return exploring, exploring
+    learned = Learned(Policy(checkpoint, encoder), *settings)
+    if config.planner == LEARNED:
+        return learned, learned
+    return ThenLookahead(learned, Lookahead(*settings)), learned
+
+
+def planned_alike(one: PolicyNodeConfig, other: PolicyNodeConfig) -> bool:
+    """Tell whether a planner that was made with one does for the other."""
+    return all(getattr(one, name) == getattr(other, name) for name in PLANNED_WITH)

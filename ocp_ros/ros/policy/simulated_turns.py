@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Turns of a simulation: an observation and poses of one stamp make a turn, whichever is first."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from geometry_msgs.msg import PoseArray
+import numpy as np
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Float64MultiArray
+
+from ocp_ros.ros.interface import topics
+from ocp_ros.ros.interface.conversions import (
+    MessageError,
+    msg_to_cloud,
+    msg_to_fields,
+    ns_of,
+    stamp_to_ns,
+)
+from ocp_ros.ros.interface.qos import LOOP
+
+#: Poses that are remembered: those of a turn and its observation need not be heard side by side,
+#: where others publish as well and this node is slow.
+REMEMBERED = 16
+#: Seconds that a turn waits for its reward at most, where the turn before had one: messages of
+#: several topics overtake each other, and only the reward says that an episode begins.
+PATIENCE = 0.25
+
+
+class TurnInfo(NamedTuple):
+    """
+    What a simulation says of a turn.
+
+    :ivar episode: its number.
+    :ivar step: turns of the episode before it.
+    :ivar over: whether it is the last one.
+    :ivar answered: the poses of the turn, if it has been answered already; else None.
+    """
+
+    episode: int
+    step: int
+    over: bool
+    answered: PoseArray | None
+
+
+class SimulatedTurns:
+    """
+    Put the messages of a turn together, and answer it.
+
+    :param node: gets the subscriptions.
+    :param commands: where answers go.
+    :param answer: is asked once per turn: the points (N, 3) float32, metres, seen so far, and
+        where the cameras are give the command.
+    :param told: is told once per turn which one it is.
+    :param refuse: takes note of a message that cannot be used.
+    :param waits: tells whether nothing may be commanded now.
+    """
+
+    def __init__(self, node: Node, commands: Publisher,
+                 answer: Callable[[np.ndarray, PoseArray], PoseArray],
+                 told: Callable[[TurnInfo], None], refuse: Callable[[ValueError], None],
+                 waits: Callable[[], bool]) -> None:
+        self._commands, self._answer_turn, self._tell = commands, answer, told
+        self._refuse, self._waits = refuse, waits
+        self.cloud: PointCloud2 | None = None
+        #: The latest poses by their stamps in nanoseconds, none older than the turn answered last.
+        self.poses: dict[int, PoseArray] = {}
+        self.answer: PoseArray | None = None
+        #: Stamp of the latest reward, nanoseconds.
+        self.told: int | None = None
+        #: Whether the reward of the turn at hand may still come.
+        self._patient = True
+        self._late = node.create_timer(PATIENCE, self._give_up,
+                                       clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._late.cancel()
+        # First, so that a new episode is known before its first turn is answered.
+        node.create_subscription(Float64MultiArray, topics.REWARD, self.on_reward, LOOP)
+        node.create_subscription(PoseArray, topics.CAMERA_POSES, self.on_poses, LOOP)
+        node.create_subscription(PointCloud2, topics.OBSERVATION, self.on_cloud, LOOP)
+
+    def on_reward(self, message: Float64MultiArray) -> None:
+        """Learn which turn it is; real cameras have no such topic."""
+        try:
+            fields = msg_to_fields(
+                message, ('stamp_sec', 'stamp_nanosec', 'episode', 'step', 'truncated'))
+        except MessageError as error:
+            self._refuse(error)
+            return
+        stamp = ns_of(fields, 'stamp')
+        if stamp == self.told:
+            # The turn was sent again: an episode that began with it goes on.
+            return
+        self.told = stamp
+        answered = self.answer is not None and stamp_to_ns(self.answer.header.stamp) == stamp
+        self._tell(TurnInfo(int(fields['episode']), int(fields['step']), bool(fields['truncated']),
+                            self.poses[stamp] if answered else None))
+        if not answered and self.cloud is not None \
+                and stamp_to_ns(self.cloud.header.stamp) == stamp:
+            self.act()
+
+    def on_cloud(self, message: PointCloud2) -> None:
+        """Keep the observation; act when its poses are here."""
+        self.cloud = message
+        self.act()
+
+    def on_poses(self, message: PoseArray) -> None:
+        """Keep the poses; act when their observation is here."""
+        stamp = stamp_to_ns(message.header.stamp)
+        self.poses[stamp] = message
+        if len(self.poses) > REMEMBERED:
+            answered = None if self.answer is None else stamp_to_ns(self.answer.header.stamp)
+            del self.poses[next(one for one in self.poses if one != answered)]
+        self.act()
+
+    def act(self) -> None:
+        """Answer a turn once both its messages are here; the same turn gets the same answer."""
+        cloud = self.cloud
+        stamp = None if cloud is None else stamp_to_ns(cloud.header.stamp)
+        if stamp not in self.poses or self._waits():
+            return
+        poses = self.poses[stamp]
+        if self.answer is None or self.answer.header.stamp != poses.header.stamp:
+            if self._untold(stamp):
+                return
+            try:
+                if cloud.header.frame_id != poses.header.frame_id:
+                    raise MessageError(f'cloud: found the frame {cloud.header.frame_id!r}; '
+                                       f'expected that of the poses, {poses.header.frame_id!r}')
+                self.answer = self._answer_turn(msg_to_cloud(cloud), poses)
+                while next(iter(self.poses)) != stamp:
+                    del self.poses[next(iter(self.poses))]
+            except MessageError as error:
+                self._refuse(error)
+                return
+        self._commands.publish(self.answer)
+
+    def _untold(self, stamp: int) -> bool:
+        """Tell whether the reward of a turn may still come, as that of the turn before did."""
+        before = None if self.answer is None else stamp_to_ns(self.answer.header.stamp)
+        if self.told in (None, stamp) or self.told != before or not self._patient:
+            self._late.cancel()
+            self._patient = True
+            return False
+        if self._late.is_canceled():
+            self._late.reset()
+        return True
+
+    def _give_up(self) -> None:
+        """Answer a turn without its reward."""
+        self._late.cancel()
+        self._patient = False
+        self.act()

@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+``policy_node``: answers each observation with where the cameras shall go.
+
+The turns are those of a simulation, or of live cameras: see
+:mod:`ocp_ros.ros.policy.simulated_turns` and :mod:`ocp_ros.ros.policy.live_turns`. It starts
+without open3d, stable-baselines3 or matplotlib. Whatever it needs to know about an episode comes
+with each turn, and what it remembers of the turns before only makes its answers better, so it can
+be killed and restarted at any time.
+"""
+
+import sys
+
+from geometry_msgs.msg import PoseArray
+import numpy as np
+from rclpy.node import Node
+from std_msgs.msg import UInt8MultiArray
+import torch
+
+from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
+from ocp_ros.agent.policy import Policy
+from ocp_ros.planners.online_planner import Online
+from ocp_ros.rig.placement_file import save_placement
+from ocp_ros.ros.interface import topics
+from ocp_ros.ros.interface.conversions import (
+    MessageError,
+    msg_to_bytes,
+    msg_to_positions,
+    stamp_to_ns,
+)
+from ocp_ros.ros.interface.qos import LATCHED, LOOP
+from ocp_ros.ros.policy.arbitration import Arbitration
+from ocp_ros.ros.policy.convergence import Convergence
+from ocp_ros.ros.policy.decider import Decider
+from ocp_ros.ros.policy.experiences import Experiences
+from ocp_ros.ros.policy.live_turns import LiveTurns
+from ocp_ros.ros.policy.placement_record import placement_from
+from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
+from ocp_ros.ros.policy.policy_views import PolicyViews
+from ocp_ros.ros.policy.simulated_turns import SimulatedTurns, TurnInfo
+from ocp_ros.ros.runtime import diagnostics
+from ocp_ros.ros.runtime.node_main import run
+from ocp_ros.ros.runtime.parameters import declare, follow
+from ocp_ros.util.resources import find_model
+from ocp_ros.util.threads import set_threads
+
+
+class PolicyNode(Node):
+    """
+    Answer turns with a planner.
+
+    The placement is final when the turns are used up. A policy that plays alone can be done
+    earlier, when its cameras stand still; where lookahead plays the last turns, they are all
+    played, since it refines what the policy has settled on, and cameras that stand still for some
+    turns of its search may yet move.
+    """
+
+    def __init__(self, **kwargs) -> None:
+        super().__init__('policy_node', **kwargs)
+        self.config = declare(self, PolicyNodeConfig)
+        set_threads(self.config.threads)
+        path = None if self.config.weightless else find_model(self.config.model)
+        self._decider = Decider(
+            self.config, None if path is None else Checkpoint.load(path), self.get_logger())
+        self._counts = {'turns_answered': 0, 'refused_messages': 0, 'weights_swapped': 0,
+                        'weights_refused': 0}
+        self._finality = Convergence(self)
+        self._start_episode(episode=0)
+        self._commands = self.create_publisher(PoseArray, topics.CAMERA_COMMANDS, LOOP)
+        self._placement = self.create_publisher(PoseArray, topics.PLACEMENT, LATCHED)
+        self._turns: SimulatedTurns | None = None
+        self._live: LiveTurns | None = None
+        self._experiences = Experiences(self, lambda: self.policy, self._go_on) \
+            if self.config.explore else None
+        if self.config.clouds:
+            self._live = LiveTurns(
+                self, self.config, self._commands, self._play, lambda: self._settled,
+                self._refuse, self._waits)
+        else:
+            self._turns = SimulatedTurns(
+                self, self._commands, self._play, self._tell, self._refuse, self._waits)
+        if self.policy is not None:
+            self.create_subscription(
+                UInt8MultiArray, topics.POLICY_WEIGHTS, self._on_weights, LATCHED)
+        self._views = PolicyViews(self, self._decider.models, self._live is not None,
+                                  self._decider.sight if self._decider.guard else None)
+        follow(self, self._change)
+        self._health = diagnostics.Health(self, self._status)
+        # Last: from now on it speaks, and nothing that follows can fail.
+        self._commander = Arbitration(self)
+        weights = 'no weights' if path is None else \
+            f'weights of {path.name}: {self.policy.checkpoint.updates} updates'
+        planner = 'exploring' if self.config.explore else self.config.planner
+        cameras = f'live: {", ".join(self.config.clouds)}' if self._live else 'simulation'
+        self.get_logger().info(f'{planner}, {weights}, {cameras}')
+
+    @property
+    def planner(self) -> Online:
+        """Return what chooses the moves."""
+        return self._decider.planner
+
+    @property
+    def policy(self) -> Policy | None:
+        """Return the policy that runs, if any."""
+        return None if self._decider.learned is None else self._decider.learned.policy
+
+    @property
+    def _settled(self) -> bool:
+        """Return whether the placement is final."""
+        return bool(self._finality.why)
+
+    def _start_episode(self, episode: int) -> None:
+        """Forget the turns of the last episode."""
+        self._decider.reset()
+        self._episode, self._step, self._over = episode, 0, False
+        self._finality.begin()
+        self._finality.say(self._step, self.config)
+
+    def _change(self, config: PolicyNodeConfig) -> None:
+        """Go on with other parameters."""
+        self.config = config
+        self._decider.change(config)
+        self._views.change(self._decider.models)
+        if self._live is not None:
+            self._live.change(config)
+
+    def _tell(self, told: TurnInfo) -> None:
+        """Learn from a simulation which turn it is."""
+        # Step 0 is a new episode in any case: a restarted simulation counts from 1 again.
+        if told.episode != self._episode or told.step == 0:
+            self._start_episode(told.episode)
+        self._step, self._over = told.step, told.over
+        if told.answered is not None:
+            if self._over:
+                self._settle(told.answered)
+            self._step += 1
+
+    def _waits(self) -> bool:
+        """Tell whether others command, or have to catch up, before this turn is answered."""
+        if self._commander.first:
+            self.get_logger().error(self._commander.wrong(), throttle_duration_sec=5.0)
+        return bool(self._commander.first or self._commander.settling or (
+            self._experiences and self._experiences.held))
+
+    def _go_on(self) -> None:
+        """Answer the turn that has waited, if there is one."""
+        if self._turns is not None:
+            self._turns.act()
+
+    def _play(self, cloud: np.ndarray, poses: PoseArray) -> PoseArray:
+        """Answer a turn: the points (N, 3) seen so far, and where the cameras are."""
+        positions = msg_to_positions(poses)
+        self._decider.check(cloud, poses)
+        if self._why():
+            self._settle(poses)
+            if self._experiences:
+                # What would be chosen now belongs to the choice before: see what it led to.
+                self._decider.moves(cloud, positions, self._step)
+        answer = self._decider.decide(cloud, poses, self._step, self._settled)
+        target = msg_to_positions(answer)
+        self._finality.moved(np.linalg.norm(target - positions, axis=1).max(),
+                             self._decider.widest, self.config)
+        if self._experiences:
+            self._experiences.tell(stamp_to_ns(poses.header.stamp), self._step, target)
+        self._counts['turns_answered'] += 1
+        self._step += 1
+        self._views.turn(cloud, poses)
+        self._finality.say(self._step, self.config)
+        return answer
+
+    def stop(self) -> None:
+        """Stop commanding, before anything of ROS is taken down."""
+        self._commander.close()
+
+    def destroy_node(self) -> None:
+        """Stop commanding before the node goes."""
+        self.stop()
+        super().destroy_node()
+
+    def _why(self) -> str:
+        """Say why the cameras shall stay where they are; nothing while they shall not."""
+        return self._finality.reason(self._step, self._over, self._decider.alone, self.config)
+
+    def _settle(self, poses: PoseArray) -> None:
+        """Publish the placement, once per episode, and say why it is final."""
+        if not self._settled:
+            self._finality.why = self._why()
+            self._placement.publish(poses)
+            self.get_logger().info(
+                f'placement is {self._finality.say(self._step, self.config)}')
+            if self.config.placement_file:
+                self._keep(self.config.placement_file, poses)
+
+    def _keep(self, path: str, poses: PoseArray) -> None:
+        """Write the placement to a file; where that fails it is on its topic alone."""
+        try:
+            save_placement(path, placement_from(poses, self._decider.guard,
+                                                self._decider.models[0], self._finality.why))
+        except OSError as error:
+            self.get_logger().error(f'placement_file: found {path}, which cannot be written '
+                                    f'({error.strerror}); expected a file in a folder that can')
+        else:
+            self.get_logger().info(f'wrote {path}')
+
+    def _on_weights(self, message: UInt8MultiArray) -> None:
+        """Check new weights and swap them in whole, or keep those that run."""
+        running = self.policy.checkpoint
+        try:
+            checkpoint = Checkpoint.from_bytes(msg_to_bytes(message), topics.POLICY_WEIGHTS)
+            checkpoint.check_replaces(running)
+        except CheckpointError as error:
+            self._counts['weights_refused'] += 1
+            self.get_logger().warning(f'weights refused: {error}')
+            return
+        # What the encoder remembers is the episode's, not the weights'.
+        self._decider.learned.policy = type(self.policy)(checkpoint, self.policy.encoder)
+        self._counts['weights_swapped'] += 1
+        self.get_logger().info(
+            f'weights swapped: {running.updates} -> {checkpoint.updates} updates')
+
+    def _refuse(self, error: MessageError) -> None:
+        """Count a message that cannot be used and say why."""
+        self._counts['refused_messages'] += 1
+        self.get_logger().warning(f'message refused: {error}', throttle_duration_sec=1.0)
+
+    def _status(self) -> diagnostics.Status:
+        """Say what the planner is doing."""
+        message = 'placement is final' if self._settled else 'answering turns'
+        wrong, live = ('', {}) if self._live is None else self._live.status()
+        guard = self._decider.guard
+        if guard is not None and guard.held:
+            wrong = wrong or '; '.join(guard.held)
+        wrong = self._commander.wrong() or wrong
+        run, updates = '-', 0
+        if self.policy is not None:
+            run, updates = self.policy.checkpoint.run or '-', self.policy.checkpoint.updates
+        return diagnostics.WARN if wrong else diagnostics.OK, wrong or message, {
+            'planner': self.config.planner, 'weights_run': run, 'weights_updates': updates,
+            'step': self._step, **self._finality.values(), **self._counts, **live}
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    # The network is small: more threads would only take cores from the rest of the robot.
+    torch.set_num_threads(1)
+    return run(PolicyNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

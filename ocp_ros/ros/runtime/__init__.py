@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every node needs at run time: main loop, parameters, diagnostics, network."""

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far nodes are heard: no farther than this machine, unless somebody asks for more."""
+
+import os
+
+from ocp_ros.util.resources import find_config
+
+#: What keeps nodes to this machine.
+LOCALHOST = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+#: Where somebody may have said how far ROS shall look.
+ASKED = ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY', 'ROS_DISCOVERY_SERVER',
+         'FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE', 'CYCLONEDDS_URI')
+
+
+def local_udp() -> dict[str, str]:
+    """
+    Return what keeps nodes to this machine and lets one be killed without harm to the others.
+
+    Messages go by UDP: of Fast DDS's shared memory a killed node keeps what it was reading, until
+    those who live have none left to send clouds in.
+    """
+    return {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SYSTEM_DEFAULT',
+            'FASTRTPS_DEFAULT_PROFILES_FILE': str(find_config('fastdds_local.xml'))}
+
+
+def stay_local() -> bool:
+    """
+    Keep this process to its machine where nobody has said how far ROS shall look.
+
+    Nodes on this machine are heard whatever they look for. Call it before ``rclpy.init``.
+
+    :returns: whether nobody had.
+    """
+    if any(os.environ.get(name) for name in ASKED):
+        return False
+    os.environ.update(LOCALHOST)
+    return True

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ROS parameters from configuration dataclasses, which own the defaults."""
+
+from collections.abc import Callable
+from dataclasses import Field
+from functools import partial
+from typing import Any, TypeVar
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from ocp_ros.util.settings import check_known, ConfigurationError, from_flat, leaves
+
+T = TypeVar('T')
+
+
+def declare(node: Node, cls: type[T]) -> T:
+    """
+    Declare every setting of a dataclass as a parameter and read what was given.
+
+    From then on changes are refused that a running node cannot follow; see :func:`follow`.
+
+    :param node: the node that gets the parameters.
+    :param cls: configuration dataclass; groups become dotted names.
+    :returns: the configuration in effect.
+    :raises ConfigurationError: for a parameter that does not exist.
+    """
+    settings = leaves(cls)
+    values = {name: node.declare_parameter(name, item.default, _descriptor(item)).value
+              for name, item in settings.items()}
+    # Overrides that nobody declares would be dropped without a word.
+    unknown = [name for name in node._parameter_overrides
+               if not node.has_parameter(name) and not name.startswith('qos_overrides.')]
+    check_known(unknown, settings, f'{node.get_name()} parameters')
+    node.add_on_set_parameters_callback(partial(_check, node, cls))
+    return from_flat(cls, values, node.get_name())
+
+
+def follow(node: Node, change: Callable[[T], None]) -> None:
+    """
+    Tell a node when its parameters have been changed.
+
+    :param node: one whose ``config`` :func:`declare` has returned.
+    :param change: is called with the new configuration, once it is in effect.
+    """
+    cls = type(node.config)
+    settings = leaves(cls)
+
+    def apply(parameters: list[Parameter]) -> None:
+        changed = [f'{one.name} = {one.value!r}' for one in parameters if one.name in settings]
+        if changed:
+            change(_configured(node, cls, {}))
+            node.get_logger().info(f'from now on {", ".join(changed)}')
+
+    node.add_post_set_parameters_callback(apply)
+
+
+def _configured(node: Node, cls: type[T], changes: dict[str, Any]) -> T:
+    """Return the configuration of a node with some changes."""
+    values = {name: node.get_parameter(name).value for name in leaves(cls)}
+    return from_flat(cls, values | changes, node.get_name())
+
+
+def _check(node: Node, cls: type, parameters: list[Parameter]) -> SetParametersResult:
+    """Refuse changes that a running node cannot follow, and those that contradict others."""
+    settings = leaves(cls)
+    changes = {one.name: one.value for one in parameters if one.name in settings}
+    try:
+        for name, value in changes.items():
+            before = node.get_parameter(name).value
+            if value != before and not settings[name].metadata['running']:
+                raise ConfigurationError(
+                    f'{node.get_name()}: {name}: found {value!r}, but it is read once, at the '
+                    f'start; expected {before!r}; start the node again to change it')
+        _configured(node, cls, changes)
+    except ConfigurationError as error:
+        return SetParametersResult(successful=False, reason=str(error))
+    return SetParametersResult(successful=True)
+
+
+def _descriptor(item: Field) -> ParameterDescriptor:
+    """Describe one parameter; rclpy itself refuses values outside the range."""
+    low, high, choices = (item.metadata[key] for key in ('low', 'high', 'choices'))
+    constraints = [f'one of {", ".join(choices)}'] if choices else []
+    if not item.metadata['running']:
+        # Not read-only to rclpy, which would refuse without a word of what to do.
+        constraints.append('read once, at the start')
+    descriptor = ParameterDescriptor(
+        description=item.metadata['description'],
+        additional_constraints='; '.join(constraints))
+    if low is not None and item.type is int:
+        descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=1)]
+    elif low is not None:
+        descriptor.floating_point_range = [
+            FloatingPointRange(from_value=float(low), to_value=float(high), step=0.0)]
+    return descriptor

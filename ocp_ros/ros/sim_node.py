@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+``sim_node``: a simulated rig in a room, in lock-step with whoever commands it.
+
+A turn is known by its stamp. The rig moves when a command for its latest turn arrives, sends that
+turn again when none comes, and ignores commands for older ones; so either side can be killed and
+restarted and the loop goes on.
+"""
+
+from dataclasses import dataclass
+import sys
+
+from geometry_msgs.msg import PoseArray
+import numpy as np
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Float64, Float64MultiArray, Header
+from std_srvs.srv import Trigger
+
+from ocp_ros.agent.encoder import order_of
+from ocp_ros.geometry.cameras import heading_of, Pose
+from ocp_ros.ros.interface import topics
+from ocp_ros.ros.interface.conversions import (
+    cloud_to_msg,
+    fields_to_msg,
+    MessageError,
+    msg_to_positions,
+    ns_to_stamp,
+    positions_to_msg,
+    rotation_of,
+    stamp_to_ns,
+)
+from ocp_ros.ros.interface.qos import LATCHED, LOOP
+from ocp_ros.ros.interface.views import CloudView, RigView
+from ocp_ros.ros.runtime import diagnostics
+from ocp_ros.ros.runtime.node_main import run
+from ocp_ros.ros.runtime.parameters import declare, follow
+from ocp_ros.scenes.scene import SceneError
+from ocp_ros.scenes.scene_source import make_scene, SceneConfig
+from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.point_maps import maps_of
+from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.util.settings import group, LARGEST_SEED, setting
+
+
+@dataclass(frozen=True)
+class SimNodeConfig(SimulationConfig):
+    """Parameters of ``sim_node``."""
+
+    scene: SceneConfig = group(SceneConfig)
+    seed: int = setting(0, 'seed of where the cameras start', 0, LARGEST_SEED)
+    auto_reset: bool = setting(False, 'begin the next episode when one ends', running=True)
+    resend_period: float = setting(
+        0.5, 'send the latest turn again after so long without a command, seconds', 0.02, 60.0,
+        running=True)
+    frame_id: str = setting('map', 'frame of every message')
+
+
+class SimNode(Node):
+    """Publish what a rig sees, covers and misses; move it as commanded."""
+
+    def __init__(self, **kwargs) -> None:
+        super().__init__('sim_node', **kwargs)
+        self.config = declare(self, SimNodeConfig)
+        self.simulator = Simulator(make_scene(self.config.scene), self.config)
+        self._rng = np.random.default_rng(self.config.seed)
+        self._episodes = self._stamp = self._previous = 0
+        self._counts = {'stale_commands': 0, 'refused_commands': 0, 'resent_turns': 0}
+        self._make_publishers()
+        self.create_subscription(PoseArray, topics.CAMERA_COMMANDS, self._on_command, LOOP)
+        self.create_service(Trigger, '~/reset', self._on_reset)
+        self._resend = self.create_timer(self.config.resend_period, self._on_silence,
+                                         clock=Clock(clock_type=ClockType.STEADY_TIME))
+        follow(self, self._change)
+        self._health = diagnostics.Health(self, self._status)
+        scene = self.simulator.scene
+        self._scene.publish(cloud_to_msg(scene.points, self._header()))
+        self.get_logger().info(
+            f'{scene.name}: {len(scene)} points, ' + ' x '.join(f'{s:.1f}' for s in scene.size)
+            + f' m, {self.config.rig.cameras} cameras')
+        self._begin()
+        if not len(self.episode.observed):
+            raise SceneError(
+                f'{scene.name}: found no point within {self.config.rig.ranges.max()} m of the '
+                f'cameras at the centre, {self.config.rig.height} m above the lowest point; '
+                'expected them inside the room; check scene.up, scene.scale and rig.height')
+
+    def _make_publishers(self) -> None:
+        """Create every publisher."""
+        def loop(kind, name):
+            return self.create_publisher(kind, name, LOOP)
+
+        self._observation = loop(PointCloud2, topics.OBSERVATION)
+        self._poses = loop(PoseArray, topics.CAMERA_POSES)
+        self._reward = loop(Float64MultiArray, topics.REWARD)
+        self._coverage = loop(Float64, topics.SPACE_COVERAGE)
+        self._error = loop(Float64, topics.DEPTH_ERROR)
+        self._scene = self.create_publisher(PointCloud2, topics.SCENE, LATCHED)
+        models = self.simulator.models
+        self._sees_all_around = np.broadcast_to(
+            [model.omnidirectional for model in models], self.config.rig.cameras)
+        self._rig_view = RigView(self, topics.MARKERS, models, self.config.rig.cameras)
+        self._cloud_view = CloudView(
+            self, topics.TRUE_COVERAGE_CLOUD, topics.TRUE_ERROR_CLOUD,
+            lambda: maps_of(self.simulator, self._camera_poses()))
+
+    def _header(self) -> Header:
+        """Return a header with the latest turn's stamp."""
+        return Header(stamp=ns_to_stamp(self._stamp), frame_id=self.config.frame_id)
+
+    def _begin(self) -> None:
+        """Begin an episode and publish its first turn."""
+        self.episode = Episode(self.simulator, self._rng)
+        self._episodes += 1
+        self._rig_view.forget()
+        self._publish_turn()
+
+    def _publish_turn(self) -> None:
+        """Give the turn a stamp of its own and send it."""
+        self._previous = self._stamp
+        # Strictly later than the one before, whatever the clock does.
+        self._stamp = max(self.get_clock().now().nanoseconds, self._stamp + 1)
+        self._answered = False
+        header, turn = self._header(), self.episode.turn
+        self._turn_messages = (
+            (self._reward, fields_to_msg(self._reward_fields())),
+            (self._poses, positions_to_msg(turn.positions, header, turn.headings)),
+            (self._observation, cloud_to_msg(self.episode.observed_cloud, header)))
+        self._send_turn()
+        self._coverage.publish(Float64(data=turn.space_coverage))
+        self._error.publish(Float64(data=turn.depth_error))
+        self._rig_view.turn(header, self._camera_poses())
+        self._cloud_view.turn(header)
+
+    def _camera_poses(self) -> list[Pose]:
+        """Return where the cameras are and how they are turned."""
+        rows = np.hstack([self.episode.turn.positions, self.episode.turn.headings])
+        return [Pose.of(row) for row in rows]
+
+    def _reward_fields(self) -> dict[str, float]:
+        """Return the fields of the reward topic in their order."""
+        turn, terms = self.episode.turn, self.episode.turn.terms
+        now, before = ns_to_stamp(self._stamp), ns_to_stamp(self._previous)
+        values = (now.sec, now.nanosec, before.sec, before.nanosec, self._episodes, turn.step,
+                  *terms, turn.space_coverage, turn.depth_error, False, turn.truncated)
+        order = order_of(turn.step - 1, len(turn.positions)) if turn.step else ()
+        shares = {topics.share(number): share.reward
+                  for number, share in enumerate(self.episode.shares(order))}
+        return dict(zip(topics.REWARD_FIELDS, values, strict=True)) | shares
+
+    def _send_turn(self) -> None:
+        """Send the latest turn, and wait anew for its command."""
+        for publisher, message in self._turn_messages:
+            publisher.publish(message)
+        self._resend.reset()
+
+    def _change(self, config: SimNodeConfig) -> None:
+        """Go on with other parameters, those of the episode included."""
+        self.config = self.simulator.config = config
+        self.episode.config = config.episode
+        self._resend.timer_period_ns = int(config.resend_period * 1e9)
+        self._resend.reset()
+
+    def _on_silence(self) -> None:
+        """Send the turn again: its messages or the answer may have been lost."""
+        # The last turn leads nowhere, but whoever commands has to know that it is the last.
+        if not (self._answered and self.episode.turn.truncated):
+            self._counts['resent_turns'] += 1
+            self._send_turn()
+
+    def _on_command(self, message: PoseArray) -> None:
+        """Move the cameras if the command answers the latest turn."""
+        if stamp_to_ns(message.header.stamp) != self._stamp:
+            self._counts['stale_commands'] += 1
+            return
+        try:
+            target = msg_to_positions(message, self.config.rig.cameras)
+            headings = self._commanded(message)
+            if message.header.frame_id != self.config.frame_id:
+                raise MessageError(f'command: found the frame {message.header.frame_id!r}; '
+                                   f'expected {self.config.frame_id!r}')
+        except MessageError as error:
+            self._counts['refused_commands'] += 1
+            self.get_logger().warning(f'command refused: {error}', throttle_duration_sec=1.0)
+            return
+        self._answered = True
+        if self.episode.turn.truncated:
+            return
+        self.episode.move((target - self.episode.turn.positions)[:, :2], headings)
+        self._publish_turn()
+        if self.episode.turn.truncated and self.config.auto_reset:
+            self._begin()
+
+    def _commanded(self, message: PoseArray) -> np.ndarray:
+        """
+        Return how a command turns the cameras: (K, 3) yaw, pitch, roll in radians.
+
+        How a camera that sees all around is turned makes no difference, and one whose quaternion
+        is that of the turn stays as it is, to the last bit.
+        """
+        headings, (_, (_, sent), _) = self.episode.turn.headings.copy(), self._turn_messages
+        for camera, (pose, now) in enumerate(zip(message.poses, sent.poses, strict=True)):
+            if not self._sees_all_around[camera] and pose.orientation != now.orientation:
+                headings[camera] = heading_of(
+                    rotation_of(pose.orientation, f'command: camera {camera}'))
+        return headings
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Begin a new episode."""
+        self._begin()
+        response.success = True
+        response.message = f'episode {self._episodes}'
+        return response
+
+    def _status(self) -> diagnostics.Status:
+        """Say how the loop is."""
+        turn = self.episode.turn
+        waiting = 'episode over' if turn.truncated else 'waiting for commands'
+        return diagnostics.OK, waiting, {'episode': self._episodes, 'step': turn.step,
+                                         **self._counts}
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run(SimNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

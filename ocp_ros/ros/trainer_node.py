@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+``trainer_node``: learns from the turns of policies that explore and publishes better weights.
+
+Each policy plays in a namespace of its own, on this machine or another, and tells what it read and
+chose; what that was worth comes from its simulation. Training runs in a thread of its own, so that
+no message waits for a gradient step; where turns come faster than they can be learned from, the
+policies are asked to wait.
+"""
+
+from dataclasses import dataclass
+import sys
+
+import numpy as np
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+import torch
+import yaml
+
+from ocp_ros.agent.agent_config import AgentConfig
+from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.ros.interface import topics
+from ocp_ros.ros.runtime import diagnostics
+from ocp_ros.ros.runtime.node_main import run
+from ocp_ros.ros.runtime.parameters import declare
+from ocp_ros.ros.training_source import Source
+from ocp_ros.training.encoded_environment import encoded_space
+from ocp_ros.training.learner import Learner, LearnerConfig
+from ocp_ros.training.training_config import SacConfig
+from ocp_ros.util.resources import find_model
+from ocp_ros.util.settings import group, setting, to_nested
+
+#: Seconds between two looks for weights, and looks until the policies are told anew how it is.
+TICK, STATUS = 0.1, 10
+#: The most namespaces that are learned from.
+MOST_SOURCES = 256
+
+
+@dataclass(frozen=True)
+class TrainerNodeConfig(LearnerConfig):
+    """Parameters of ``trainer_node``."""
+
+    sources: str = setting(
+        '', 'namespaces of the policies to learn from with commas between; empty for its own '
+        'and every one in which a policy explores')
+    most_behind: int = setting(
+        100, 'policies wait while so many gradient steps are due', 1, 1 << 31)
+    agent: AgentConfig = group(AgentConfig)
+    sac: SacConfig = group(SacConfig)
+
+
+def arrays_of(agent: AgentConfig) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
+    """Return shape, for one camera, and type of each array of an observation."""
+    return {name: (space.shape, space.dtype)
+            for name, space in encoded_space(agent, 1).spaces.items() if name != 'present'}
+
+
+class TrainerNode(Node):
+    """Learn from many sources, train, publish weights."""
+
+    def __init__(self, **kwargs) -> None:
+        super().__init__('trainer_node', **kwargs)
+        self.config = declare(self, TrainerNodeConfig)
+        torch.set_num_threads(self.config.threads)
+        start = Checkpoint.load(find_model(self.config.model)) if self.config.model else None
+        self.learner = Learner(self.config, self.config.agent, self.config.sac, start)
+        (self.learner.folder / 'config.yaml').write_text(
+            yaml.safe_dump(to_nested(self.config), sort_keys=False))
+        self.sources: dict[str, Source] = {}
+        self._published = self._ticks = 0
+        self._hold = self._told = False
+        #: The latest weights, for namespaces that are found later.
+        self._blob = b''
+        names = [name.strip().strip('/') for name in self.config.sources.split(',')]
+        for name in [name for name in names if name] or [self.get_namespace().strip('/')]:
+            self._add(f'/{name}')
+        self.create_timer(TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._health = diagnostics.Health(self, self._status)
+        self.get_logger().info(
+            f'run {self.learner.run}: {self.learner.updates} updates so far from '
+            f'{self.learner.transitions} transitions, checkpoints in {self.learner.folder}')
+
+    def _add(self, namespace: str) -> None:
+        """Learn from a namespace from now on."""
+        source = self.sources[namespace] = Source(
+            self, namespace, arrays_of(self.config.agent), self.learner.cameras, self.learner.add)
+        if self._blob:
+            source.send_weights(self._blob)
+
+    def _discover(self) -> None:
+        """Look for namespaces in which somebody explores."""
+        if self.config.sources:
+            return
+        for name, kinds in self.get_topic_names_and_types():
+            namespace, _, topic = name.rpartition('/')
+            if (topic == topics.EXPERIENCE and kinds == ['std_msgs/msg/UInt8MultiArray']
+                    and (namespace or '/') not in self.sources
+                    and len(self.sources) < MOST_SOURCES and self.count_publishers(name)):
+                self._add(namespace or '/')
+                self.get_logger().info(f'learning from {namespace or "/"}')
+
+    def _tick(self) -> None:
+        """Publish new weights, and tell the policies whether to wait."""
+        self._publish_weights()
+        learner, most = self.learner, self.config.most_behind
+        before = self._hold
+        # Until half of it is done: whoever waits shall not be told so at every turn.
+        self._hold = learner.failure is None and learner.behind > (most / 2 if before else most)
+        self._ticks += 1
+        due = self._ticks % STATUS == 0
+        if due:
+            self._discover()
+        if due or self._hold != before:
+            for source in self.sources.values():
+                source.send_status(self._hold, learner.updates, max(learner.behind, 0.0))
+
+    def _publish_weights(self) -> None:
+        """Publish what the learner has made since the last look, or say why nothing comes."""
+        if self.learner.failure is not None and not self._told:
+            self._told = True
+            self.get_logger().error(f'training stopped: {self.learner.failure!r}')
+        checkpoint = self.learner.take_weights()
+        if checkpoint is not None:
+            self._published += 1
+            self._blob = checkpoint.to_bytes()
+            for source in self.sources.values():
+                source.send_weights(self._blob)
+
+    def totals(self) -> dict[str, int]:
+        """Return the counts of all sources together."""
+        counts = [source.status() for source in self.sources.values()]
+        return {name: sum(one[name] for one in counts) for name in counts[0]}
+
+    def _status(self) -> diagnostics.Status:
+        """Say how the training is."""
+        learner, totals = self.learner, self.totals()
+        values = {'run': learner.run, 'stored_transitions': learner.transitions, **totals,
+                  'refused_messages': totals['refused'], 'updates': learner.updates,
+                  'behind': round(max(learner.behind, 0.0)), 'policies_wait': self._hold,
+                  'weights_published': self._published, 'sources': len(self.sources),
+                  **{f'turns {name}': source.assembler.assembled
+                     for name, source in self.sources.items()}}
+        if learner.failure is not None:
+            return diagnostics.ERROR, f'training stopped: {learner.failure!r}', values
+        return diagnostics.OK, 'training', values
+
+    def stop(self) -> None:
+        """Stop training and save, before anything of ROS is taken down."""
+        self.learner.close()
+
+    def destroy_node(self) -> None:
+        """Save before the node goes."""
+        self.stop()
+        super().destroy_node()
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run(TrainerNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

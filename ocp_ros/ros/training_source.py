@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One rig and its policy, as a trainer hears them: a namespace, its topics and its counts."""
+
+from collections.abc import Callable
+
+from geometry_msgs.msg import PoseArray
+import numpy as np
+from rclpy.node import Node
+from std_msgs.msg import Float64MultiArray, UInt8MultiArray
+
+from ocp_ros.ros.interface import topics
+from ocp_ros.ros.interface.conversions import (
+    bytes_to_msg,
+    fields_to_msg,
+    MessageError,
+    msg_to_bytes,
+    msg_to_fields,
+    msg_to_positions,
+    ns_of,
+    stamp_to_ns,
+)
+from ocp_ros.ros.interface.qos import LATCHED, RECORDER
+from ocp_ros.training.experience import ExperienceError, from_bytes
+from ocp_ros.training.transitions import Assembler, Reward, Transition
+
+REWARD_FIELDS = ('stamp_sec', 'stamp_nanosec', 'previous_sec', 'previous_nanosec', 'step',
+                 'reward', 'terminated')
+#: The largest experience that is read, bytes.
+LARGEST = 1 << 24
+
+
+def topic_of(namespace: str, name: str) -> str:
+    """Return the full name of a topic in a namespace, such as ``/`` or ``/env_0``."""
+    return f'{namespace.rstrip("/")}/{name}'
+
+
+class Source:
+    """
+    Put the transitions of one namespace together.
+
+    :param node: gets the subscriptions and publishers, and tells its log what goes wrong.
+    :param namespace: full name.
+    :param expected: what an observation is, see :func:`ocp_ros.training.experience.from_bytes`.
+    :param together: how many cameras choose together.
+    :param learn: takes a transition; returns whether there was room for it.
+    :ivar counts: what was heard.
+    """
+
+    def __init__(self, node: Node, namespace: str, expected: dict, together: int,
+                 learn: Callable[[Transition], bool]) -> None:
+        self._node, self.namespace, self._learn = node, namespace, learn
+        self._expected, self._together = expected, together
+        self.assembler = Assembler()
+        self.counts = {'transitions': 0, 'refused': 0, 'dropped': 0}
+        self._newest = 0
+
+        def topic(name: str) -> str:
+            return topic_of(namespace, name)
+
+        self._weights = node.create_publisher(
+            UInt8MultiArray, topic(topics.POLICY_WEIGHTS), LATCHED)
+        self._training = node.create_publisher(Float64MultiArray, topic(topics.TRAINING), LATCHED)
+        for kind, name, callback in (
+                (Float64MultiArray, topics.REWARD, self._on_reward),
+                (PoseArray, topics.CAMERA_POSES, self._on_poses),
+                (UInt8MultiArray, topics.EXPERIENCE, self._on_experience)):
+            node.create_subscription(kind, topic(name), self._guarded(callback), RECORDER)
+
+    def _guarded(self, callback):
+        """Let a callback refuse its message with a reason; the node lives on."""
+        def guarded(message):
+            try:
+                for transition in callback(message):
+                    self.counts['transitions' if self._learn(transition) else 'dropped'] += 1
+            except (MessageError, ExperienceError) as error:
+                self.counts['refused'] += 1
+                self._node.get_logger().warning(
+                    f'{self.namespace}: message refused: {error}', throttle_duration_sec=1.0)
+        return guarded
+
+    def _on_experience(self, message: UInt8MultiArray) -> list[Transition]:
+        """Take what the policy chose in a turn."""
+        if len(message.data) > LARGEST:
+            raise MessageError(f'experience: found {len(message.data)} bytes; expected at most '
+                               f'{LARGEST}')
+        return self.assembler.add_experience(
+            from_bytes(msg_to_bytes(message), self._expected, self._together))
+
+    def _on_poses(self, message: PoseArray) -> list[Transition]:
+        """Take where the cameras are in a turn."""
+        return self.assembler.add_positions(
+            stamp_to_ns(message.header.stamp), msg_to_positions(message))
+
+    def _on_reward(self, message: Float64MultiArray) -> list[Transition]:
+        """Take the reward of a turn; the first one of an episode has none."""
+        fields = msg_to_fields(message, REWARD_FIELDS)
+        stamp, previous = ns_of(fields, 'stamp'), ns_of(fields, 'previous')
+        if stamp < self._newest:
+            # A restarted simulation on a clock that began anew: its stamps are other turns.
+            self.assembler.clear()
+        self._newest = stamp
+        if fields['step'] < 1:
+            return []
+        shares = []
+        while (name := topics.share(len(shares))) in fields:
+            shares.append(fields[name])
+        if not np.isfinite(shares).all():
+            raise MessageError(f'reward: found the shares {shares}; expected finite numbers')
+        return self.assembler.add_reward(Reward(
+            previous, stamp, int(fields['step']), fields['reward'], tuple(shares),
+            bool(fields['terminated'])))
+
+    def send_weights(self, blob: bytes) -> None:
+        """Publish weights."""
+        self._weights.publish(bytes_to_msg(blob))
+
+    def send_status(self, hold: bool, updates: int, behind: float) -> None:
+        """Publish how the training is, and what has come from here."""
+        self._training.publish(fields_to_msg(dict(zip(topics.TRAINING_FIELDS, (
+            hold, updates, behind, *self.status().values()), strict=True))))
+
+    def status(self) -> dict[str, int]:
+        """Return the counts, in the order of ``TRAINING_FIELDS``."""
+        assembler = self.assembler
+        return {'turns': assembler.assembled, 'transitions': self.counts['transitions'],
+                'incomplete': assembler.incomplete, 'inconsistent': assembler.inconsistent,
+                'refused': self.counts['refused'], 'dropped': self.counts['dropped']}

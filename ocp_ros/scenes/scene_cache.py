@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scans that are read once: what was read and thinned is kept beside the user's other caches."""
+
+import hashlib
+import os
+from pathlib import Path
+import tempfile
+from zipfile import BadZipFile
+
+import numpy as np
+
+from ocp_ros import __version__
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.scene_files import load_scene
+
+#: Bytes of a file from which it is worth keeping what was read.
+LARGE = 4_000_000
+
+
+def cache_folder() -> Path:
+    """Return where thinned scans are kept; ``OCP_ROS_CACHE`` names another place."""
+    base = os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache'
+    return Path(os.environ.get('OCP_ROS_CACHE') or Path(base) / 'ocp_ros')
+
+
+def load_cached(path: str | Path, **options) -> Scene:
+    """
+    Read a room from a file, the second time fast.
+
+    What is read is what :func:`~ocp_ros.scenes.scene_files.load_scene` returns.
+
+    A file that has changed, other options and another version of the package are read anew. What
+    is to be warned of is only said the first time.
+
+    :param options: of ``load_scene``.
+    :raises SceneError: if the file or an option cannot be used.
+    """
+    path = Path(path)
+    try:
+        state = path.stat()
+    except OSError:
+        return load_scene(path, **options)
+    if state.st_size < LARGE:
+        return load_scene(path, **options)
+    known = [__version__, path.absolute(), state.st_size, state.st_mtime_ns,
+             sorted(options.items())]
+    kept = cache_folder() / f'{hashlib.sha256(str(known).encode()).hexdigest()[:24]}.npz'
+    try:
+        with kept.open('rb') as file, np.load(file, allow_pickle=False) as arrays:
+            normals = arrays.get('normals')
+            return Scene(arrays['points'], str(arrays['name']), normals)
+    except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile):
+        # Not there, or not whole.
+        scene = load_scene(path, **options)
+    _keep(kept, scene)
+    return scene
+
+
+def _keep(path: Path, scene: Scene) -> None:
+    """Write a scene whole or not at all; a full disk or a folder of others does not matter."""
+    arrays = {'points': scene.points, 'name': np.array(scene.name)}
+    if scene.normals is not None:
+        arrays['normals'] = scene.normals
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+            draft = Path(folder) / path.name
+            np.savez(draft, **arrays)
+            os.replace(draft, path)
+    except OSError:
+        pass

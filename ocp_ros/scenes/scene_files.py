@@ -1,0 +1,308 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rooms from files: scans as .ply, .pcd, .las, .laz, .npy, .xyz, and S3DIS rooms as .txt."""
+
+import difflib
+import logging
+from pathlib import Path
+import warnings
+
+import numpy as np
+from plyfile import PlyData, PlyElement
+
+from ocp_ros.geometry.clouds import corners_of
+from ocp_ros.geometry.voxels import SMALLEST, voxel_downsample, voxel_size_for
+from ocp_ros.scenes.pcd_files import read_pcd_fields
+from ocp_ros.scenes.scene import check_points, likely_up_axis, MIN_POINTS, Scene, SceneError
+from ocp_ros.scenes.text_tables import read_table
+
+FAR = 1000.0
+#: Metres: no room is both lower than the first and shorter than the second.
+SMALL = (1.0, 1.5)
+# What the file calls x, y and z up, as the file's axes and signs that make x, y and z of the map.
+UP_AXES = {'x': ([1, 2, 0], [1, 1, 1]), 'y': ([0, 2, 1], [1, -1, 1]), 'z': ([0, 1, 2], [1, 1, 1])}
+
+_log = logging.getLogger(__name__)
+
+
+class SceneWarning(UserWarning):
+    """A room that can be used but may not be what was meant."""
+
+
+def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: float = 1.0,
+               up: str = 'z', drop_nonfinite: bool = False) -> Scene:
+    """
+    Read a room from a file.
+
+    Exact duplicates are removed. Coordinates farther than 1 km from the origin, such as UTM, are
+    moved near it by whole hundreds of metres, since float32 would round them. Both are logged.
+    Normals are kept where the file has them and no point is merged with another.
+
+    :param path: a .ply, .pcd, .las, .laz, .npy, .xyz or .txt file; the room is called by its stem,
+        an S3DIS room ``Area_1/office_1/office_1.txt`` is called ``Area_1_office_1``.
+    :param voxel_size: edge of the cubes whose points are merged, metres; 0 merges none.
+    :param max_points: most points wanted where no voxel size is given; 0 for all of them.
+    :param scale: metres per unit of the file, 0.001 for millimetres.
+    :param up: the axis of the file that points up, ``'x'``, ``'y'`` or ``'z'``.
+    :param drop_nonfinite: leave out the points with NaN or inf rather than refuse the file.
+    :returns: the scene, in metres, z up.
+    :raises SceneError: if the file or an option cannot be used; the message names the file.
+    """
+    path = Path(path)
+    _check_options(path.name, voxel_size, max_points, scale, up)
+    points, normals = _read(path)
+    if drop_nonfinite:
+        points, normals = _without_nonfinite(points, normals, path.name)
+    with np.errstate(over='ignore'):
+        points = points * scale
+    check_points(points, path.name, up)
+    _warn_if_small(points, path.name, up)
+    axes, signs = UP_AXES[up]
+    points = _near_origin(points[:, axes] * signs, path.name)
+    normals = None if normals is None else _unit(normals[:, axes] * signs)
+    points, normals = _without_duplicates(points.astype(np.float32), normals, path.name)
+    if up == 'z':
+        _warn_if_not_z_up(points, path.name)
+    merged = _merge(points, voxel_size, max_points, path.name)
+    return Scene(merged, _scene_name(path), normals if merged is points else None)
+
+
+def save_scene(scene: Scene, path: str | Path) -> None:
+    """
+    Write the points of a room as .ply, and its mesh, where it has one, as ``<stem>_mesh.ply``.
+
+    :raises SceneError: if the files cannot be written.
+    """
+    path = Path(path)
+    named = [('x', 'f4'), ('y', 'f4'), ('z', 'f4')]
+    elements = {path: [PlyElement.describe(_rows(scene.points, named), 'vertex')]}
+    if scene.mesh is not None:
+        faces = np.empty(len(scene.mesh.triangles), dtype=[('vertex_indices', 'i4', (3,))])
+        faces['vertex_indices'] = scene.mesh.triangles
+        elements[path.with_name(f'{path.stem}_mesh.ply')] = [
+            PlyElement.describe(_rows(scene.mesh.vertices, named), 'vertex'),
+            PlyElement.describe(faces, 'face')]
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        for name, parts in elements.items():
+            PlyData(parts).write(str(name))
+    except OSError as error:
+        raise SceneError(f'{path}: found a place that cannot be written to ({error.strerror}); '
+                         'expected a folder that may be; name another one') from error
+
+
+def scans_in(folder: str | Path) -> list[Path]:
+    """
+    List the scans of a folder by name.
+
+    Meshes that :func:`save_scene` has put beside their rooms are none, nor are hidden files.
+    """
+    found = sorted(path for path in Path(folder).glob('*')
+                   if path.suffix.lower() in READERS and not path.name.startswith('.'))
+    meshes = {path.with_name(f'{path.stem}_mesh.ply') for path in found}
+    return [path for path in found if path not in meshes]
+
+
+def check_file(path: Path) -> None:
+    """
+    Refuse a path that is not a file with content and a known suffix.
+
+    :raises SceneError: if so.
+    """
+    known = sorted(READERS)
+    if not path.exists():
+        raise SceneError(f'{path}: found no such file; expected one of {" ".join(known)}; check '
+                         'the path')
+    if not path.is_file():
+        inside = [item.name for item in path.glob('*') if item.suffix.lower() in READERS]
+        hint = f'such as {sorted(inside)[0]}' if inside else f'one of {" ".join(known)}'
+        raise SceneError(f'{path}: found a folder or device; expected a file; give the path of a '
+                         f'file, {hint}')
+    if path.suffix.lower() not in READERS:
+        near = difflib.get_close_matches(path.suffix.lower(), known, n=1)
+        hint = f'did you mean {near[0]}?' if near else 'convert it, for example with CloudCompare'
+        raise SceneError(f'{path.name}: found the suffix {path.suffix!r}; expected one of '
+                         f'{" ".join(known)}; {hint}')
+    if path.stat().st_size == 0:
+        raise SceneError(f'{path.name}: found an empty file; expected a room of at least '
+                         f'{MIN_POINTS} points; copy or export it again')
+
+
+def _rows(values: np.ndarray, named: list[tuple[str, str]]) -> np.ndarray:
+    """Return an array (N, C) as records."""
+    return np.rec.fromarrays(values.T, dtype=named)
+
+
+def _check_options(name: str, voxel_size: float, max_points: int, scale: float, up: str) -> None:
+    """Refuse options without a meaning."""
+    for option, value, usable, expected in (
+            ('voxel_size', voxel_size, voxel_size == 0 or SMALLEST <= voxel_size < np.inf,
+             f'0 or at least {SMALLEST} m'),
+            ('max_points', max_points, max_points == 0 or max_points >= MIN_POINTS,
+             f'0 or at least {MIN_POINTS}'),
+            ('scale', scale, 1e-6 <= scale <= 1e6, '0.000001 to 1000000, such as 0.001'),
+            ('up', up, up in UP_AXES, "'x', 'y' or 'z'")):
+        if not usable:
+            raise SceneError(f'{name}: found {option}={value!r}; expected {expected}')
+
+
+def _scene_name(path: Path) -> str:
+    """Call a room by its file's stem, or by area and room where the folders are those of S3DIS."""
+    room, area = path.absolute().parent.name, path.absolute().parent.parent.name
+    alike = room.replace('_', '') == path.stem.replace('_', '')
+    s3dis = path.suffix == '.txt' and alike and area.startswith('Area_')
+    return f'{area}_{room}' if s3dis else path.stem
+
+
+def _read(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
+    """Read (N, 3) float64 points in the file's own units and axes, and normals if it has them."""
+    try:
+        check_file(path)
+        return READERS[path.suffix.lower()](path)
+    except SceneError:
+        raise
+    except ImportError as error:
+        raise SceneError(f'{path.name}: found a {path.suffix} file but no package that reads it '
+                         f'({error}); install laspy and lazrs: pip install "laspy[lazrs]"'
+                         ) from error
+    except OSError as error:
+        raise SceneError(f'{path.name}: found a file that cannot be read ({error}); expected one '
+                         'that may be opened; check its permissions and the disk') from error
+    except Exception as error:  # A broken file makes the libraries raise almost anything.
+        reason = (str(error).splitlines() or [''])[0] or type(error).__name__
+        raise SceneError(f'{path.name}: found content that cannot be read ({reason}); expected a '
+                         f'plain, complete {path.suffix} file; copy or export it again') from error
+
+
+def _without_nonfinite(points: np.ndarray, normals: np.ndarray | None, name: str):
+    """Leave out the points with NaN or inf, and their normals."""
+    keep = np.isfinite(points).all(axis=1)
+    if not keep.all():
+        _log.info('%s: %d of %d points kept, the others are NaN or inf',
+                  name, keep.sum(), len(keep))
+    return points[keep], None if normals is None else normals[keep]
+
+
+def _near_origin(points: np.ndarray, name: str) -> np.ndarray:
+    """Move coordinates that float32 would round to the neighbourhood of the origin."""
+    low, high = corners_of(points)
+    if np.linalg.norm(np.maximum(abs(low), abs(high))) <= FAR:
+        return points
+    offset = np.round(low, -2)
+    # A warning, since every placement found will be in the moved coordinates.
+    _log.warning('%s: found coordinates far from the origin; subtracted (%.0f, %.0f, %.0f) m',
+                 name, *offset)
+    return points - offset
+
+
+def _unit(normals: np.ndarray) -> np.ndarray | None:
+    """Return normals of length one, or None where some have no direction."""
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    usable = np.isfinite(length).all() and (length > 0.0).all()
+    return (normals / length).astype(np.float32) if usable else None
+
+
+def _without_duplicates(points: np.ndarray, normals: np.ndarray | None, name: str):
+    """Keep the first of equal float32 points: the others would have a spacing of zero."""
+    rows = np.ascontiguousarray(points + np.float32(0.0)).view('V12').ravel()
+    first = np.sort(np.unique(rows, return_index=True)[1])
+    if len(first) == len(points):
+        return points, normals
+    _log.info('%s: %d of %d points kept, the others are duplicates', name, len(first), len(points))
+    return points[first], None if normals is None else normals[first]
+
+
+def _warn_if_small(points: np.ndarray, name: str, up: str) -> None:
+    """Warn where a room is lower and shorter than any, as one is whose scale is wrong."""
+    size = np.ptp(corners_of(points), axis=0)
+    if size['xyz'.index(up)] < SMALL[0] and size.max() < SMALL[1]:
+        warnings.warn(
+            f'{name}: found a room of {" x ".join(f"{edge:.3g}" for edge in size)} m; expected '
+            f'one that is {SMALL[0]:g} m high or {SMALL[1]:g} m long; correct the scale (--scale) '
+            'unless it is so small', SceneWarning, stacklevel=3)
+
+
+def _warn_if_not_z_up(points: np.ndarray, name: str) -> None:
+    """Warn where floor and ceiling seem to lie across another axis than z."""
+    axis = likely_up_axis(points)
+    if axis != 'z':
+        warnings.warn(
+            f'{name}: found the two fullest layers, floor and ceiling, across {axis}; expected z '
+            f'up; turn it (--up {axis}) unless z is up', SceneWarning, stacklevel=3)
+
+
+def _merge(points: np.ndarray, voxel_size: float, max_points: int, name: str) -> np.ndarray:
+    """Merge points as asked and refuse it where too few are left."""
+    merged = points
+    remedy = 'use a smaller voxel_size or a denser scan' if voxel_size else 'use a denser scan'
+    if voxel_size == 0 and 0 < max_points < len(points):
+        voxel_size = voxel_size_for(points, max_points)
+    if voxel_size > 0:
+        merged = voxel_downsample(points, voxel_size)
+        _log.info('%s: %d of %d points kept on a %.3f m voxel grid',
+                  name, len(merged), len(points), voxel_size)
+    if len(merged) < MIN_POINTS:
+        raise SceneError(f'{name}: found {len(merged)} points once duplicates and those in one '
+                         f'voxel are merged; expected at least {MIN_POINTS}; {remedy}')
+    return merged
+
+
+def _from_fields(fields: dict[str, np.ndarray], name: str):
+    """Take points and normals out of named columns."""
+    missing = [axis for axis in 'xyz' if axis not in fields]
+    if missing:
+        raise SceneError(f'{name}: found the fields {" ".join(fields) or "(none)"} and no '
+                         f'{" ".join(missing)}; expected x, y and z; export the coordinates too')
+    points = np.stack([np.ravel(fields[axis]).astype(np.float64) for axis in 'xyz'], axis=-1)
+    for names in (('nx', 'ny', 'nz'), ('normal_x', 'normal_y', 'normal_z')):
+        if all(axis in fields for axis in names):
+            return points, np.stack([np.ravel(fields[axis]).astype(np.float64)
+                                     for axis in names], axis=-1)
+    return points, None
+
+
+def _read_ply(path: Path):
+    """Read the vertices of a PLY file, ascii or binary."""
+    content = PlyData.read(str(path))
+    if 'vertex' not in content:
+        raise SceneError(f'{path.name}: found no vertices; expected the element vertex with x, y '
+                         'and z; export the points, not only faces')
+    rows = content['vertex'].data
+    return _from_fields({field: rows[field] for field in rows.dtype.names}, path.name)
+
+
+def _read_npy(path: Path):
+    """Read a NumPy array of x y z and more columns, or of records; never unpickle."""
+    with path.open('rb') as file:
+        array = np.lib.format.read_array(file, allow_pickle=False)
+    if array.dtype.names:
+        return _from_fields({field: array[field] for field in array.dtype.names}, path.name)
+    if array.ndim != 2 or array.shape[1] < 3 or array.dtype.kind not in 'fiu':
+        raise SceneError(f'{path.name}: found {array.dtype} of shape {array.shape}; expected '
+                         'numbers of shape (N, 3) or wider, one row x y z per point; save it so')
+    return array[:, :3].astype(np.float64), None
+
+
+def _read_las(path: Path):
+    """Read a LAS file, compressed or not."""
+    import laspy  # Here, since only these files need it.
+
+    if path.suffix.lower() == '.laz' and not laspy.LazBackend.detect_available():
+        raise ImportError('laspy has no LAZ backend')
+    content = laspy.read(path)
+    if len(content.points) != content.header.point_count:
+        raise ValueError(f'{len(content.points)} of {content.header.point_count} points')
+    return np.array(content.xyz, dtype=np.float64), None
+
+
+def _read_xyz(path: Path):
+    """Read text with x y z at the start of each line."""
+    return read_table(path), None
+
+
+def _read_pcd(path: Path):
+    """Read a PCD file: ascii, binary or binary_compressed."""
+    return _from_fields(read_pcd_fields(path), path.name)
+
+
+READERS = {'.las': _read_las, '.laz': _read_las, '.npy': _read_npy, '.pcd': _read_pcd,
+           '.ply': _read_ply, '.txt': _read_xyz, '.xyz': _read_xyz}

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The generator of furnished rooms: plan, furniture, and a simulated scan of them."""

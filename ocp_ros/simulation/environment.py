@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The Gymnasium environment."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import gymnasium as gym
+from gymnasium import spaces
+import numpy as np
+
+from ocp_ros.geometry.clouds import corners_of, fixed_size
+from ocp_ros.rig.motion import bounded_moves
+from ocp_ros.scenes.scene import Scene, turned
+from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
+
+LARGEST_ROOM = 1000.0
+#: Scenes, each turned in one way, whose engines are kept ready.
+KEPT = 16
+
+
+class CameraPlacementEnv(gym.Env):
+    """
+    Move depth cameras on a plane until what they see together explains the room.
+
+    ## Action space
+    ``Box(-1, 1, (K, 2))``: each camera's move in units of ``max_step``, shortened to the unit
+    disc. Moves of cameras that an episode does not have are ignored.
+
+    ## Observation space
+    | key | shape | meaning |
+    |---|---|---|
+    | ``cloud`` | (P, 3) | points seen since the episode began, metres |
+    | ``camera_positions`` | (K, 3) | metres; zeros for cameras that the episode does not have |
+    | ``present`` | (K,) | 1 for each camera that the episode has, else 0 |
+    | ``bounds`` | (2, 3) | bounding box of all points seen, metres |
+
+    ## Reward
+    See :mod:`ocp_ros.simulation.reward`; all terms are in ``info``.
+
+    ## Start
+    A scene drawn from ``scenes``, turned by an angle drawn from ``rotations``, and as many cameras
+    as are drawn, near its centre; ``options`` may name ``scene`` (index), ``rotation`` (degrees)
+    and ``cameras``.
+
+    ## End
+    ``truncated`` after the configured number of turns. A placement is never final in itself, so
+    ``terminated`` stays False.
+
+    :param scenes: rooms to draw from; each is taken when its episode begins.
+    :param config: rig, engine, episode and reward.
+    :param observation_points: P.
+    :param fewest: episodes have from so many to K cameras; K unless told otherwise.
+    :param rotations: degrees about the vertical axis.
+    """
+
+    metadata = {'render_modes': []}
+
+    def __init__(self, scenes: Sequence[Scene], config: SimulationConfig | None = None,
+                 observation_points: int = 1024, fewest: int | None = None,
+                 rotations: Sequence[float] = (0.0,)) -> None:
+        if not scenes:
+            raise ValueError('scenes: found none; expected at least one room')
+        self.scenes, self.config = scenes, config or SimulationConfig()
+        self.observation_points, self.rotations = observation_points, tuple(rotations)
+        self.simulator = lru_cache(maxsize=KEPT)(self._make_simulator)
+        self.episode: Episode | None = None
+        #: Scene and rotation of the episode: scene x rotations + rotation.
+        self.number = 0
+        cameras = self.config.rig.cameras
+        self.fewest = cameras if fewest is None else fewest
+        if not 1 <= self.fewest <= cameras:
+            raise ValueError(f'fewest: found {self.fewest}; expected 1 to {cameras}')
+        if self.fewest < cameras and len(self.config.rig.models) > 1:
+            raise ValueError(f'fewest: found {self.fewest} with several kinds of camera; expected '
+                             f'{cameras}: which of them would be left out?')
+        self.action_space = spaces.Box(-1.0, 1.0, (cameras, 2), np.float32)
+        self.observation_space = spaces.Dict({
+            name: spaces.Box(-LARGEST_ROOM, LARGEST_ROOM, shape, np.float32)
+            for name, shape in (('cloud', (observation_points, 3)),
+                                ('camera_positions', (cameras, 3)), ('bounds', (2, 3)),
+                                ('present', (cameras,)))})
+
+    def _make_simulator(self, index: int, rotation: float) -> Simulator:
+        """Prepare the engine for a scene, turned."""
+        scene = self.scenes[index]
+        return Simulator(turned(scene, rotation) if rotation else scene, self.config)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        """Begin an episode; ``options`` may choose the scene, its rotation and the cameras."""
+        super().reset(seed=seed)
+        turned_by = int(self.np_random.integers(len(self.rotations)))
+        drawn = {'scene': int(self.np_random.integers(len(self.scenes))),
+                 'rotation': self.rotations[turned_by],
+                 'cameras': int(self.np_random.integers(self.fewest,
+                                                        self.config.rig.cameras + 1))}
+        chosen = {**drawn, **(options or {})}
+        if chosen['rotation'] in self.rotations:
+            turned_by = self.rotations.index(chosen['rotation'])
+        self.number = chosen['scene'] * len(self.rotations) + turned_by
+        self.episode = Episode(self.simulator(chosen['scene'], chosen['rotation']),
+                               self.np_random, chosen['cameras'])
+        return self._observation(), self._info()
+
+    def step(self, action):
+        """Move every camera by its action and look."""
+        present = np.asarray(action).reshape(-1, 2)[:len(self.episode.turn.positions)]
+        turn = self.episode.move(bounded_moves(present, self.config.episode.max_step))
+        return self._observation(), turn.terms.reward, False, turn.truncated, self._info()
+
+    def _observation(self) -> dict[str, np.ndarray]:
+        """Return what the agent may know."""
+        # Where no camera sees anything, the cameras themselves are all that is known to be there.
+        cloud = self.episode.observed_cloud
+        if len(cloud) == 0:
+            cloud = self.episode.turn.positions.astype(np.float32)
+        positions = np.zeros((self.config.rig.cameras, 3), dtype=np.float32)
+        present = np.zeros(len(positions), dtype=np.float32)
+        count = len(self.episode.turn.positions)
+        positions[:count], present[:count] = self.episode.turn.positions, 1.0
+        return {'cloud': fixed_size(cloud, self.observation_points),
+                'camera_positions': positions, 'present': present,
+                'bounds': corners_of(cloud)}
+
+    def _info(self) -> dict[str, Any]:
+        """Return the true state of the placement and the terms of the reward."""
+        turn = self.episode.turn
+        return {'scene': self.episode.scene.name, 'step': turn.step,
+                'space_coverage': turn.space_coverage, 'depth_error': turn.depth_error,
+                'worst_depth_error': self.episode.simulator.depth_error.worst,
+                **turn.terms._asdict()}

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of a simulated rig: cameras, engine, episode and reward."""
+
+from dataclasses import dataclass
+
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.util.settings import group, setting
+
+
+@dataclass(frozen=True)
+class EpisodeConfig:
+    """Turns of one episode."""
+
+    turns: int = setting(30, 'turns until the episode ends', 1, 100000, running=True)
+    max_step: float = setting(
+        0.5, 'farthest a camera moves in one turn, metres', 0.001, 10.0, running=True)
+    start_radius: float = setting(
+        0.5, 'cameras start this near the centre, metres', 0.0, 50.0, running=True)
+    wall_margin: float = setting(
+        0.1, 'cameras stay this far inside the bounding box, metres', 0.0, 5.0,
+        running=True)
+
+
+@dataclass(frozen=True)
+class RewardConfig:
+    """Reward of a turn; see :mod:`ocp_ros.simulation.reward` for the formulas."""
+
+    kind: str = setting('potential', 'reward: potential or paper', choices=('potential', 'paper'),
+                        running=True)
+    coverage: float = setting(0.02, 'paper: K_SC, per cubic metre', 0.0, 1000.0, running=True)
+    depth_error: float = setting(1.0, 'paper: K_DOE, per metre', 0.0, 1000.0, running=True)
+    penalty: float = setting(-1.0, 'K_P, for a turn that leads out of the room', -1000.0, 0.0,
+                             running=True)
+
+
+@dataclass(frozen=True)
+class SimulationConfig:
+    """Everything about a simulated rig but the room."""
+
+    rig: RigConfig = group(RigConfig)
+    engine: EngineConfig = group(EngineConfig)
+    episode: EpisodeConfig = group(EpisodeConfig)
+    reward: RewardConfig = group(RewardConfig)

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of a training run."""
+
+from dataclasses import dataclass
+
+from ocp_ros.agent.agent_config import AgentConfig
+from ocp_ros.agent.move_effects import LONGEST
+from ocp_ros.planners.registry import OFFLINE, ONLINE
+from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.util.settings import (
+    check_known,
+    ConfigurationError,
+    group,
+    LARGEST_SEED,
+    MOST_CAMERAS,
+    setting,
+)
+
+
+@dataclass(frozen=True)
+class SacConfig:
+    """Soft actor-critic (Haarnoja et al., 2018) as stable-baselines3 names its settings."""
+
+    learning_rate: float = setting(5e-4, 'step size of Adam', 1e-7, 1.0)
+    batch_size: int = setting(64, 'transitions per gradient step', 1, 65536)
+    buffer_size: int = setting(40000, 'transitions the replay buffer holds', 100, 10000000)
+    learning_starts: int = setting(1000, 'transitions before the first gradient step', 1, 1000000)
+    gamma: float = setting(0.95, 'discount per interaction', 0.0, 1.0)
+    tau: float = setting(0.01, 'share of the targets replaced per gradient step', 1e-6, 1.0)
+    entropy: float = setting(0.1, 'first entropy coefficient; it is then learned', 1e-6, 100.0)
+    target_entropy: float = setting(
+        -1.5, 'target entropy per component of the action', -10.0, 1.0)
+    burn_in: int = setting(
+        0, 'gradient steps of the critics alone before the actor learns', 0, 1 << 31)
+    imitation: float = setting(
+        0.1, 'weight of imitating the expert, where there are demonstrations', 0.0, 1000.0)
+    imitation_fades: int = setting(10000, 'gradient steps until it is nothing', 1, 1 << 31)
+    shared_extractor: bool = setting(
+        False, "whether the critics read the actor's features, which their loss does not train")
+    device: str = setting('auto', 'auto, cpu or cuda', choices=('auto', 'cpu', 'cuda'))
+
+
+@dataclass(frozen=True)
+class RoomsConfig:
+    """
+    Which rooms, in three sets that never overlap.
+
+    See :mod:`ocp_ros.training.training_rooms`.
+    """
+
+    source: str = setting('generated', 'generated, s3dis (S3DIS_DIR) or a folder of scans',
+                          choices=('generated', 's3dis', 'folder'))
+    folder: str = setting('', 'folder of scans to learn in, for source: folder')
+    scale: float = setting(1.0, 'metres per unit of these scans', 1e-6, 1e6)
+    up: str = setting('z', 'axis of these scans that points up', choices=('x', 'y', 'z'))
+    training: int = setting(96, 'most rooms to learn in', 1, 100000)
+    validation: int = setting(12, 'most rooms to choose the best weights by', 1, 100000)
+    test: int = setting(10, 'most rooms to report', 1, 100000)
+    points: int = setting(12000, 'points per room', 1000, 1000000)
+    rotations: str = setting('0,15,30,45,60,75', 'degrees that rooms are turned by')
+
+    def __post_init__(self) -> None:
+        """Refuse rotations that are no numbers, and what is said of scans that there are not."""
+        try:
+            angles = self.angles
+        except ValueError:
+            angles = ()
+        if not angles:
+            raise ConfigurationError(f'rooms.rotations: found {self.rotations!r}; expected '
+                                     'degrees with commas between')
+        if bool(self.folder) != (self.source == 'folder'):
+            raise ConfigurationError(
+                f'rooms.folder: found {self.folder!r} with rooms.source {self.source!r}; '
+                'expected a folder with source: folder, and none with another')
+        if not self.folder and (self.scale, self.up) != (1.0, 'z'):
+            raise ConfigurationError(
+                f'rooms.scale and rooms.up: found {self.scale:g} and {self.up!r} with '
+                f'rooms.source {self.source!r}; expected a folder of scans that they are about; '
+                'leave them out')
+
+    @property
+    def angles(self) -> tuple[float, ...]:
+        """Return the rotations in degrees."""
+        return tuple(float(angle) for angle in self.rotations.split(',') if angle.strip())
+
+
+@dataclass(frozen=True)
+class DemonstrationsConfig:
+    """Episodes in which an expert is imitated; see :mod:`ocp_ros.training.demonstrations`."""
+
+    rounds: int = setting(0, 'rounds of episodes, each followed by a fit; 0 for none', 0, 100000)
+    episodes: int = setting(32, 'episodes of a round', 1, 100000)
+    expert: str = setting('hand_rule', 'planner to imitate, online or offline')
+    budget: int = setting(1000, 'evaluations of an offline expert', 1, 1000000)
+    alone: int = setting(1, 'first rounds in which the expert alone moves the cameras', 1, 1000)
+    expert_moves: float = setting(0.3, 'chance that a camera does what the expert says', 0.0, 1.0)
+    fading: float = setting(0.8, 'factor of this chance from round to round', 0.0, 1.0)
+    stray: float = setting(0.08, 'chance that a camera moves at random', 0.0, 1.0)
+    epochs: int = setting(4, 'passes over all turns so far after a round', 1, 1000)
+    last_epochs: int = setting(20, 'the same after the last round', 1, 1000)
+    evaluate_every: int = setting(4, 'rounds between evaluations', 1, 100000)
+    batch_size: int = setting(1024, 'steps per gradient step', 1, 65536)
+    learning_rate: float = setting(1e-3, 'largest step size of AdamW', 1e-7, 1.0)
+
+    def __post_init__(self) -> None:
+        """Refuse experts that do not exist."""
+        check_known([self.expert], {**OFFLINE, **ONLINE}, 'demonstrations.expert')
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """A training run: what ``ocp train`` reads from YAML."""
+
+    seed: int = setting(0, 'seed of networks, exploration and order of rooms', 0, LARGEST_SEED)
+    interactions: int = setting(
+        40000, 'interactions of soft actor-critic: turns, or moves of one camera where cameras '
+        'choose one after the other', 0, 1 << 40)
+    environments: int = setting(4, 'episodes played side by side', 1, 1024)
+    workers: int = setting(0, 'processes that play; 0 for one on each core', 0, 1024)
+    fewest_cameras: int = setting(
+        4, 'episodes have from so many to simulation.rig.cameras cameras', 1, MOST_CAMERAS)
+    updates_per_turn: float = setting(1.0, 'gradient steps per interaction', 0.0, 100.0)
+    evaluate_every: int = setting(2000, 'interactions between evaluations', 1, 1 << 40)
+    model: str = setting('', 'weights to start from: path or name; empty for random ones')
+    rooms: RoomsConfig = group(RoomsConfig)
+    simulation: SimulationConfig = group(SimulationConfig)
+    agent: AgentConfig = group(AgentConfig)
+    demonstrations: DemonstrationsConfig = group(DemonstrationsConfig)
+    sac: SacConfig = group(SacConfig)
+
+    def __post_init__(self) -> None:
+        """Refuse a range of cameras that is empty."""
+        if self.fewest_cameras > self.simulation.rig.cameras:
+            raise ConfigurationError(
+                f'fewest_cameras: found {self.fewest_cameras} with simulation.rig.cameras '
+                f'{self.simulation.rig.cameras}; expected no more than these')
+        if set(self.simulation.rig.models) != {self.simulation.rig.models[0]} or not (
+                self.simulation.rig.models[0].omnidirectional):
+            raise ConfigurationError(
+                f'simulation.rig.sensors: found {self.simulation.rig.sensors!r}; expected '
+                'omnidirectional: a policy learns where cameras are, and policy_node turns those '
+                'that look one way')
+        longest = self.simulation.episode.max_step
+        if self.agent.world and longest != LONGEST:
+            raise ConfigurationError(
+                f'simulation.episode.max_step: found {longest} with agent.inputs '
+                f'{self.agent.inputs!r}; expected {LONGEST}, the longest of the moves that these '
+                'try; leave it out, or read the cloud alone')
+        if not self.demonstrations.rounds and not self.interactions:
+            raise ConfigurationError('interactions: found 0 and no demonstrations.rounds; '
+                                     'expected something to learn from')
+        if self.demonstrations.rounds and not self.agent.world:
+            raise ConfigurationError(
+                f'demonstrations.rounds: found {self.demonstrations.rounds} with agent.inputs '
+                f'{self.agent.inputs!r}; expected 0: who imitates reads world or both')

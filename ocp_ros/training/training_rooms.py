@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The rooms of a run: generated ones, those of S3DIS or a folder of scans, in three sets.
+
+The policy learns in the training rooms, the best weights are chosen by the validation rooms, and
+the test rooms are only ever used for the figures that are reported. A scan's set is decided by
+its content, so that another name does not move it, nor do more scans beside it where there are
+enough for all three sets.
+"""
+
+from collections.abc import Sequence
+import hashlib
+
+from ocp_ros.scenes.s3dis import chosen_rooms, s3dis_folder, TEST_AREAS
+from ocp_ros.scenes.scene import Scene, SceneError
+from ocp_ros.scenes.scene_files import READERS, scans_in
+from ocp_ros.scenes.scene_source import make_room
+from ocp_ros.scenes.splits import TEST, TRAINING, VALIDATION
+from ocp_ros.training.training_config import RoomsConfig
+from ocp_ros.util.settings import ConfigurationError
+
+PARTS = ('training', 'validation', 'test')
+#: Areas of S3DIS that are learned from, and the one of them that the best weights are chosen by.
+AREAS, VALIDATION_AREA = (1, 2, 3, 4, 5), 5
+
+
+def room_names(config: RoomsConfig, part: str) -> list[str]:
+    """
+    Name the rooms of a set, as :func:`~ocp_ros.scenes.scene_source.make_room` takes them.
+
+    :param config: which rooms.
+    :param part: ``training``, ``validation`` or ``test``.
+    :raises ConfigurationError: if there are none, or scans are in two sets.
+    :raises SceneError: if S3DIS or a folder cannot be read.
+    """
+    if config.source == 's3dis':
+        names = _of_s3dis(part)
+    elif config.source == 'folder':
+        names = _of_folder(config.folder, part)
+    else:
+        names = [str(seed) for seed in
+                 {'training': TRAINING, 'validation': VALIDATION, 'test': TEST}[part]]
+    names = names[:getattr(config, part)]
+    if not names:
+        raise ConfigurationError(f'rooms: found no {part} rooms; expected at least one; '
+                                 'choose another rooms.source or add scans')
+    return names
+
+
+def make(config: RoomsConfig, name: str, rotation: float = 0.0) -> Scene:
+    """
+    Make a room.
+
+    :param config: how many points, and how a scan is to be read.
+    :param name: from :func:`room_names`.
+    :param rotation: degrees about the vertical axis.
+    :raises SceneError: if a scan cannot be used.
+    """
+    return make_room(name, rotation, config.points, config.scale, config.up)
+
+
+class Rooms(Sequence):
+    """
+    Rooms that are made when they are needed.
+
+    :param names: of the rooms.
+    :param config: how they are made.
+    """
+
+    def __init__(self, names: Sequence[str], config: RoomsConfig) -> None:
+        self._names, self._config = list(names), config
+
+    def __len__(self) -> int:
+        """Return the number of rooms."""
+        return len(self._names)
+
+    def __getitem__(self, index: int) -> Scene:
+        """Make a room."""
+        return make(self._config, self._names[index])
+
+
+def _of_s3dis(part: str) -> list[str]:
+    """Return the chosen rooms of some areas."""
+    folder = s3dis_folder()
+    if folder is None:
+        raise SceneError('rooms.source: found s3dis but no S3DIS_DIR; expected the folder that '
+                         'it was unpacked to; set S3DIS_DIR to Stanford3dDataset_v1.2')
+    areas = {'training': [area for area in AREAS if area != VALIDATION_AREA],
+             'validation': [VALIDATION_AREA], 'test': list(TEST_AREAS)}[part]
+    return [str(path.resolve()) for area in areas for path in chosen_rooms(folder, area)]
+
+
+def _of_folder(folder: str, part: str) -> list[str]:
+    """
+    Return the scans of a set: a tenth each to choose by and to test by, the rest to learn from.
+
+    Where a set would get none, the scans are dealt out in the order of their content.
+    """
+    scans = scans_in(folder)
+    if len(scans) < len(PARTS):
+        raise SceneError(f'{folder}: found {len(scans)} scans; expected at least {len(PARTS)}, '
+                         f'one for each set, of {", ".join(READERS)}')
+    content = {hashlib.sha256(path.read_bytes()).hexdigest(): path for path in scans}
+    order = sorted(content)
+    parts = {one: _part_of(one) for one in order}
+    if set(parts.values()) != set(PARTS):
+        parts = {one: PARTS[-1 - index] if index < 2 else PARTS[0]
+                 for index, one in enumerate(order)}
+    return [str(content[one].resolve()) for one in order if parts[one] == part]
+
+
+def _part_of(digest: str) -> str:
+    """Return the set of a scan by its content."""
+    share = int(digest[:8], 16) / 16 ** 8
+    return 'test' if share < 0.1 else 'validation' if share < 0.2 else 'training'

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a way of moving the cameras ends with, in rooms it has not seen."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.agent.policy import Policy
+from ocp_ros.planners.online_planner import Learned, Online, play
+from ocp_ros.planners.registry import ONLINE, settings_of
+from ocp_ros.rig.motion import bounded_moves
+from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.training.encoded_environment import encoder_of
+from ocp_ros.training.training_config import RoomsConfig
+from ocp_ros.training.training_rooms import make
+from ocp_ros.util.worker_pool import WorkerPool
+
+#: The control that learning has to beat.
+RANDOM_MOVES = 'random_moves'
+
+
+@dataclass(frozen=True)
+class ValidationTrial:
+    """
+    One episode to judge.
+
+    :ivar room: name of the room; see :mod:`ocp_ros.training.training_rooms`.
+    :ivar rooms: how it is made.
+    :ivar rotation: degrees.
+    :ivar simulation: the rig and the engine that judges.
+    :ivar seed: of the start and of what is drawn; the start depends on it alone.
+    :ivar planner: name of an online planner, or ``random_moves``; unused where there are weights.
+    :ivar weights: of the policy that moves, as one blob.
+    """
+
+    room: str
+    rooms: RoomsConfig
+    rotation: float
+    simulation: SimulationConfig
+    seed: int = 0
+    planner: str = RANDOM_MOVES
+    weights: bytes = b''
+
+
+class RandomMoves(Online):
+    """Every camera moves at random."""
+
+    def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
+        """Choose the next moves; see :meth:`~ocp_ros.planners.online_planner.Online.move`."""
+        return bounded_moves(self.rng.uniform(-1.0, 1.0, (len(positions), 2)), self.max_step)
+
+
+def play_trial(trial: ValidationTrial) -> tuple[float, float, float]:
+    """
+    Play one episode.
+
+    :returns: depth error at start and end, metres, and space coverage at the end, cubic metres.
+    """
+    simulator = _prepared(trial.rooms, trial.room, trial.rotation, trial.simulation)
+    settings = settings_of(trial.simulation, np.random.default_rng([trial.seed, 1]))
+    if trial.weights:
+        policy = policy_of(trial.weights)
+        policy.encoder = encoder_of(policy.checkpoint.config, trial.simulation)
+        online: Online = Learned(policy, *settings)
+    elif trial.planner == RANDOM_MOVES:
+        online = RandomMoves(*settings)
+    else:
+        online = ONLINE[trial.planner](trial.simulation, settings[0])
+    episode = Episode(simulator, np.random.default_rng([trial.seed, 0]))
+    outcome = play(online, episode)
+    return (float(outcome.depth_error[0]), float(outcome.depth_error[-1]),
+            float(episode.turn.space_coverage))
+
+
+@lru_cache(maxsize=32)
+def _prepared(rooms: RoomsConfig, room: str, rotation: float, config: SimulationConfig
+              ) -> Simulator:
+    """Keep some engines ready."""
+    return Simulator(make(rooms, room, rotation), config)
+
+
+@lru_cache(maxsize=1)
+def policy_of(weights: bytes) -> Policy:
+    """Read weights once."""
+    return Policy(Checkpoint.from_bytes(weights))
+
+
+def evaluate(crew: WorkerPool, trials: Sequence[ValidationTrial]) -> dict[str, float]:
+    """
+    Play some episodes.
+
+    :returns: mean depth error at start and end (metres), their ratio, and mean space coverage at
+        the end (cubic metres).
+    """
+    starts, ends, covered = np.array(list(crew.play(play_trial, trials))).T
+    return {'depth_error_start': float(starts.mean()), 'depth_error_end': float(ends.mean()),
+            'ratio': float(ends.mean() / starts.mean()),
+            'space_coverage_end': float(covered.mean())}

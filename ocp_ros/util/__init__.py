@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every layer needs and no layer owns: settings, files, threads, worker processes."""

@@ -1,0 +1,327 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+YAML and JSON files that people write: held against a schema, with errors that name the line.
+
+Of YAML only mappings, lists, texts, numbers, true, false and null are read, as JSON has them:
+``on`` and ``no`` are words, 010 is ten, and there are no tags and no aliases.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from datetime import datetime, timezone
+import difflib
+import json
+from pathlib import Path
+import re
+from typing import Any
+
+from jsonschema import Draft202012Validator, ValidationError
+from jsonschema.validators import extend
+import yaml
+
+from ocp_ros.util.settings import ConfigurationError
+
+
+def _matches(_, pattern: str, value: Any, __) -> Iterator[ValidationError]:
+    """Hold a whole text against a pattern: Python's ``$`` matches before a line's end as well."""
+    if isinstance(value, str) and not re.fullmatch(pattern, value):
+        yield ValidationError(f'{value!r} does not match {pattern!r}')
+
+
+#: To JSON Schema 3.0 is an integer; to those who count with it, it is not.
+Validator = extend(
+    Draft202012Validator, {'pattern': _matches},
+    type_checker=Draft202012Validator.TYPE_CHECKER.redefine(
+        'integer', lambda _, value: isinstance(value, int) and not isinstance(value, bool)))
+#: Keys and places in lists that lead to a value.
+Way = tuple[str | int, ...]
+#: Bytes, and keys and values: files with more are something else.
+LARGEST, MOST = 4_000_000, 20_000
+NUMBER = re.compile(r'[-+]?(\d{1,300}(\.\d*)?|\.\d+)([eE][-+]?\d{1,2})?')
+WORDS = {'': None, '~': None, 'null': None, 'true': True, 'false': False}
+PLAIN_TAGS = {f'tag:yaml.org,2002:{kind}' for kind in ('str', 'seq', 'map')}
+
+
+@dataclass(frozen=True)
+class Document:
+    """
+    Plain data and where each value stands.
+
+    :ivar name: what messages call it: the name of its file.
+    :ivar data: mappings, lists, texts, numbers, booleans and None.
+    :ivar lines: the line of each value, from 1; empty where there is no file.
+    :ivar written: where in the file the values stand that these data were made of.
+    """
+
+    name: str
+    data: Any
+    lines: dict[Way, int] = field(default_factory=dict, repr=False)
+    written: dict[Way, Way] = field(default_factory=dict, repr=False)
+
+    def where(self, *way: str | int) -> str:
+        """Return the file, the line and the key of a value, such as ``a.yaml: line 3, b[0].c``."""
+        way = self.written.get(way, way)
+        key = ''.join(f'[{step}]' if isinstance(step, int) else f'.{_word(step)}' for step in way)
+        place = [f'line {self.line(way)}'] if self.lines else []
+        return f'{self.name}: ' + ', '.join([*place, *filter(None, [key.lstrip('.')])])
+
+    def line(self, way: Way) -> int:
+        """Return the line of a value, or of the nearest one around it."""
+        while way and way not in self.lines:
+            way = way[:-1]
+        return self.lines.get(way, 1)
+
+    def error(self, way: Way, found: str, expected: str, remedy: str) -> ConfigurationError:
+        """Return the error that a value cannot be used, one sentence."""
+        return ConfigurationError(
+            f'{self.where(*way)}: found {found}; expected {expected}; {remedy}')
+
+    def value(self, *way: str | int) -> Any:
+        """Return a value."""
+        data = self.data
+        for step in way:
+            data = data[step]
+        return data
+
+    def part(self, *way: str | int) -> 'Document':
+        """Return a value as a document of its own, with the lines that it has in this one."""
+        lines = {other[len(way):]: line for other, line in self.lines.items()
+                 if other[:len(way)] == way}
+        return Document(self.name, self.value(*way), lines)
+
+
+class _Refused(Exception):
+    """What is found at a line of a file, what is expected, and what to do."""
+
+
+class _Loader(yaml.BaseLoader):
+    """Composes nodes as long as they are not too many, and none twice."""
+
+    nodes = 0
+
+    def compose_node(self, parent: yaml.Node, index: Any) -> yaml.Node:
+        """Refuse what is no plain data."""
+        self.nodes += 1
+        line = self.peek_event().start_mark.line + 1
+        if self.nodes > MOST:
+            raise _Refused(line, f'more than {MOST:,} keys and values', 'fewer',
+                           'name the right file')
+        if self.check_event(yaml.AliasEvent):
+            raise _Refused(line, 'an alias', 'each value where it belongs',
+                           'write it out in place of *')
+        return super().compose_node(parent, index)
+
+
+def read_document(path: str | Path, schema: dict[str, Any]) -> Document:
+    """
+    Read a YAML or JSON file.
+
+    :param path: of the file, in UTF-8.
+    :param schema: what it has to be, JSON Schema 2020-12; see :func:`check`.
+    :raises ConfigurationError: if it cannot be read or is something else, in one sentence.
+    """
+    path = Path(path)
+    lines: dict[Way, int] = {}
+    text = _text(path)
+    try:
+        node = yaml.compose(text, Loader=_Loader)
+        data = None if node is None else _plain(node, (), lines)
+    except _Refused as error:
+        line, found, expected, remedy = error.args
+        raise ConfigurationError(f'{path.name}: line {line}: found {found}; expected {expected}; '
+                                 f'{remedy}') from error
+    except yaml.YAMLError as error:
+        mark = getattr(error, 'problem_mark', None)
+        line = text[:getattr(error, 'position', 0)].count('\n') if mark is None else mark.line
+        reason = getattr(error, 'problem', None) or str(error).partition('\n')[0]
+        raise ConfigurationError(
+            f'{path.name}: line {line + 1}: found no valid YAML ({reason}); expected keys '
+            'and values such as count: 3; correct the line') from error
+    except RecursionError as error:
+        raise ConfigurationError(
+            f'{path.name}: line 1: found lists in lists without end; expected a few levels; write '
+            'them out') from error
+    if data is None:
+        raise ConfigurationError(f'{path.name}: line 1: found an empty file; expected '
+                                 f'{schema["description"]}; write it, or name another file')
+    document = Document(path.name, data, lines)
+    check(document, schema)
+    return document
+
+
+def _text(path: Path) -> str:
+    """Read a file that should be text of a reasonable length."""
+    try:
+        if path.stat().st_size > LARGEST:
+            raise ConfigurationError(
+                f'{path.name}: line 1: found {path.stat().st_size:,} bytes; expected at most '
+                f'{LARGEST:,}; name the right file')
+        return path.read_bytes().decode('utf-8-sig')
+    except OSError as error:
+        raise ConfigurationError(f'{path}: found no file that can be read ({error.strerror}); '
+                                 'expected YAML or JSON; check the path') from error
+    except UnicodeDecodeError as error:
+        raise ConfigurationError(
+            f'{path.name}: line {error.object[:error.start].count(10) + 1}: found bytes that are '
+            'no text; expected YAML or JSON in UTF-8; name the right file or save it as UTF-8'
+            ) from error
+
+
+def _plain(node: yaml.Node, way: Way, lines: dict[Way, int]) -> Any:
+    """Turn a YAML node into plain data and write down its lines."""
+    line = node.start_mark.line + 1
+    if node.tag not in PLAIN_TAGS:
+        raise _Refused(line, f'the tag {_word(node.tag)}', 'a plain value', 'remove the tag')
+    lines.setdefault(way, line)
+    if isinstance(node, yaml.SequenceNode):
+        return [_plain(item, (*way, k), lines) for k, item in enumerate(node.value)]
+    if isinstance(node, yaml.ScalarNode):
+        return _scalar(node)
+    data: dict[str, Any] = {}
+    for key, value in node.value:
+        line = key.start_mark.line + 1
+        if not isinstance(key, yaml.ScalarNode):
+            raise _Refused(line, 'a list or mapping as a key', 'a word',
+                           'write one, such as count: 3')
+        if key.value in data:
+            raise _Refused(line, f'the key {describe(key.value)} twice', 'it once',
+                           'remove one of the two')
+        lines[(*way, key.value)] = line
+        data[key.value] = _plain(value, (*way, key.value), lines)
+    return data
+
+
+def _scalar(node: yaml.ScalarNode) -> Any:
+    """Return a text, a number, a boolean or None."""
+    text = node.value
+    if node.style is not None:
+        return text
+    if text.lower() in WORDS:
+        return WORDS[text.lower()]
+    if NUMBER.fullmatch(text):
+        return float(text) if re.search(r'[.eE]', text) else int(text)
+    return text
+
+
+def check(document: Document, schema: dict[str, Any]) -> None:
+    """
+    Hold a document against a schema.
+
+    The schema's own words make the messages: ``description`` says what is expected and
+    ``examples`` what to write, of the innermost part that has them.
+
+    :param document: the data.
+    :param schema: JSON Schema 2020-12 without references.
+    :raises ConfigurationError: for what stands first in the file, in one sentence.
+    """
+    errors = list(Validator(schema).iter_errors(document.data))
+    if errors:
+        # An unknown key is often the one that is missing, misspelt.
+        first = min(errors, key=lambda error: (document.line(_way(error)),
+                                               error.validator != 'additionalProperties'))
+        raise _refused(document, schema, first)
+
+
+def _way(error: ValidationError) -> Way:
+    """Return where the value stands that a schema found something about."""
+    way = tuple(error.absolute_path)
+    if error.validator == 'additionalProperties':
+        return (*way, next(key for key in error.instance if key not in error.schema['properties']))
+    return way
+
+
+def _refused(document: Document, schema: dict[str, Any], error: ValidationError
+             ) -> ConfigurationError:
+    """Say what a schema found in our words."""
+    way, part = _way(error), error.schema
+    if error.validator == 'additionalProperties':
+        known = list(part['properties'])
+        return document.error(way, f'the unknown key {describe(way[-1])}',
+                              'one of ' + ', '.join(known),
+                              nearest(way[-1], known, 'remove it'))
+    if error.validator == 'required':
+        key = next(key for key in error.validator_value if key not in error.instance)
+        needed = part['properties'][key]
+        return document.error(way, f'no {key}', needed['description'],
+                              f'add, for example, {key}: {shown(needed["examples"][0])}')
+    if error.validator == 'maxItems' and part['minItems'] < error.validator_value:
+        return document.error(way, f'{len(error.instance)} entries',
+                              f'at most {error.validator_value}', 'remove some')
+    expected, remedy = _words(schema, error)
+    if error.validator == 'enum' and isinstance(error.instance, str):
+        remedy = nearest(error.instance, error.validator_value, remedy)
+    return document.error(way, describe(error.instance), expected, remedy)
+
+
+def _words(schema: dict[str, Any], error: ValidationError) -> tuple[str, str]:
+    """Return what was expected and what to write, by the innermost parts that say so."""
+    part: Any = schema
+    key, expected = '', schema['description']
+    remedy = f'write, for example, {shown(schema["examples"][0])[1:-1]}'
+    path = list(error.absolute_schema_path)
+    for before, step in zip([None, *path], path):
+        part = part[step]
+        if before == 'properties':
+            key = step
+        if isinstance(part, dict) and step != 'properties':
+            expected = part.get('description', expected)
+            if 'examples' in part:
+                # What stands in a list has no key of its own.
+                named = '' if step == 'items' else f'{key}: '
+                remedy = f'write, for example, {named}{shown(part["examples"][0])}'
+    return expected, remedy
+
+
+class _Dumper(yaml.SafeDumper):
+    """YAML with quotes round every text that is none without them when it is read again."""
+
+
+def _represent_text(dumper: _Dumper, text: str) -> yaml.ScalarNode:
+    """Write a text."""
+    plain = yaml.ScalarNode('tag:yaml.org,2002:str', text)
+    style = None if isinstance(_scalar(plain), str) else '"'
+    return dumper.represent_scalar('tag:yaml.org,2002:str', text, style=style)
+
+
+_Dumper.add_representer(str, _represent_text)
+
+
+def written(data: Any, suffix: str) -> str:
+    """
+    Return plain data as a file that :func:`read_document` reads.
+
+    :param suffix: ``.json`` for JSON, YAML for any other.
+    """
+    if suffix == '.json':
+        return json.dumps(data, indent=1, allow_nan=False) + '\n'
+    return yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=99)
+
+
+def timestamp() -> str:
+    """Return the date and the time in UTC, to the second, as files of results have it."""
+    return datetime.now(timezone.utc).isoformat(timespec='seconds')
+
+
+def nearest(word: str, known, otherwise: str) -> str:
+    """Return the question whether the nearest of some words was meant, or something else."""
+    near = difflib.get_close_matches(word, known, n=1, cutoff=0.5) or [
+        other for other in known if word and word in other]
+    return f'did you mean {near[0]!r}?' if near else otherwise
+
+
+def shown(value: Any) -> str:
+    """Return a value as one writes it in YAML."""
+    return json.dumps(value).replace('"', '')
+
+
+def _word(text: str) -> str:
+    """Return a key or tag as messages show it, in one line and not too long."""
+    return text if text.isprintable() and len(text) <= 60 else describe(text)
+
+
+def describe(value: Any) -> str:
+    """Return a value as messages show it, not too long."""
+    if value is None:
+        return 'nothing'
+    text = repr(value) if isinstance(value, str) else shown(value)
+    return text if len(text) <= 60 else text[:57] + '...'

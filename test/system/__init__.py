@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Test equipment for whole systems: soak, fuzz, and how fast nodes are."""

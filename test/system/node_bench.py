@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Measure the nodes: how long a policy takes to answer, and how fast training over ROS is.
+
+A turn is answered within one callback, from the cloud received to the command published; what it
+takes of the processor is told beside the wall, since other programs make the latter longer.
+Training over ROS is measured in turn with the same training in one process.
+"""
+
+import argparse
+from collections.abc import Sequence
+import cProfile
+import io
+import json
+import os
+from pathlib import Path
+import pstats
+import sys
+import tempfile
+import time
+from typing import Any
+
+import numpy as np
+from rclpy.parameter import Parameter
+from rich.console import Console
+from rich.progress import track
+from std_msgs.msg import Float64MultiArray, Header
+
+from ocp_ros.demo.node_processes import (
+    end_on_signals,
+    free_domain,
+    NodeProcess,
+    stopped_at_the_end,
+)
+from ocp_ros.demo.train_demo import start_all
+from ocp_ros.demo.watcher import Watch
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.ros.interface import topics
+from ocp_ros.ros.interface.conversions import (
+    cloud_to_msg,
+    fields_to_msg,
+    msg_to_positions,
+    ns_to_stamp,
+    positions_to_msg,
+)
+from ocp_ros.ros.policy.policy_config import LEARNED, PLANNERS
+from ocp_ros.ros.policy_node import PolicyNode
+from ocp_ros.ros.runtime.network import LOCALHOST
+from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.training.training_speed import cpu_of, in_one_process, Speed
+from ocp_ros.util.files import write_atomically
+from ocp_ros.util.threads import cores
+from ocp_ros.util.yaml_files import timestamp
+
+POINTS, PAIRS = (25_000, 100_000), (1, 2, 4)
+#: Planners and weights; those of the paper's inputs ask no engine.
+PLAYED = (*((planner, 'default') for planner in PLANNERS), (LEARNED, 'paper'))
+#: The first of the rooms in which turns are answered; none of them is a training room.
+FIRST_ROOM = 200
+#: Share of a room's points that cameras see in the end, about.
+SEEN = 0.95
+TURNS = 30
+#: Gradient steps begin after so many transitions, and measuring after as many more.
+STARTS = 60
+PATIENCE = 300.0
+
+
+class Answers:
+    """
+    A policy node that answers turns of a simulated room, timed.
+
+    :param watch: whose executor spins the node, and which listens to the commands.
+    :param planner: of the node.
+    :param model: its weights.
+    :ivar profile: of the turns that come, if they shall be profiled and not timed.
+    """
+
+    def __init__(self, watch: Watch, planner: str, model: str) -> None:
+        self.watch, self.wall, self.cpu, self.points = watch, [], [], []
+        self.profile: cProfile.Profile | None = None
+        self.node = PolicyNode(context=watch.context, parameter_overrides=[
+            Parameter('planner', value=planner), Parameter('model', value=model),
+            Parameter('turns', value=TURNS),
+            Parameter('convergence_distance', value=0.0)])
+
+    def play(self, room: int, points: int) -> None:
+        """Play an episode in a room of so many points."""
+        config = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=32))
+        simulator = Simulator(generate_room(room, round(points / SEEN)), config)
+        episode, number = Episode(simulator, np.random.default_rng(room)), room * 1000
+        while not episode.turn.truncated:
+            number += 1
+            header = Header(stamp=ns_to_stamp(number), frame_id='map')
+            self.node._turns.on_reward(_reward(number, room, episode.turn.step))
+            self.node._turns.on_poses(positions_to_msg(episode.turn.positions, header))
+            cloud = cloud_to_msg(episode.observed_cloud, header)
+            wall, cpu = time.perf_counter(), time.process_time()
+            if self.profile:
+                self.profile.runcall(self.node._turns.on_cloud, cloud)
+            else:
+                self.node._turns.on_cloud(cloud)
+            self.cpu.append(time.process_time() - cpu)
+            self.wall.append(time.perf_counter() - wall)
+            self.points.append(cloud.width)
+            target = msg_to_positions(self.node._turns.answer)
+            episode.move((target - episode.turn.positions)[:, :2])
+
+
+def _reward(stamp: int, episode: int, step: int) -> Float64MultiArray:
+    """Return what a simulation says of a turn."""
+    return fields_to_msg({**dict.fromkeys(topics.REWARD_FIELDS, 0.0), 'stamp_nanosec': stamp,
+                          'episode': episode, 'step': step})
+
+
+def latency(watch: Watch, planner: str, model: str, points: int, rooms: int) -> dict[str, Any]:
+    """
+    Measure how long turns take.
+
+    :returns: milliseconds, wall and processor, and the functions that took most of the time.
+    """
+    answers = Answers(watch, planner, model)
+    try:
+        # What is compiled or built once is not measured.
+        answers.play(FIRST_ROOM - 1, 5000)
+        answers.wall, answers.cpu, answers.points = [], [], []
+        for room in range(FIRST_ROOM, FIRST_ROOM + rooms):
+            answers.play(room, points)
+        wall, cpu = 1e3 * np.array(answers.wall), 1e3 * np.array(answers.cpu)
+        answers.profile = cProfile.Profile()
+        answers.play(FIRST_ROOM + rooms, points)
+        return {'planner': planner, 'model': model, 'points': points, 'turns': len(wall),
+                'points_seen_in_the_end': int(max(answers.points)),
+                **{f'{name}_{kind}': float(np.percentile(values, level))
+                   for kind, values in (('ms', wall), ('cpu_ms', cpu))
+                   for name, level in (('p50', 50), ('p99', 99), ('max', 100))},
+                'profile': _hottest(answers.profile)}
+    finally:
+        answers.node.destroy_node()
+
+
+def _hottest(profile: cProfile.Profile) -> list[str]:
+    """Return the functions in which most time was spent, as shares of that of all turns."""
+    stats = pstats.Stats(profile, stream=io.StringIO()).stats
+    whole = max((total for (_, _, name), (_, _, _, total, _) in stats.items()
+                 if name == 'on_cloud'), default=1.0)
+    rows = sorted(((total, own, calls, f'{Path(path).stem}.{name}')
+                   for (path, _, name), (_, calls, own, total, _) in stats.items()
+                   if 'ocp_ros' in path and name != 'on_cloud'), reverse=True)
+    return [f'{100 * total / whole:.0f} % {name} ({calls} calls, itself {100 * own / whole:.0f} %)'
+            for total, own, calls, name in rows[:14]]
+
+
+def over_ros(pairs: int, seconds: float, out: Path) -> Speed:
+    """Return how fast as many pairs of sim and policy, and a trainer, learn."""
+    options = argparse.Namespace(pairs=pairs, out=out, seed=1, model='default')
+    domain, holder = free_domain()
+    processes: list[NodeProcess] = []
+    with holder, Watch(domain) as watch, stopped_at_the_end(processes):
+        def said(name: str) -> int:
+            return int(watch.node.health.get('trainer_node', {}).get(name, 0))
+
+        start_all(options, domain, {'sac.learning_starts': STARTS, 'sac.device': 'cpu'},
+                  processes)
+        watch.until(lambda: said('transitions') >= 2 * STARTS, PATIENCE, 'transitions', processes)
+        pids = [process.process.pid for process in processes]
+        began, first, cpu = time.monotonic(), said('transitions'), cpu_of(pids)
+        watch.until(lambda: time.monotonic() - began >= seconds, PATIENCE, 'end', processes)
+        before = watch.node.health['trainer_node']
+        watch.until(lambda: watch.node.health['trainer_node'] is not before, PATIENCE,
+                    'last word', processes)
+        if said('inconsistent') or said('dropped'):
+            raise RuntimeError(f'found {watch.node.health["trainer_node"]}; expected that nothing '
+                               'is dropped')
+        return Speed.of(said('transitions') - first, time.monotonic() - began,
+                        cpu_of(pids) - cpu)
+
+
+def training(seconds: float, counts: Sequence[int]) -> list[dict[str, Any]]:
+    """Measure both ways in turn, each number of pairs twice in opposite order."""
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        for pairs in counts:
+            load = os.getloadavg()[0]
+            ros = [over_ros(pairs, seconds / 2, Path(folder) / f'a{pairs}')]
+            one = [in_one_process(pairs, seconds / 2, STARTS) for _ in range(2)]
+            ros.append(over_ros(pairs, seconds / 2, Path(folder) / f'b{pairs}'))
+            mean_ros, mean_one = (Speed(*np.mean(runs, axis=0).tolist()) for runs in (ros, one))
+            rows.append({
+                'pairs': pairs, 'interactions_per_s_over_ros': mean_ros.interactions,
+                'interactions_per_s_in_one_process': mean_one.interactions,
+                'ratio': mean_ros.interactions / mean_one.interactions,
+                'cpu_ms_over_ros': mean_ros.cpu, 'cpu_ms_in_one_process': mean_one.cpu,
+                'ratio_of_cpu': mean_one.cpu / mean_ros.cpu, 'load_average': load})
+            Console(stderr=True).print(rows[-1])
+    return rows
+
+
+def parser() -> argparse.ArgumentParser:
+    """Build the parser."""
+    top = argparse.ArgumentParser(prog='bench', description=__doc__)
+    top.add_argument('--out', type=Path, default=Path('out/bench_ros.json'))
+    top.add_argument('--rooms', type=int, default=4, help='episodes per planner and size')
+    top.add_argument('--pairs', type=int, nargs='+', default=PAIRS,
+                     help='of sim and policy, to measure training with')
+    top.add_argument('--seconds', type=float, default=60.0,
+                     help='to measure training for, each way and number of pairs; 0 for not')
+    return top
+
+
+def main(args: list[str] | None = None) -> int:
+    """Measure and write the figures."""
+    options = parser().parse_args(args)
+    end_on_signals()
+    os.environ.update(LOCALHOST)
+    rows = []
+    if options.rooms:
+        domain, holder = free_domain()
+        with holder, Watch(domain) as watch:
+            cases = [(*played, points) for played in PLAYED for points in POINTS]
+            for planner, model, points in track(cases, 'turns', console=Console(stderr=True)):
+                rows.append(latency(watch, planner, model, points, options.rooms))
+                Console(stderr=True).print(rows[-1])
+    result = {'policy_latency_ms': rows,
+              'training': training(options.seconds, options.pairs) if options.seconds else [],
+              'load_average': os.getloadavg()[1], 'cores': cores(),
+              'date': timestamp()}
+    write_atomically(options.out, json.dumps(result, indent=2) + '\n')
+    print(f'wrote {options.out}')
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
