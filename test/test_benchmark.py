@@ -278,7 +278,7 @@ def test_results_do_not_go_into_a_file(tmp_path, capsys):
 
 
 # Two nodes are a dozen processes to start, on however few cores.
-@pytest.mark.timeout(400)
+@pytest.mark.system
 def test_a_ray_cluster_of_two_nodes_does_the_same(tmp_path):
     ray = pytest.importorskip('ray', reason='comparing on a cluster needs ocp_ros[ray]')
     from ray.cluster_utils import Cluster

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 
-from conftest import BAD_ROOMS, MOUNTS, ROOT
+from conftest import BAD_ROOMS, HUNG, MOUNTS, ROOT
 from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
@@ -422,7 +422,7 @@ def test_ctrl_c_writes_the_best_so_far(files):
         [sys.executable, '-c', INTERRUPTED, 'plan', 'room.ply', '--rig', 'rig.yaml', '--seconds',
          '3600', '--json'], cwd=files, env={**os.environ, 'PYTHONPATH': str(ROOT)},
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    timer = threading.Timer(110.0, process.kill)
+    timer = threading.Timer(HUNG, process.kill)
     timer.start()
     out, err = process.communicate()
     timer.cancel()
