@@ -36,11 +36,17 @@ MOUNTS = {'plane': {'on': 'plane', 'height': 1.9}, 'ceiling': {'on': 'ceiling'},
           'free': {'on': 'free', 'height': [1.2, 2.2]}}
 
 
+@cache
+def made_room(seed, points):
+    """Return a generated room, generated once for all tests of a process: do not change it."""
+    from ocp_ros.scenes.rooms import generate_room
+    return generate_room(seed, points)
+
+
 @pytest.fixture(scope='session')
 def room():
     """Return a generated room of about 2,000 points."""
-    from ocp_ros.scenes.rooms import generate_room
-    return generate_room(8, 2000)
+    return made_room(8, 2000)
 
 
 @pytest.fixture(scope='session')
@@ -318,11 +324,9 @@ def refused_in_one_sentence(place, remedy):
     assert remedy in message and 'found' in message and 'expected' in message, message
 
 
-@cache
 def scan():
     """Return the points (N, 3) of a scan."""
-    from ocp_ros.scenes.rooms import generate_room
-    return generate_room(8, 2500).points
+    return made_room(8, 2500).points
 
 
 def write_half(path):

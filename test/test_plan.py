@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 
-from conftest import BAD_ROOMS, HUNG, MOUNTS, ROOT
+from conftest import BAD_ROOMS, HUNG, made_room, MOUNTS, ROOT
 from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
@@ -26,7 +26,6 @@ from ocp_ros.planners.pool import best_addition, clear, packed, Pool, random_sit
 from ocp_ros.planners.rig_plan import RigPlanner
 from ocp_ros.planners.rig_search import search
 from ocp_ros.scenes.files import save_scene
-from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.simulation.config import EngineConfig
 from ocp_ros.simulation.constraints import Allowed
 from ocp_ros.simulation.objective import Objective, simulator_of
@@ -254,7 +253,7 @@ def test_counting_ends_where_no_more_find_room(furnished):
 @pytest.fixture
 def files(tmp_path, monkeypatch):
     """Write a room and a rig to the folder that is worked in."""
-    save_scene(generate_room(8, 2500), tmp_path / 'room.ply')
+    save_scene(made_room(8, 2500), tmp_path / 'room.ply')
     (tmp_path / 'rig.yaml').write_text(RIG)
     monkeypatch.chdir(tmp_path)
     return tmp_path
@@ -374,7 +373,7 @@ def test_a_bad_room_is_refused_in_one_sentence(files, capsys, name, write, words
     (['low.npy'], 'ocp: rig (no file): mount.height: found 1.9 m by default; expected less '
      'than the 1.62 m that low is high; write mount: {on: plane, height: 1.1} in a rig file')])
 def test_bad_input_ends_with_two_and_one_sentence(files, capsys, arguments, words):
-    np.save('low.npy', generate_room(8, 2500).points * [1.0, 1.0, 0.5])
+    np.save('low.npy', made_room(8, 2500).points * [1.0, 1.0, 0.5])
     assert words in refused(capsys, *arguments)
 
 

@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 
-from conftest import assert_same, batch, HUNG, observation, random_checkpoint, ROOT
+from conftest import assert_same, batch, HUNG, made_room, observation, random_checkpoint, ROOT
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -18,7 +18,6 @@ from ocp_ros.agent.checkpoint import CheckpointError
 from ocp_ros.agent.encoder import Encoder
 from ocp_ros.agent.policy import Policy
 from ocp_ros.agent.world import WAYS
-from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.simulation.config import EngineConfig, EpisodeConfig, RigConfig, SimulationConfig
 from ocp_ros.simulation.env import CameraPlacementEnv
 from ocp_ros.simulation.reward import potential
@@ -87,7 +86,7 @@ def seen_turned(scene, agent, matrix):
 
 @pytest.mark.parametrize('number', range(8))
 def test_a_symmetry_is_what_the_turned_room_would_have_given(agent, number):
-    scene = generate_room(8, 5000)
+    scene = made_room(8, 5000)
     straight = seen_turned(scene, agent, np.eye(2))
     found = turn_observation(batch(straight), Maps.of(torch.tensor([number])))
     expected = seen_turned(scene, agent, SYMMETRIES[number].numpy())
