@@ -41,8 +41,8 @@ def test_a_turned_room_is_the_room_turned():
     quarter = turned(scene, 90.0)
     np.testing.assert_allclose(quarter.points[:, 0], -scene.points[:, 1], atol=1e-5)
     np.testing.assert_allclose(quarter.mesh.vertices[:, 1], scene.mesh.vertices[:, 0], atol=1e-5)
-    np.testing.assert_allclose(make_room('4', 60).points[:50],
-                               turned(make_room('4', 0), 60).points[:50])
+    np.testing.assert_allclose(make_room('4', 60, 2000).points[:50],
+                               turned(make_room('4', 0, 2000), 60).points[:50])
 
 
 def test_a_folder_of_scans_is_a_set_of_rooms(tmp_path):

@@ -52,7 +52,7 @@ def judges(scene, rig, engine=FAST):
     return Objective(simulator_of(scene, rig, engine), rig), Allowed(scene, rig)
 
 
-def found_by(scene, rig, evaluations=240, seed=0, start=()):
+def found_by(scene, rig, evaluations=120, seed=0, start=()):
     """Search with few candidates."""
     objective, allowed = judges(scene, rig)
     pool = Pool(objective, allowed, 120)
@@ -259,6 +259,12 @@ def files(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Leave the one-page report blank: it takes longer than the plan, and others look at it."""
+    monkeypatch.setattr('ocp_ros.report.sheet.draw', lambda path, judged: path.touch())
+
+
 def planned(capsys, *arguments):
     """Return what ocp plan prints as JSON, and nothing else."""
     assert main(['plan', *map(str, arguments), '--json']) == 0
@@ -291,7 +297,7 @@ def test_what_is_planned_scores_as_it_says(files, capsys):
     assert search['everywhere']['loss'] <= search['loss']
 
 
-def test_the_same_seed_writes_the_same_file(files, capsys):
+def test_the_same_seed_writes_the_same_file(files, capsys, undrawn):
     texts = []
     for folder, seed in (('one', 3), ('two', 3), ('three', 4)):
         planned(capsys, 'room.ply', '--rig', 'rig.yaml', '--evaluations', 400, '--seed', seed,
@@ -302,7 +308,7 @@ def test_the_same_seed_writes_the_same_file(files, capsys):
     assert texts[0] == texts[1] != texts[2]
 
 
-def test_what_is_printed_names_all_of_it(files, capsys):
+def test_what_is_printed_names_all_of_it(files, capsys, undrawn):
     assert main(['plan', 'room.ply', '--cameras', '3', '--model', 'd455', '--evaluations', '300',
                  '--out', 'here']) == 0
     out, err = capsys.readouterr()
@@ -314,7 +320,7 @@ def test_what_is_printed_names_all_of_it(files, capsys):
     assert err == ''
 
 
-def test_how_many_are_needed(files, capsys):
+def test_how_many_are_needed(files, capsys, undrawn):
     found = planned(capsys, 'room.ply', '--model', 'omnidirectional', '--count', 'auto',
                     '--target', 0.8, '--evaluations', 300)
     curve, count = found['curve'], found['count']
@@ -331,7 +337,8 @@ def test_how_many_are_needed(files, capsys):
     assert not few['count']['reached'] and few['count']['cameras'] == 1
 
 
-def test_a_rig_file_of_one_group_is_counted_from_where_it_can_be_seen(files, capsys):
+def test_a_rig_file_of_one_group_is_counted_from_where_it_can_be_seen(files, capsys,
+                                                                      undrawn):
     (files / 'rig.yaml').write_text(
         'cameras: [{sensor: omnidirectional, count: 4}]\nseen_by: 2\nregions:\n'
         '  - {name: table, box: [[2, 2, 0], [5, 5, 1.5]], must_see: 0.3}\n')
