@@ -3,6 +3,7 @@
 
 import warnings
 
+from conftest import made_room
 from gymnasium.utils.env_checker import check_env
 from hypothesis import given
 from hypothesis import settings as budget
@@ -12,7 +13,6 @@ import pytest
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 from ocp_ros.geometry.blocks import Subset
-from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.config import (
     EngineConfig,
@@ -40,7 +40,7 @@ def simulator(room):
 @pytest.fixture
 def env(room):
     """Return an environment of two small rooms."""
-    return CameraPlacementEnv([room, generate_room(12, 2000)], SMALL, observation_points=128)
+    return CameraPlacementEnv([room, made_room(12, 2000)], SMALL, observation_points=128)
 
 
 def play(env, seed, turns=6):
@@ -68,7 +68,7 @@ def test_stable_baselines3s_checker_has_nothing_to_say(env):
 
 
 def test_the_same_seed_is_the_same_episode(env, room):
-    other = CameraPlacementEnv([room, generate_room(12, 2000)], SMALL, observation_points=128)
+    other = CameraPlacementEnv([room, made_room(12, 2000)], SMALL, observation_points=128)
     for one, two in zip(play(env, 11), play(other, 11), strict=True):
         assert all(np.array_equal(one[0][key], two[0][key]) for key in one[0])
         assert one[1:] == two[1:]
@@ -109,7 +109,7 @@ def test_the_room_its_rotation_and_the_cameras_can_be_chosen(env, few):
 @pytest.fixture
 def few(room):
     """Return an environment of one to four cameras in rooms that are turned."""
-    return CameraPlacementEnv([room, generate_room(12, 2000)], SMALL, observation_points=128,
+    return CameraPlacementEnv([room, made_room(12, 2000)], SMALL, observation_points=128,
                               fewest=1, rotations=(0.0, 30.0, 60.0, 90.0))
 
 

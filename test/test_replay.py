@@ -3,13 +3,13 @@
 
 from dataclasses import replace
 
+from conftest import made_room
 import gymnasium as gym
 import numpy as np
 import pytest
 import torch
 
 from ocp_ros.geometry.blocks import no_bits
-from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import turned
 from ocp_ros.simulation.config import EngineConfig, EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.env import CameraPlacementEnv
@@ -309,7 +309,7 @@ def key(action, reward):
 @pytest.fixture(scope='module')
 def rooms(room):
     """Return two rooms with different numbers of points."""
-    return [room, generate_room(9, 1200)]
+    return [room, made_room(9, 1200)]
 
 
 def recorded(rooms, agent, size=400, steps=40):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the agent knows of a room: the engine on what was seen, and the world-model inputs."""
 
-from conftest import around_z, box_room, flat_clouds, l_shaped
+from conftest import around_z, box_room, flat_clouds, l_shaped, made_room
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -27,7 +27,6 @@ from ocp_ros.agent.world import (
 )
 from ocp_ros.geometry.blocks import count_bits
 from ocp_ros.geometry.visibility import FAST, FINE
-from ocp_ros.scenes.rooms import generate_room
 from ocp_ros.scenes.scene import turned
 from ocp_ros.simulation.space import Space
 
@@ -39,7 +38,7 @@ OTHERS, EDGE, MOVED = slice(-4, -2), -2, -1
 @pytest.fixture(scope='module')
 def room():
     """Return a generated room that is small and densely scanned."""
-    return generate_room(8, 5000)
+    return made_room(8, 5000)
 
 
 def inputs():

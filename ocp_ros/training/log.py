@@ -8,7 +8,7 @@ import numpy as np
 from safetensors import SafetensorError
 import safetensors.numpy
 
-from ocp_ros.agent.checkpoint import CheckpointError
+from ocp_ros.agent.errors import CheckpointError
 from ocp_ros.atomic import write_atomically
 from ocp_ros.training.transitions import Transition
 
