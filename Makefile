@@ -5,7 +5,7 @@ RUN := $(VENV)/bin/python
 READY := $(VENV)/.ready
 OUT ?= out
 
-.PHONY: help demo train-demo train test lint format bench fuzz soak endings benchmark rooms colcon clean
+.PHONY: help demo train-demo train test test-system lint format bench fuzz soak endings benchmark rooms colcon clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 14
@@ -22,8 +22,13 @@ train-demo: $(READY)  ## the same with trainer_node in the loop: weights arrive 
 train: $(READY)  ## train the shipped model again
 	$(RUN) -m ocp_ros.cli.main train --config config/train/default.yaml --out "$(OUT)/train" --model models/default.safetensors
 
-test: $(READY)  ## run all tests, on up to four cores
-	$(RUN) -m pytest -n auto --maxprocesses 4 --dist worksteal
+TEST := $(RUN) -m pytest -n auto --maxprocesses 4 --dist worksteal
+
+test: $(READY)  ## run the tests, on up to four cores; the whole-system drills are in make test-system
+	$(TEST) -m "not system"
+
+test-system: $(READY)  ## run the drills of whole systems: soak, training demo, Ray cluster, interrupted nodes
+	$(TEST) -m system
 
 lint: $(READY)  ## check style, as ament_flake8 and ament_pep257 would
 	$(VENV)/bin/ruff check .

@@ -3,22 +3,29 @@
 
 from contextlib import contextmanager, ExitStack
 from dataclasses import replace
+from functools import cache
 import os
 from pathlib import Path
 import time
 
+# Tests run side by side and in processes that they start. Threads of all of them that wait for
+# each other would spin on the same few cores, so each process has one, whatever NumPy and torch
+# would like: they look here when they are imported.
+os.environ.setdefault('OMP_NUM_THREADS', '1')
+os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+
 import numpy as np
 import pytest
 
+# Nothing here that takes long to import: the process that hands out the tests reads this too, and
+# the others begin when it has done so.
 from ocp_ros.agent.agent_config import AgentConfig, INPUTS
-from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.encoder import Encoder
-from ocp_ros.scenes.scene import Scene
-from ocp_ros.scenes.scene_files import save_scene
-from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.util.settings import ConfigurationError
 
 ROOT = Path(__file__).resolve().parent.parent
+#: Seconds after which what a test waits for has hung. No test waits as long, on whatever machine:
+#: a limit is never a speed.
+HUNG = 600.0
 #: Parameters of a simulation that plays a turn in milliseconds.
 SMALL = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
          'engine__coverage_cell': 0.5}
@@ -29,15 +36,23 @@ MOUNTS = {'plane': {'on': 'plane', 'height': 1.9}, 'ceiling': {'on': 'ceiling'},
           'free': {'on': 'free', 'height': [1.2, 2.2]}}
 
 
+@cache
+def made_room(seed, points):
+    """Return a generated room, generated once for all tests of a process: do not change it."""
+    from ocp_ros.scenes.synthetic.generator import generate_room
+    return generate_room(seed, points)
+
+
 @pytest.fixture(scope='session')
 def room():
     """Return a generated room of about 2,000 points."""
-    return generate_room(8, 2000)
+    return made_room(8, 2000)
 
 
 @pytest.fixture(scope='session')
 def furnished():
     """Return a box of 6 x 4 x 2.8 m with a closed cabinet of 1 x 1 x 2 m in it."""
+    from ocp_ros.scenes.scene import Scene
     cabinet = box_sides(np.array([1.0, 1.0, 2.0]), np.array([4.0, 2.0, 1.0]))
     return Scene(np.concatenate([box_room().points, cabinet]).astype(np.float32), 'furnished')
 
@@ -64,6 +79,7 @@ def random_checkpoint(agent, seed=0, **known):
     """Return a checkpoint with random weights."""
     import torch
 
+    from ocp_ros.agent.checkpoint import Checkpoint
     from ocp_ros.agent.networks import Actor
     torch.manual_seed(seed)
     return Checkpoint(agent, Actor(agent).state_dict(), **known)
@@ -71,6 +87,7 @@ def random_checkpoint(agent, seed=0, **known):
 
 def observation(agent, cameras=4, seed=0):
     """Return an encoded observation of random points in a room around the origin."""
+    from ocp_ros.agent.encoder import Encoder
     rng = np.random.default_rng(seed)
     cloud = rng.uniform([-3, -2, 0], [3, 2, 3], (300, 3)).astype(np.float32)
     positions = rng.uniform([-1, -1, 1.9], [1, 1, 1.9], (cameras, 3))
@@ -124,7 +141,7 @@ class Graph:
         self.nodes.remove(node)
         node.destroy_node()
 
-    def until(self, predicate, timeout=60.0) -> None:
+    def until(self, predicate, timeout=HUNG) -> None:
         """Spin until something has happened; fail if it does not."""
         deadline = time.monotonic() + timeout
         while not predicate():
@@ -266,12 +283,14 @@ def box_sides(size, centre, pitch=0.1):
 
 def box_room(width=6.0, depth=4.0, height=2.8):
     """Return the floor, ceiling and walls of an empty room, one corner in the origin."""
+    from ocp_ros.scenes.scene import Scene
     size = np.array([width, depth, height])
     return Scene(box_sides(size, size / 2.0).astype(np.float32), 'box')
 
 
 def l_shaped(pitch=0.1):
     """Return the floor, ceiling and walls of 6 x 4 m without the corner beyond 3 and 2 m."""
+    from ocp_ros.scenes.scene import Scene
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 6, pitch), np.arange(0, 4, pitch)))
     inside = (x < 3.0) | (y < 2.0)
     level = [np.stack([x[inside], y[inside], np.full(inside.sum(), z)], axis=1) for z in (0, 2.8)]
@@ -305,12 +324,16 @@ def refused_in_one_sentence(place, remedy):
     assert remedy in message and 'found' in message and 'expected' in message, message
 
 
-SCAN = generate_room(8, 2500).points
+def scan():
+    """Return the points (N, 3) of a scan."""
+    return made_room(8, 2500).points
 
 
 def write_half(path):
     """Write a scan whose end is missing."""
-    save_scene(Scene(SCAN, 'room'), path)
+    from ocp_ros.scenes.scene import Scene
+    from ocp_ros.scenes.scene_files import save_scene
+    save_scene(Scene(scan(), 'room'), path)
     content = path.read_bytes()
     path.write_bytes(content[:len(content) // 2])
 
@@ -333,21 +356,21 @@ BAD_ROOMS = {
         '1 2 3\n' * 4 + '1 two 3\n' + '1 2 3\n' * 200), 'line 5', 'correct the line or delete it'),
     'a line that broke off': ('line.xyz', lambda path: path.write_text(
         '1 2 3 4 5 6\n' * 200 + '1 2 3 4'), 'line.xyz: found 4 numbers', 'export it again'),
-    'two columns': ('two.npy', lambda path: np.save(path, SCAN[:, :2]), 'two.npy: found float32',
+    'two columns': ('two.npy', lambda path: np.save(path, scan()[:, :2]), 'two.npy: found float32',
                     'save it so'),
-    'not a number': ('nan.npy', lambda path: np.save(path, np.where(SCAN > 3, np.nan, SCAN)),
+    'not a number': ('nan.npy', lambda path: np.save(path, np.where(scan() > 3, np.nan, scan())),
                      'nan.npy: found', 'remove them first'),
-    'hardly any points': ('few.npy', lambda path: np.save(path, SCAN[:50]), 'few.npy: found 50',
+    'hardly any points': ('few.npy', lambda path: np.save(path, scan()[:50]), 'few.npy: found 50',
                           'use a denser scan'),
-    'millimetres': ('mm.npy', lambda path: np.save(path, 1000.0 * SCAN), 'mm.npy: found',
+    'millimetres': ('mm.npy', lambda path: np.save(path, 1000.0 * scan()), 'mm.npy: found',
                     '--scale 0.001'),
-    'a point': ('small.npy', lambda path: np.save(path, 0.01 * SCAN), 'small.npy: found',
+    'a point': ('small.npy', lambda path: np.save(path, 0.01 * scan()), 'small.npy: found',
                 '--scale, 1000'),
-    'flat': ('flat.npy', lambda path: np.save(path, SCAN * [1, 1, 0]), 'flat.npy: found',
+    'flat': ('flat.npy', lambda path: np.save(path, scan() * [1, 1, 0]), 'flat.npy: found',
              'more than one wall'),
     'pickled': ('pickled.npy', lambda path: np.save(path, np.array([{}], dtype=object)),
                 'pickled.npy: found', 'export it again'),
-    'all alike': ('alike.npy', lambda path: np.save(path, np.tile(SCAN[::40][:60], (5, 1))),
+    'all alike': ('alike.npy', lambda path: np.save(path, np.tile(scan()[::40][:60], (5, 1))),
                   'alike.npy: found 60 points', 'denser scan'),
     'nothing but NaN': ('all.npy', lambda path: np.save(path, np.full((300, 3), np.nan)),
                         'all.npy: found', 'remove them first'),

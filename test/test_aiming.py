@@ -3,7 +3,7 @@
 
 from copy import deepcopy
 
-from conftest import box_room
+from conftest import box_room, HUNG
 import numpy as np
 import pytest
 
@@ -359,7 +359,7 @@ def test_live_cameras_are_turned_and_waited_for(graph, probe, rig_file, room):
     rig = graph.add(lambda **kwargs: Obedient(
         episode, **{**kwargs, 'parameter_overrides': []}))
     policy = graph.add(PolicyNode, cloud_topics='points_0,points_1', turns=8, max_range=6.0,
-                       arrival_timeout=60.0, cloud_timeout=60.0, rig_file=rig_file(
+                       arrival_timeout=HUNG, cloud_timeout=HUNG, rig_file=rig_file(
                            RIG.replace('count: 4', 'count: 2')))
     found = msg_to_poses(probe.last(topics.PLACEMENT))
     assert policy._status()[2]['late_turns'] == 0 and policy._counts['refused_messages'] == 0

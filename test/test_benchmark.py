@@ -51,8 +51,8 @@ def test_a_turned_room_is_the_room_turned():
     quarter = turned(scene, 90.0)
     np.testing.assert_allclose(quarter.points[:, 0], -scene.points[:, 1], atol=1e-5)
     np.testing.assert_allclose(quarter.mesh.vertices[:, 1], scene.mesh.vertices[:, 0], atol=1e-5)
-    np.testing.assert_allclose(make_room('4', 60).points[:50],
-                               turned(make_room('4', 0), 60).points[:50])
+    np.testing.assert_allclose(make_room('4', 60, 2000).points[:50],
+                               turned(make_room('4', 0, 2000), 60).points[:50])
 
 
 def test_a_folder_of_scans_is_a_set_of_rooms(tmp_path):
@@ -288,7 +288,7 @@ def test_results_do_not_go_into_a_file(tmp_path, capsys):
 
 
 # Two nodes are a dozen processes to start, on however few cores.
-@pytest.mark.timeout(400)
+@pytest.mark.system
 def test_a_ray_cluster_of_two_nodes_does_the_same(tmp_path):
     ray = pytest.importorskip('ray', reason='comparing on a cluster needs ocp_ros[ray]')
     from ray.cluster_utils import Cluster

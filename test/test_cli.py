@@ -7,7 +7,7 @@ import shlex
 import subprocess
 import sys
 
-from conftest import ROOT
+from conftest import made_room, ROOT
 from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
@@ -18,7 +18,6 @@ import pytest
 from ocp_ros.cli import main as cli
 from ocp_ros.cli.common import document
 from ocp_ros.scenes.scene_files import save_scene
-from ocp_ros.scenes.synthetic.generator import generate_room
 
 PLACEMENT = """\
 cameras:
@@ -30,11 +29,11 @@ cameras:
 def files(tmp_path, monkeypatch):
     """Write a room and a placement to the folder that is worked in."""
     for name in ('room.ply', '<b>&.ply'):
-        save_scene(generate_room(8, 1500), tmp_path / name)
+        save_scene(made_room(8, 1500), tmp_path / name)
     (tmp_path / 'placement.yaml').write_text(PLACEMENT)
     (tmp_path / 'train.yaml').write_text('nonsense: 1\n')
     (tmp_path / 'good.yaml').write_text('seed: 1\n')
-    points = generate_room(8, 1500).points.copy()
+    points = made_room(8, 1500).points.copy()
     points[::7] = np.nan
     rows = np.rec.fromarrays(points.T, dtype=[(axis, 'f4') for axis in 'xyz'])
     PlyData([PlyElement.describe(rows, 'vertex')]).write(str(tmp_path / 'holes.ply'))

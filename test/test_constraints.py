@@ -3,7 +3,7 @@
 
 from dataclasses import replace
 
-from conftest import box_room, box_sides, l_shaped
+from conftest import box_room, box_sides, l_shaped, made_room
 from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.rig.structure import floor_height
 from ocp_ros.scenes.scene import Scene, turned
-from ocp_ros.scenes.synthetic.generator import generate_room, plan_of
+from ocp_ros.scenes.synthetic.generator import plan_of
 from ocp_ros.util.settings import ConfigurationError
 
 MOUNTS = {
@@ -26,7 +26,7 @@ D455 = SENSORS['realsense_d455'].model
 @pytest.fixture(scope='module')
 def rooms():
     """Return an empty box, an L, a scanned and a turned room; their floors at several heights."""
-    office = generate_room(3, 8000)
+    office = made_room(3, 8000)
     low = Scene(office.points - np.array([3.0, 40.0, 5.0]), 'low')
     return {'box': box_room(), 'L': l_shaped(), 'office': office, 'turned': turned(office, 33.0),
             'low': low}
@@ -195,7 +195,7 @@ def test_a_place_inside_a_cabinet_is_not_in_the_air(furnished):
 
 def judged_places(seed):
     """Judge places in a generated room: how deep in solids, allowed, and over the floor."""
-    room, plan = generate_room(seed, 15000), plan_of(seed)
+    room, plan = made_room(seed, 15000), plan_of(seed)
     allowed = allowed_of(room, 'free')
     low, high = room.bounds
     places = np.random.default_rng(0).uniform(low, high, (4000, 3))

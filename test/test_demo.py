@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 
-from conftest import ROOT
+from conftest import HUNG, ROOT
 import numpy as np
 import pytest
 
@@ -44,12 +44,14 @@ def test_the_demo_places_cameras_in_the_default_room(tmp_path, capsys):
     assert ((result['positions'] >= low) & (result['positions'] <= high)).all()
 
 
+@pytest.mark.system
 @pytest.mark.skipif(not WASHITSU.exists(), reason='the real scans are not beside the project')
 def test_the_demo_takes_a_scan_and_any_number_of_cameras(tmp_path):
     assert demo.main(['--out', str(tmp_path), '--room', str(WASHITSU), '--cameras', '2']) == 0
     assert check(tmp_path, 30, 2)['room'] == 'washitsu.ply'
 
 
+@pytest.mark.system
 def test_a_scan_in_millimetres_in_an_awkward_path_is_scaled(tmp_path):
     path = tmp_path / 'my room #1: final.npy'
     np.save(path, 1000.0 * generate_room(1, 3000).points)
@@ -62,6 +64,7 @@ def test_a_scan_in_millimetres_in_an_awkward_path_is_scaled(tmp_path):
     assert result['config']['policy_node']['turns'] == 2
 
 
+@pytest.mark.system
 @pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_demo_leaves_no_node_behind(tmp_path, how):
     command = [sys.executable, '-m', 'ocp_ros.demo.demo', '--out', str(tmp_path)]
@@ -79,13 +82,14 @@ def test_an_interrupted_demo_leaves_no_node_behind(tmp_path, how):
     running.send_signal(how)
     # Once more, as an impatient user would, while the nodes are being stopped.
     running.send_signal(how)
-    _, error = running.communicate(timeout=60)
+    _, error = running.communicate(timeout=HUNG)
     assert running.returncode == 130 and 'Traceback' not in error, error
     left = subprocess.run(['ps', '-o', 'pid=', '-p', ','.join(children)], check=False,
                           capture_output=True, text=True).stdout.split()
     assert not left
 
 
+@pytest.mark.system
 def test_an_impatient_interrupt_loses_nothing_that_was_learned(domain, tmp_path):
     node = NodeProcess('trainer_node', domain, tmp_path / 'log', {'folder': tmp_path / 'run'})
     while READY['trainer_node'] not in node.log.read_text():
@@ -112,6 +116,7 @@ def test_bad_input_gets_a_reason_and_code_2(tmp_path, capsys, arguments, words):
     assert words in capsys.readouterr().err
 
 
+@pytest.mark.system
 def test_trained_weights_arrive_in_every_policy(tmp_path):
     assert train_demo.main(['--out', str(tmp_path), '--turns', '100', '--pairs', '2']) == 0
     result = json.loads((tmp_path / 'train_demo.json').read_text())
@@ -123,6 +128,7 @@ def test_trained_weights_arrive_in_every_policy(tmp_path):
     assert result['inconsistent'] == 0 and result['transitions'] > 0
 
 
+@pytest.mark.system
 @pytest.mark.parametrize('how', [signal.SIGTERM, signal.SIGHUP])
 def test_nodes_end_with_0_when_they_are_told_to(domain, tmp_path, how):
     parameters = {'trainer_node': {'folder': tmp_path / 'run'}}
@@ -139,7 +145,7 @@ def test_nodes_end_with_0_when_they_are_told_to(domain, tmp_path, how):
         for node in nodes.values():
             node.process.send_signal(how)
         for node in nodes.values():
-            assert node.process.wait(timeout=30.0) == 0, node.log.read_text()
+            assert node.process.wait(timeout=HUNG) == 0, node.log.read_text()
     finally:
         for node in nodes.values():
             node.interrupt()
@@ -152,7 +158,7 @@ def test_a_bad_parameter_ends_a_node_with_one_sentence(domain):
     done = subprocess.run(
         [sys.executable, '-m', 'ocp_ros.ros.policy_node', '--ros-args', '-p', 'turnz:=3'],
         env={**os.environ, 'ROS_DOMAIN_ID': str(domain)}, capture_output=True, text=True,
-        timeout=60, check=False)
+        timeout=HUNG, check=False)
     assert done.returncode == 2
     assert "unknown name 'turnz'; did you mean 'turns'" in done.stderr
     assert 'Traceback' not in done.stderr

@@ -3,6 +3,7 @@
 
 import warnings
 
+from conftest import made_room
 from gymnasium.utils.env_checker import check_env
 from hypothesis import given
 from hypothesis import settings as budget
@@ -16,7 +17,6 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.motion import bounded_moves, kept_inside
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.scenes.scene import Scene, SceneError
-from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.reward import potential, reward
@@ -36,7 +36,7 @@ def simulator(room):
 @pytest.fixture
 def env(room):
     """Return an environment of two small rooms."""
-    return CameraPlacementEnv([room, generate_room(12, 2000)], SMALL, observation_points=128)
+    return CameraPlacementEnv([room, made_room(12, 2000)], SMALL, observation_points=128)
 
 
 def play(env, seed, turns=6):
@@ -64,7 +64,7 @@ def test_stable_baselines3s_checker_has_nothing_to_say(env):
 
 
 def test_the_same_seed_is_the_same_episode(env, room):
-    other = CameraPlacementEnv([room, generate_room(12, 2000)], SMALL, observation_points=128)
+    other = CameraPlacementEnv([room, made_room(12, 2000)], SMALL, observation_points=128)
     for one, two in zip(play(env, 11), play(other, 11), strict=True):
         assert all(np.array_equal(one[0][key], two[0][key]) for key in one[0])
         assert one[1:] == two[1:]
@@ -105,7 +105,7 @@ def test_the_room_its_rotation_and_the_cameras_can_be_chosen(env, few):
 @pytest.fixture
 def few(room):
     """Return an environment of one to four cameras in rooms that are turned."""
-    return CameraPlacementEnv([room, generate_room(12, 2000)], SMALL, observation_points=128,
+    return CameraPlacementEnv([room, made_room(12, 2000)], SMALL, observation_points=128,
                               fewest=1, rotations=(0.0, 30.0, 60.0, 90.0))
 
 

@@ -36,7 +36,7 @@ def fuzzer(graph, probe, tmp_path, small_agent):
     from conftest import random_checkpoint
     made = random_checkpoint(small_agent, updates=5, run='a')
     made.save(tmp_path / 'm.safetensors')
-    fuzzer = Fuzzer(probe.node, lambda predicate, what: graph.until(predicate, 60.0), 0, made)
+    fuzzer = Fuzzer(probe.node, lambda predicate, what: graph.until(predicate), 0, made)
     fuzzer.model = str(tmp_path / 'm.safetensors')
     return fuzzer
 

@@ -7,7 +7,7 @@ from shutil import copytree, ignore_patterns
 import threading
 import time
 
-from conftest import assert_same, observation
+from conftest import assert_same, HUNG, observation
 import numpy as np
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
@@ -35,7 +35,7 @@ def transition(agent, seed=0, cameras=1):
     return Transition(before, np.zeros((cameras, 2), np.float32), 1.0, after, False)
 
 
-def until(predicate, learner, timeout=60.0):
+def until(predicate, learner, timeout=HUNG):
     """Let a learner's thread work until something has happened."""
     deadline = time.monotonic() + timeout
     while not predicate():
@@ -171,11 +171,11 @@ def test_a_learner_says_so_when_there_is_no_room(small_agent, tmp_path, monkeypa
 
     def stay(transition):
         stuck.set()
-        release.wait(60.0)
+        release.wait(HUNG)
 
     monkeypatch.setattr(learner, '_store', stay)
     monkeypatch.setattr(learner.log, 'append', lambda transition: None)
-    assert learner.add(transition(small_agent)) and stuck.wait(30.0)
+    assert learner.add(transition(small_agent)) and stuck.wait(HUNG)
     taken = [learner.add(transition(small_agent, seed)) for seed in range(8)]
     assert taken == [True] * 5 + [False] * 3 and learner.dropped == 3
     release.set()

@@ -3,6 +3,7 @@
 
 from array import array
 
+from conftest import HUNG
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -136,7 +137,7 @@ def live(graph, probe, room):
             episode, frames, **{**kwargs, 'parameter_overrides': []}))
         probe.policy = graph.add(PolicyNode, **{
             'cloud_topics': ', '.join(f'points_{k}' for k in range(len(frames))),
-            'arrival_timeout': 60.0, 'cloud_timeout': 60.0, 'voxel_size': 0.001, **parameters})
+            'arrival_timeout': HUNG, 'cloud_timeout': HUNG, 'voxel_size': 0.001, **parameters})
         return probe.rig, probe.policy
 
     def wait_for_turns(count):

@@ -3,6 +3,7 @@
 
 from dataclasses import replace
 
+from conftest import made_room
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -11,7 +12,6 @@ import torch
 from ocp_ros.geometry.blocks import no_bits
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.scenes.scene import turned
-from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.training import replay_buffer
@@ -315,7 +315,7 @@ def key(action, reward):
 @pytest.fixture(scope='module')
 def rooms(room):
     """Return two rooms with different numbers of points."""
-    return [room, generate_room(9, 1200)]
+    return [room, made_room(9, 1200)]
 
 
 def recorded(rooms, agent, size=400, steps=40):

@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 
-from conftest import refused_in_one_sentence, ROOT
+from conftest import HUNG, refused_in_one_sentence, ROOT
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -25,12 +25,12 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header, String
 
 from ocp_ros.cli.main import main
-from ocp_ros.ros.bags.replay_run import options_of, pose_of
 from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.ros.bags.bag_files import Bag, CLOUD, POSES, Recorded, TRANSFORMS
 from ocp_ros.ros.bags.bag_replay import Replay
 from ocp_ros.ros.bags.replay_options import ReplayOptions
+from ocp_ros.ros.bags.replay_run import options_of, pose_of
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import (
     cloud_to_msg,
@@ -147,7 +147,7 @@ def stage(graph, probe):
 
     def play(path, wait=True, clouds='cam0/points,cam1/points', **options):
         probe.policy = graph.add(PolicyNode, cloud_topics=clouds, voxel_size=0.001,
-                                 max_range=5.0, cloud_timeout=60.0)
+                                 max_range=5.0, cloud_timeout=HUNG)
         probe.bag = Bag(path).__enter__()
         probe.replay = graph.add(lambda **kwargs: Replay(
             probe.bag, ReplayOptions(rate=100.0, **options), **kwargs))
@@ -399,7 +399,7 @@ def test_a_signal_ends_a_loop(domain, clouds, tmp_path, number):
         # It begins when it has waited in vain.
         assert 'found nobody listening to' in process.stderr.readline()
         process.send_signal(number)
-        assert process.wait(timeout=60) == 130
+        assert process.wait(timeout=HUNG) == 130
         assert 'Traceback' not in process.stderr.read()
 
 

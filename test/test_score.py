@@ -3,7 +3,7 @@
 
 import json
 
-from conftest import BAD_ROOMS
+from conftest import BAD_ROOMS, made_room
 import numpy as np
 import pytest
 import yaml
@@ -15,7 +15,6 @@ from ocp_ros.report.findings import improvements
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.rig_file import load_rig, rig_of
 from ocp_ros.scenes.scene_files import load_scene, save_scene
-from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.objective import Objective, simulator_of
 
 RIG = """\
@@ -41,7 +40,7 @@ cameras:
 @pytest.fixture
 def files(tmp_path, monkeypatch):
     """Write a room, a rig and a placement of it to the folder that is worked in."""
-    save_scene(generate_room(8, 2500), tmp_path / 'room.ply')
+    save_scene(made_room(8, 2500), tmp_path / 'room.ply')
     (tmp_path / 'rig.yaml').write_text(RIG)
     (tmp_path / 'placement.yaml').write_text(PLACEMENT)
     monkeypatch.chdir(tmp_path)
@@ -147,7 +146,7 @@ def test_a_placement_written_by_hand_is_exported_with_what_it_asks_for(files, ca
 
 
 def test_a_placement_remembers_how_its_room_was_read(files, capsys):
-    points = generate_room(8, 2500).points * 100.0
+    points = made_room(8, 2500).points * 100.0
     np.save('turned.npy', points[:, [0, 2, 1]] * [1, 1, -1])
     first = scored(capsys, 'turned.npy', 'placement.yaml', '--rig', 'rig.yaml', '--scale', 0.01,
                    '--up', 'y', '--export', 'out')
@@ -223,7 +222,7 @@ def test_bad_input_ends_with_two_and_one_sentence(files, capsys, arguments, word
 
 @pytest.mark.filterwarnings('default')
 def test_a_room_that_lies_on_its_side_is_warned_of_in_one_line(files, capsys):
-    np.save('side.npy', generate_room(3, 8000).points[:, [0, 2, 1]])
+    np.save('side.npy', made_room(3, 8000).points[:, [0, 2, 1]])
     main(['score', 'side.npy', 'placement.yaml', '--rig', 'rig.yaml', '--json'])
     warning = capsys.readouterr().err
     assert warning.startswith('ocp: warning: side.npy: found') and warning.count('\n') == 1

@@ -3,7 +3,7 @@
 
 from copy import deepcopy
 
-from conftest import SMALL
+from conftest import HUNG, SMALL
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -186,7 +186,7 @@ def test_reset_begins_a_new_episode(loop):
     sim = loop.start()
     answer(loop, sim)
     client = loop.node.create_client(Trigger, '/sim_node/reset')
-    assert client.wait_for_service(timeout_sec=10.0)
+    assert client.wait_for_service(timeout_sec=HUNG)
     future = client.call_async(Trigger.Request())
     loop.graph.until(future.done)
     assert future.result().success and future.result().message == 'episode 2'

@@ -20,7 +20,7 @@ from ocp_ros.ros.interface.conversions import ns_to_stamp, positions_to_msg
 from ocp_ros.training.learner import ACTOR, STATE
 
 
-@pytest.mark.timeout(600)
+@pytest.mark.system
 def test_the_loop_goes_on_whichever_node_is_killed_and_no_file_is_torn(tmp_path, capsys):
     assert soak.main(['--out', str(tmp_path), '--kills', '3']) == 0, capsys.readouterr().err
     result = json.loads((tmp_path / 'soak.json').read_text())

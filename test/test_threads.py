@@ -3,6 +3,7 @@
 
 import threading
 
+from conftest import HUNG
 import numpy as np
 import pytest
 
@@ -29,7 +30,7 @@ def test_what_is_mapped_keeps_its_order(threads, count, items):
 
 def test_as_many_work_at_once_as_were_asked_for(threads):
     threads(3)
-    together = threading.Barrier(3, timeout=60.0)
+    together = threading.Barrier(3, timeout=HUNG)
     assert len(set(mapped(lambda item: (together.wait(), threading.get_ident())[1],
                           range(3)))) == 3
 

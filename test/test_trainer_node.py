@@ -3,7 +3,7 @@
 
 import threading
 
-from conftest import assert_same, observation, random_checkpoint
+from conftest import assert_same, HUNG, observation, random_checkpoint
 import numpy as np
 import pytest
 
@@ -145,7 +145,7 @@ def recorded(graph, tmp_path, monkeypatch, small_agent):
         graph.add(PolicyNode, model=str(tmp_path / 'm.safetensors'), explore=True, turns=turns)
         sim = graph.add(SimNode, seed=3, rig__cameras=cameras, episode__turns=turns, **SIM)
         count = turns * (1 if inputs == 'cloud' else cameras)
-        graph.until(lambda: len(learned) >= count, timeout=60.0)
+        graph.until(lambda: len(learned) >= count)
         assert counts_of(trainer)['/'] == {
             'turns': turns, 'transitions': count, 'incomplete': 0, 'inconsistent': 0,
             'refused': 0, 'dropped': 0}
@@ -243,7 +243,7 @@ def test_many_policies_are_learned_from_counted_and_told(graph, probe, start):
     values = trainer._status()[2]
     assert (values['turns /env_0'], values['turns'], values['sources']) == (4, 12, 3)
     # The same weights for all.
-    graph.until(lambda: all(heard.values()), timeout=60.0)
+    graph.until(lambda: all(heard.values()))
     updates = {Checkpoint.from_bytes(msg_to_bytes(found[0])).updates for found in heard.values()}
     assert len(updates) == 1
     for name, turns in zip(loops, (3, 4, 5)):
@@ -263,38 +263,42 @@ def test_only_the_sources_that_are_named_are_learned_from(graph, probe, start):
 
 def test_policies_wait_while_the_trainer_is_behind(graph, probe, start, tmp_path, small_agent,
                                                    monkeypatch):
+    # A trainer that a busy machine holds up is not one that has fallen silent.
+    monkeypatch.setattr('ocp_ros.ros.policy.experiences.PATIENCE', HUNG)
     random_checkpoint(small_agent).save(tmp_path / 'm.safetensors')
     trainer = start(most_behind=8)
     release, train = threading.Event(), trainer.learner.model.train
 
     def wait_and_train(*arguments):
-        release.wait(60.0)
+        release.wait(HUNG)
         train(*arguments)
 
     monkeypatch.setattr(trainer.learner.model, 'train', wait_and_train)
     policy = graph.add(PolicyNode, model=str(tmp_path / 'm.safetensors'), explore=True)
     sim = graph.add(SimNode, auto_reset=True, resend_period=0.05, episode__turns=5, **SIM)
     try:
-        graph.until(lambda: policy._experiences.held, timeout=60.0)
+        graph.until(lambda: policy._experiences.held)
         answered, resent = policy._counts['turns_answered'], sim._counts['resent_turns']
         # The simulation goes on asking, and the policy on waiting.
         graph.until(lambda: sim._counts['resent_turns'] >= resent + 5)
         assert policy._counts['turns_answered'] <= answered + 1
     finally:
         release.set()
-    graph.until(lambda: policy._counts['turns_answered'] >= answered + 3, timeout=60.0)
+    graph.until(lambda: policy._counts['turns_answered'] >= answered + 3)
     assert trainer.learner.dropped == 0
 
 
 def test_a_trainer_that_falls_silent_holds_nobody(graph, probe, tmp_path, small_agent,
                                                   monkeypatch):
-    monkeypatch.setattr('ocp_ros.ros.policy.experiences.PATIENCE', 0.5)
+    monkeypatch.setattr('ocp_ros.ros.policy.experiences.PATIENCE', HUNG)
     random_checkpoint(small_agent).save(tmp_path / 'm.safetensors')
     policy = graph.add(PolicyNode, model=str(tmp_path / 'm.safetensors'), explore=True)
     training = probe.publisher(Float64MultiArray, topics.TRAINING, qos.LATCHED)
     training.publish(Float64MultiArray(data=[1.0]))
     training.publish(fields_to_msg({'hold': 1.0}))
     graph.until(lambda: policy._experiences.held)
+    # Only now: a busy machine may get round to asking whether it holds long after it was told.
+    monkeypatch.setattr('ocp_ros.ros.policy.experiences.PATIENCE', 0.5)
     graph.until(lambda: not policy._experiences.held)
     graph.add(SimNode, resend_period=0.05, **SIM)
     graph.until(lambda: policy._counts['turns_answered'] >= 1)
@@ -310,7 +314,7 @@ def test_weights_go_from_the_trainer_to_the_policy(graph, probe, start, agent, t
     trainer = start(cameras=4, agent__inputs=agent.inputs)
     policy = graph.add(PolicyNode, model=str(tmp_path / 'm.safetensors'), explore=True)
     graph.add(SimNode, auto_reset=True, resend_period=0.1, episode__turns=5, **SIM)
-    graph.until(lambda: policy._counts['weights_swapped'] >= 2, timeout=60.0)
+    graph.until(lambda: policy._counts['weights_swapped'] >= 2)
     assert policy.policy.checkpoint.run == trainer.learner.run
     assert trainer.learner.transitions >= 12
     counts = counts_of(trainer)['/']
@@ -329,7 +333,7 @@ def test_who_comes_late_gets_the_latest_weights(graph, probe, start):
     for published, seeds in enumerate((range(20), range(20, 30)), start=1):
         for seed in seeds:
             trainer.learner.add(made_up(trainer.config.agent, seed))
-        graph.until(lambda at=published: trainer._published == at, timeout=60.0)
+        graph.until(lambda at=published: trainer._published == at)
     probe.listen(UInt8MultiArray, topics.POLICY_WEIGHTS, qos.LATCHED)
     found = Checkpoint.from_bytes(msg_to_bytes(probe.last(topics.POLICY_WEIGHTS)))
     assert found.run == trainer.learner.run and found.updates == 16
@@ -345,13 +349,13 @@ def test_messages_never_wait_for_a_gradient_step(loop, monkeypatch):
 
     def train(*arguments):
         stuck.set()
-        release.wait(60.0)
+        release.wait(HUNG)
 
     monkeypatch.setattr(trainer.learner.model, 'train', train)
     monkeypatch.setattr(trainer.learner, '_behind', lambda: not release.is_set())
     try:
         trainer.learner.add(made_up(trainer.config.agent))
-        assert stuck.wait(30.0)
+        assert stuck.wait(HUNG)
         for stamp in (1, 2):
             loop.turn(stamp)
         loop.graph.until(lambda: loop.source.assembler.assembled == 1)
@@ -375,7 +379,7 @@ def test_a_trainer_that_was_stopped_goes_on_and_tells_its_weights(graph, probe, 
     trainer = start()
     for seed in range(20):
         trainer.learner.add(made_up(trainer.config.agent, seed))
-    graph.until(lambda: trainer._published == 1, timeout=60.0)
+    graph.until(lambda: trainer._published == 1)
     graph.remove(trainer)
     again = start()
     assert (again.learner.run, again.learner.transitions) == (trainer.learner.run, 20)

@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 
+from conftest import HUNG
 import numpy as np
 import pytest
 
@@ -106,7 +107,7 @@ def test_a_browser_draws_the_page(tmp_path):
         [BROWSER, '--headless=new', '--no-sandbox', '--use-angle=swiftshader', '--dump-dom',
          '--enable-unsafe-swiftshader', '--virtual-time-budget=15000', '--enable-logging=stderr',
          f'--user-data-dir={tmp_path / "profile"}', (tmp_path / 'view.html').as_uri()],
-        capture_output=True, text=True, timeout=200)
+        capture_output=True, text=True, timeout=HUNG)
     assert 'Uncaught' not in done.stderr
     # What the page's own code has made: the canvas with the room.
     assert '<canvas width=' in done.stdout

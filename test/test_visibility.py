@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What cameras see: the kernels against NumPy and ray casting, and what must hold of them."""
 
+from conftest import made_room
 from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
@@ -32,7 +33,6 @@ from ocp_ros.geometry.visibility import (
 )
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.scenes.synthetic.generator import generate_room
 
 HERE = Pose(np.zeros(3), LEVEL)
 NOWHERE = np.empty((0, 3), np.float32)
@@ -159,7 +159,7 @@ def test_a_look_agrees_with_its_twin(preset, seed):
 
 @pytest.mark.parametrize('preset', ['fine', 'fast'])
 def test_a_look_at_a_room_agrees_with_its_twin(preset):
-    scene = generate_room(3, 6000)
+    scene = made_room(3, 6000)
     camera = np.append(scene.bounds.mean(axis=0)[:2], 1.6)
     twin = Twin(scene.points, scene.normals_or_estimate, DISC_SCALE * scene.pitch, camera, 4.0,
                 PRESETS[preset])
@@ -307,7 +307,7 @@ def test_turning_the_room_by_whole_cells_changes_next_to_nothing(preset, seed, t
 
 @pytest.mark.parametrize(('preset', 'most'), [('fine', 0.0), ('fast', 0.0), ('paper', 0.01)])
 def test_frusta_that_tile_the_sphere_see_what_an_omnidirectional_camera_sees(preset, most):
-    scene = generate_room(3, 6000)
+    scene = made_room(3, 6000)
     position = np.append(scene.bounds.mean(axis=0)[:2], 1.6)
     together = np.zeros(len(scene), dtype=bool)
     # The six faces of a cube around the camera.
@@ -325,7 +325,7 @@ def test_frusta_that_tile_the_sphere_see_what_an_omnidirectional_camera_sees(pre
 def test_visibility_agrees_with_ray_casting(preset, least):
     right = wrong = missed = 0
     for seed in range(3):
-        scene = generate_room(seed, 15000)
+        scene = made_room(seed, 15000)
         for position in free_places(scene, 1.9, 2, np.random.default_rng(seed)):
             truth = RayCaster(scene.mesh).visible(scene.points, position, 6.0)
             seen = look_at_scene(scene, Pose(position, LEVEL), CameraModel(0.0, 6.0), preset)
@@ -337,7 +337,7 @@ def test_visibility_agrees_with_ray_casting(preset, least):
 
 @pytest.mark.parametrize('name', ['realsense_d455', 'azure_kinect_wfov', 'velodyne_vlp16'])
 def test_a_real_sensor_agrees_with_ray_casting_in_its_cone(name):
-    scene, model = generate_room(1, 15000), SENSORS[name].model
+    scene, model = made_room(1, 15000), SENSORS[name].model
     right = wrong = missed = 0
     for k, position in enumerate(free_places(scene, 1.9, 4, np.random.default_rng(1))):
         pose = Pose(position, rotation_matrix(1.7 * k, 0.4, 0.1))
@@ -353,7 +353,7 @@ def test_a_real_sensor_agrees_with_ray_casting_in_its_cone(name):
 
 @pytest.mark.parametrize('preset', PRESETS)
 def test_a_place_in_the_air_is_covered_unless_something_is_in_front(preset):
-    scene = generate_room(4, 12000)
+    scene = made_room(4, 12000)
     camera = free_places(scene, 1.9, 1, np.random.default_rng(1))[0]
     places, _ = coverage_grid(scene.bounds, 0.5)
     sizes = scene.spacing if preset == 'paper' else scene.pitch

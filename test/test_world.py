@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the agent knows of a room: the engine on what was seen, and the world-model inputs."""
 
-from conftest import around_z, box_room, flat_clouds, l_shaped
+from conftest import around_z, box_room, flat_clouds, l_shaped, made_room
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -29,7 +29,6 @@ from ocp_ros.geometry.blocks import count_bits
 from ocp_ros.geometry.visibility import FAST, FINE
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.scenes.scene import turned
-from ocp_ros.scenes.synthetic.generator import generate_room
 
 MAX_RANGE, MARGIN = 4.0, 0.1
 #: Where the numbers of a direction are: those of its places, then its own.
@@ -39,7 +38,7 @@ OTHERS, EDGE, MOVED = slice(-4, -2), -2, -1
 @pytest.fixture(scope='module')
 def room():
     """Return a generated room that is small and densely scanned."""
-    return generate_room(8, 5000)
+    return made_room(8, 5000)
 
 
 def inputs():

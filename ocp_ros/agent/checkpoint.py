@@ -17,16 +17,13 @@ import safetensors.torch
 import torch
 
 from ocp_ros.agent.agent_config import AgentConfig
+from ocp_ros.agent.errors import CheckpointError
 from ocp_ros.agent.networks import Actor
 from ocp_ros.util.files import write_atomically
-from ocp_ros.util.settings import from_nested, to_nested, UserError
+from ocp_ros.util.settings import from_nested, to_nested
 
 FORMAT = 'ocp_ros-actor-2'
 KEY = 'ocp_ros'
-
-
-class CheckpointError(UserError):
-    """Weights that cannot be used; the message says what was found and expected."""
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ distances.
 
 import logging
 
-import cma
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
@@ -84,6 +83,8 @@ class CmaEs(Planner):
         :param sigma: standard deviation that the first run starts with, as a share of the
             rectangle's edges.
         """
+        # It brings all of matplotlib: nobody waits for that who does not search with it.
+        import cma
         logging.getLogger('cma').setLevel(logging.ERROR)
         space, restarts = self.space, 0
         scale = np.maximum(space.size, 1e-9)

@@ -8,7 +8,7 @@ import numpy as np
 from safetensors import SafetensorError
 import safetensors.numpy
 
-from ocp_ros.agent.checkpoint import CheckpointError
+from ocp_ros.agent.errors import CheckpointError
 from ocp_ros.training.transitions import Transition
 from ocp_ros.util.files import write_atomically
 
