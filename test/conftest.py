@@ -256,7 +256,7 @@ def here(monkeypatch):
     from stable_baselines3.common.vec_env import DummyVecEnv
 
     from ocp_ros.training import train
-    monkeypatch.setattr(train, 'Crew', Here)
+    monkeypatch.setattr(train, 'WorkerPool', Here)
     monkeypatch.setattr(train, 'SubprocVecEnv', lambda made, start_method: DummyVecEnv(made))
 
 
