@@ -197,7 +197,7 @@ def test_aiming_that_fails_leaves_cameras_turned_as_they_are(robot, rig_file, mo
 
     poses = positions_to_msg(PLACES, Header(), HEADINGS)
     with monkeypatch.context() as patched:
-        patched.setattr(policy._decider, 'aim', fail)
+        patched.setattr(policy._decider.step, 'aim', fail)
         robot.send(1, poses)
         assert robot.command(1).poses[0].orientation == poses.poses[0].orientation
     assert 'aiming: found ZeroDivisionError: by 0; cameras stay' in capfd.readouterr().err

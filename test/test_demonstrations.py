@@ -16,8 +16,9 @@ from ocp_ros.agent.move_effects import CHOICES, OF_CAMERAS
 from ocp_ros.agent.policy import Policy
 from ocp_ros.evaluation.benchmark_rooms import space_of
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.planners.online_planner import GreedyStep, Learned, play
+from ocp_ros.planners.online_planner import GreedyStep, Learned
 from ocp_ros.planners.registry import settings_of
+from ocp_ros.planners.rollout import play
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.scenes.scene_source import make_room
 from ocp_ros.simulation.environment import CameraPlacementEnv

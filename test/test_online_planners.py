@@ -11,7 +11,8 @@ from ocp_ros.agent.policy import Policy
 from ocp_ros.geometry.blocks import unpack
 from ocp_ros.geometry.visibility import FINE
 from ocp_ros.planners.lookahead import Lookahead
-from ocp_ros.planners.online_planner import GreedyStep, Learned, Online, play, ThenLookahead
+from ocp_ros.planners.online_planner import GreedyStep, Learned, Online, ThenLookahead
+from ocp_ros.planners.rollout import play
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.episode import Episode

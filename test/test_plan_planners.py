@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
+from ocp_ros.agent.heading_planner import MAX_TURN
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.blocks import Subset
 from ocp_ros.geometry.engine_config import EngineConfig
@@ -20,8 +21,9 @@ from ocp_ros.planners.pose_decoder import Decoder
 from ocp_ros.planners.registry import OFFLINE, ONLINE
 from ocp_ros.planners.rig_methods import PLANNERS
 from ocp_ros.planners.rig_offline import RigScorer
-from ocp_ros.planners.rig_online import play_held
+from ocp_ros.planners.rig_online import rollout
 from ocp_ros.planners.rig_plan import RigPlanner
+from ocp_ros.planners.step import Limits, OnlineStep
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import placement_of, save_placement
 from ocp_ros.rig.rig_file import load_rig, rig_of, with_count
@@ -273,7 +275,8 @@ def test_cameras_that_move_never_break_what_they_know_of(planned):
 
     start = np.array([[1.2, 3.5, 1.9], [3.5, 1.2, 1.9], [5.5, 3.5, 1.9]])
     online = Across(np.random.default_rng(0), 0.5, 4.0, 0.1)
-    last = play_held(online, objective, start, EpisodeConfig(), 12, lambda turn: turn >= 12)
+    step = OnlineStep(online, Limits(0.5, MAX_TURN, 0.1), rig)
+    last = rollout(step, objective, start, 12, lambda turn: turn >= 12)
     visited.append(last[:, :3])
     for positions in visited[1:]:
         x, y, _ = positions.T

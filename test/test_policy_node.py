@@ -20,7 +20,8 @@ from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
 from ocp_ros.agent.checkpoint import CheckpointError
 from ocp_ros.agent.encoder import Encoder
 from ocp_ros.agent.policy import Policy
-from ocp_ros.planners.online_planner import play, REFINING
+from ocp_ros.planners.online_planner import REFINING
+from ocp_ros.planners.rollout import play
 from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import (

@@ -99,6 +99,25 @@ def test_an_interrupt_that_a_callback_takes_for_an_error_of_its_own_ends_a_node(
     assert run(make_node, []) == 0
 
 
+#: Waits in native code that keeps the interpreter's lock.
+STUCK = """
+import ctypes
+from ocp_ros.ros.runtime.leaving import leaving_within
+
+print('saved')
+with leaving_within(0.2):
+    pass
+with leaving_within(0.2):
+    ctypes.PyDLL(None).sleep(1000)
+print('not here')
+"""
+
+
+def test_native_code_that_never_returns_keeps_no_process():
+    done = subprocess.run([sys.executable, '-c', STUCK], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, 'saved\n'), done.stderr
+
+
 #: Starts a node, tells its process id, and waits to be killed.
 PARENT = """
 import sys

@@ -216,7 +216,7 @@ def test_commands_are_held_to_a_rig_file(robot, tmp_path, monkeypatch):
         assert not ((found[:2, 0] >= 3.5) & (found[:2, 0] <= 4.5)).any()
         assert cKDTree(box_room().points).query(found[:2])[0].min() >= 0.399
         positions = found
-    assert not policy._decider.guard.held
+    assert not policy._decider.held
 
 
 def test_cameras_are_turned_as_far_as_they_may_be_while_the_node_runs(robot, tmp_path, change):

@@ -18,8 +18,8 @@ import numpy as np
 
 from ocp_ros.evaluation.benchmark_rooms import POINTS, ROTATIONS, space_of, TEST_ROOMS
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.planners.online_planner import play
 from ocp_ros.planners.registry import OFFLINE, ONLINE
+from ocp_ros.planners.rollout import play
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
 from ocp_ros.rig.free_plane import FreePlane

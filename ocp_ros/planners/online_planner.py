@@ -7,9 +7,6 @@ What they know of the room is the observed cloud;
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass
-import time
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +18,6 @@ from ocp_ros.agent.move_effects import CHOICES, greedy
 from ocp_ros.agent.rig_state import RigState
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.motion import bounded_moves, towards
-from ocp_ros.simulation.episode import Episode
 
 if TYPE_CHECKING:
     from ocp_ros.agent.policy import Policy
@@ -122,43 +118,6 @@ class Online(ABC):
             return moves
         inside = self.space(cloud, positions).inside(positions[:, :2] + moves)
         return self.towards(positions, inside) - positions[:, :2]
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """
-    An episode that an online planner has played.
-
-    :ivar trajectory: (T + 1, K, 3) metres: where the cameras were, the start first.
-    :ivar depth_error: (T + 1,) metres, of the placement at each of these.
-    :ivar seconds: (T,) how long the planner thought at each turn.
-    """
-
-    trajectory: np.ndarray
-    depth_error: np.ndarray
-    seconds: np.ndarray
-
-
-def play(online: Online, episode: Episode,
-         clock: Callable[[], float] = time.perf_counter) -> Outcome:
-    """
-    Play an episode to its end.
-
-    :param online: moves the cameras; it is reset first.
-    :param episode: a new one.
-    :param clock: tells the seconds.
-    """
-    online.reset()
-    states, seconds = [episode.turn], []
-    while not episode.turn.truncated:
-        cloud = episode.observed_cloud
-        began = clock()
-        moves = online.move(cloud, episode.turn.positions, episode.turn.step,
-                            episode.config.turns)
-        seconds.append(clock() - began)
-        states.append(episode.move(moves))
-    return Outcome(np.array([state.positions for state in states]),
-                   np.array([state.depth_error for state in states]), np.array(seconds))
 
 
 class Learned(Online):

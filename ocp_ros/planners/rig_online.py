@@ -11,16 +11,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ocp_ros.agent.constraint_filter import ConstraintFilter
-from ocp_ros.agent.heading_planner import HeadingPlanner, MAX_TURN
+from ocp_ros.agent.heading_planner import MAX_TURN
 from ocp_ros.agent.rig_state import RigState
 from ocp_ros.geometry.blocks import Subset
 from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.candidate_pool import check_room, Pool
-from ocp_ros.planners.online_planner import Online
 from ocp_ros.planners.pose_decoder import Decoder
 from ocp_ros.planners.registry import ONLINE
 from ocp_ros.planners.rig_search import Answer, Progress, views_of
+from ocp_ros.planners.step import Limits, OnlineStep
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.motion import drawn_near
 from ocp_ros.rig.rig_config import RigConfig
@@ -33,8 +32,7 @@ FARTHEST = 100.0
 
 
 def play_online(name: str, objective: Objective, allowed: FeasibleRegion, pool: Pool,
-                budget: Budget,
-                seed: int, progress: Progress | None = None) -> Answer:
+                budget: Budget, seed: int, progress: Progress | None = None) -> Answer:
     """
     Find a placement of a rig's cameras by an online planner.
 
@@ -63,7 +61,8 @@ def play_online(name: str, objective: Objective, allowed: FeasibleRegion, pool: 
         return turn >= turns or budget.stopped
 
     start = _start(decoder, config.episode, np.random.default_rng([seed, 0]))
-    poses = play_held(online, objective, start, config.episode, turns, over)
+    limits = Limits(config.episode.max_step, MAX_TURN, config.episode.wall_margin)
+    poses = rollout(OnlineStep(online, limits, objective.rig), objective, start, turns, over)
     sites = decoder(poses[:, :3], poses[:, 3:])
     loss = objective.loss(views_of(sites))
     return Answer(sites, loss, (loss,), played)
@@ -82,42 +81,31 @@ def _start(decoder: Decoder, config: EpisodeConfig, rng: np.random.Generator) ->
     return np.array([site.pose[:3] for site in decoder(middle + near)])
 
 
-def play_held(online: Online, objective: Objective, positions: np.ndarray, config: EpisodeConfig,
-              turns: int, over: Callable[[int], bool]) -> np.ndarray:
+def rollout(step: OnlineStep, objective: Objective, positions: np.ndarray, turns: int,
+            over: Callable[[int], bool]) -> np.ndarray:
     """
-    Play a room, each camera held to its rig by what has been seen so far.
+    Play a rig in a room that it knows only by what it has seen.
 
-    :param online: moves the cameras; it is reset first.
+    :param step: chooses the commands; it is reset first.
     :param objective: the room and the rig; cameras in place see, but do not move.
     :param positions: (K, 3) metres, where the cameras begin.
-    :param config: the longest step and the distance from the sides of what has been seen.
     :param turns: of the whole episode.
     :param over: gets the turns played so far and tells whether to end.
     :returns: (K, 6) metres and radians, where the cameras end and how they are turned.
     """
-    rig, guard = objective.rig, ConstraintFilter(objective.rig, config.wall_margin)
-    aim = HeadingPlanner(rig.models, len(rig.cameras), rig.pitch, config.wall_margin)
+    rig, simulator = objective.rig, objective.simulator
     poses = np.hstack([positions, _headings(positions, objective)])
-    order, points = objective.simulator.visibility.order, objective.simulator.scene.points
-    seen = objective.simulator.nothing()
+    order, seen = simulator.visibility.order, simulator.nothing()
     for view in objective.fixed:
         seen |= Subset(view.seen, order)
-    online.reset()
+    step.reset()
     turn = 0
     while not over(turn):
         for view in objective.look(poses):
             seen |= Subset(view.seen, order)
-        cloud, targets = points[seen.mask], poses[:, :3].copy()
-        sight = RigState(np.vstack([poses, rig.fixed_poses]), rig.models, len(poses), rig.pitch)
-        online.know(sight)
-        targets[:, :2] += online.move(cloud, poses[:, :3], turn, turns)
-        targets = guard(cloud, poses[:, :3], targets, config.max_step,
-                        rig.fixed_poses[:, :3]).targets
-        if aim.aimed:
-            everybody = np.vstack([targets, rig.fixed_poses[:, :3]])
-            headings = aim(cloud, sight, everybody, MAX_TURN, turn, turns, online.headings)
-            poses[aim.aimed, 3:] = headings[aim.aimed]
-        poses[:, :3] = targets
+        state = RigState(np.vstack([poses, rig.fixed_poses]), rig.models, len(poses), rig.pitch)
+        command = step(simulator.scene.points[seen.mask], state, turn, turns)
+        poses = command.placement[:len(poses)]
         turn += 1
     return poses
 

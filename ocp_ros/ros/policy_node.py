@@ -83,7 +83,7 @@ class PolicyNode(Node):
             self.create_subscription(
                 UInt8MultiArray, topics.POLICY_WEIGHTS, self._on_weights, LATCHED)
         self._views = PolicyViews(self, self._decider.models, self._live is not None,
-                                  self._decider.sight if self._decider.guard else None)
+                                  self._decider.state if self._decider.rig else None)
         follow(self, self._change)
         self._health = diagnostics.Health(self, self._status)
         # Last: from now on it speaks, and nothing that follows can fail.
@@ -155,7 +155,7 @@ class PolicyNode(Node):
             self._settle(poses)
             if self._experiences:
                 # What would be chosen now belongs to the choice before: see what it led to.
-                self._decider.moves(cloud, positions, self._step)
+                self._decider.plan(cloud, poses, self._step)
         answer = self._decider.decide(cloud, poses, self._step, self._settled)
         target = msg_to_positions(answer)
         self._finality.moved(np.linalg.norm(target - positions, axis=1).max(),
@@ -194,8 +194,7 @@ class PolicyNode(Node):
     def _keep(self, path: str, poses: PoseArray) -> None:
         """Write the placement to a file; where that fails it is on its topic alone."""
         try:
-            save_placement(path, placement_from(poses, self._decider.guard,
-                                                self._decider.models[0], self._finality.why))
+            save_placement(path, placement_from(poses, self._decider, self._finality.why))
         except OSError as error:
             self.get_logger().error(f'placement_file: found {path}, which cannot be written '
                                     f'({error.strerror}); expected a file in a folder that can')
@@ -227,9 +226,7 @@ class PolicyNode(Node):
         """Say what the planner is doing."""
         message = 'placement is final' if self._settled else 'answering turns'
         wrong, live = ('', {}) if self._live is None else self._live.status()
-        guard = self._decider.guard
-        if guard is not None and guard.held:
-            wrong = wrong or '; '.join(guard.held)
+        wrong = wrong or '; '.join(self._decider.held)
         wrong = self._commander.wrong() or wrong
         run, updates = '-', 0
         if self.policy is not None:

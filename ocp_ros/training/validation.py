@@ -9,8 +9,9 @@ import numpy as np
 
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.policy import Policy
-from ocp_ros.planners.online_planner import Learned, Online, play
+from ocp_ros.planners.online_planner import Learned, Online
 from ocp_ros.planners.registry import ONLINE, settings_of
+from ocp_ros.planners.rollout import play
 from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.simulation_config import SimulationConfig

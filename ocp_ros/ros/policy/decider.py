@@ -1,22 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``policy_node`` decides in a turn: what a planner asks for, as far as it is allowed."""
+"""What ``policy_node`` decides in a turn: messages to a rig state, one step, and back."""
 
 from geometry_msgs.msg import PoseArray
 import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.heading_planner import HeadingPlanner
 from ocp_ros.agent.rig_state import RigState
-from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.geometry.cameras import CameraModel, heading_of
 from ocp_ros.geometry.clouds import corners_of
-from ocp_ros.rig.free_plane import FreePlane
-from ocp_ros.rig.motion import kept_inside, towards, way_between
-from ocp_ros.ros.interface.conversions import MessageError, moved_to, msg_to_positions
+from ocp_ros.planners.online_planner import Online
+from ocp_ros.planners.step import Limits, OnlineStep
+from ocp_ros.rig.motion import way_between
+from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.ros.interface.conversions import (
+    MessageError,
+    moved_to,
+    msg_to_positions,
+    rotation_of,
+)
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from ocp_ros.ros.policy.policy_planners import make_planner, planned_alike
-from ocp_ros.ros.policy.rig_constraints import RigConstraints
 from ocp_ros.scenes.scene import LARGEST
+
+
+def limits_of(config: PolicyNodeConfig) -> Limits:
+    """Return what a rig can do in one turn."""
+    return Limits(config.max_step, config.max_turn, config.wall_margin)
 
 
 class Decider:
@@ -26,52 +36,46 @@ class Decider:
     :param config: of the node.
     :param checkpoint: weights of the policy; None where none is asked.
     :param log: of the node.
-    :ivar planner: chooses the moves.
-    :ivar learned: its part that runs the policy; None where there is none.
-    :ivar guard: the rig file; None where there is none.
-    :ivar aim: turns the cameras; None where all see all around, for all that is known.
-    :ivar widest: the widest turn of a camera that was asked for last, radians.
+    :ivar rig: the rig file; None where there is none.
+    :ivar learned: the part of the planner that runs the policy; None where there is none.
+    :ivar step: takes the time steps.
+    :ivar held: sentences, one for each camera that stays since it may go nowhere.
+    :ivar widest: the widest rotation of a camera that was commanded last, radians.
     :raises ConfigurationError: if the rig file cannot be used.
     """
 
     def __init__(self, config: PolicyNodeConfig, checkpoint: Checkpoint | None,
                  log: RcutilsLogger) -> None:
         self._config, self._log = config, log
-        self.planner, self.learned = make_planner(config, checkpoint)
-        self.guard = RigConstraints(config.rig_file,
-                                    config.wall_margin) if config.rig_file else None
-        self.aim, self.widest = self._make_aim(), 0.0
+        planner, self.learned = make_planner(config, checkpoint)
+        self.rig = load_rig(config.rig_file) if config.rig_file else None
+        # Whatever happens in a step, this node goes on.
+        self.step = OnlineStep(planner, limits_of(config), self.rig, log.error)
+        self.held: list[str] = []
+        self.widest = 0.0
 
-    def _make_aim(self) -> HeadingPlanner | None:
-        """Build what turns the cameras."""
-        if self.guard is None:
-            return None
-        rig = self.guard.rig
-        aim = HeadingPlanner(rig.models, len(rig.cameras), rig.pitch, self._config.wall_margin)
-        return aim if aim.aimed else None
+    @property
+    def planner(self) -> Online:
+        """Return what chooses the moves."""
+        return self.step.planner
 
     def reset(self) -> None:
         """Forget the turns of the last episode."""
-        self.planner.reset()
-        if self.aim is not None:
-            self.aim.reset()
+        self.step.reset()
 
     def change(self, config: PolicyNodeConfig) -> None:
         """Go on with other parameters; a planner that begins anew knows what it needs."""
-        before, self._config = self._config, config
+        before, self._config, planner = self._config, config, self.planner
         if not planned_alike(before, config):
-            self.planner, self.learned = make_planner(
+            planner, self.learned = make_planner(
                 config, None if self.learned is None else self.learned.policy.checkpoint)
-        if self.guard is not None:
-            self.guard.change_margin(config.wall_margin)
-        if before.wall_margin != config.wall_margin:
-            self.aim = self._make_aim()
+        self.step.change(planner, limits_of(config))
 
     @property
     def models(self) -> tuple[CameraModel, ...]:
         """Return what each camera sees, or one model for all."""
-        if self.guard is not None:
-            return self.guard.models
+        if self.rig is not None:
+            return self.rig.models
         return (CameraModel(self._config.min_range, self._config.max_range),)
 
     @property
@@ -86,101 +90,66 @@ class Decider:
         :param cloud: (N, 3) float32, metres: the points seen so far.
         :param poses: where the cameras are.
         :raises MessageError: if nothing was seen, or not a room, or the cameras are of another
-            rig, or nobody says how one is turned that looks one way.
+            rig, or the heading of a camera with a frustum is missing.
         """
         if len(cloud) == 0:
             raise MessageError('cloud: found no finite point; expected what the cameras see')
-        positions = msg_to_positions(poses)
-        around = np.concatenate([corners_of(cloud).astype(np.float64), positions])
+        around = np.concatenate([corners_of(cloud).astype(np.float64), msg_to_positions(poses)])
         if (size := np.ptp(around, axis=0).max()) > LARGEST:
             raise MessageError(f'cloud: found points and cameras {size:.0f} m apart; expected '
                                f'those of a room, within {LARGEST:.0f} m')
-        self._movable(positions)
-        self.sight(poses)
+        self.state(poses)
 
-    def sight(self, poses: PoseArray) -> RigState | None:
+    def state(self, poses: PoseArray) -> RigState:
         """
-        Return how the cameras stand and what each sees; None where nobody knows.
+        Return how the cameras stand and what each sees; those in place as told, or as in the file.
 
-        :raises MessageError: if it is not said how a camera is turned that looks one way.
+        :param poses: of all cameras of the rig, or of those that are to be placed.
+        :raises MessageError: if they are of another rig, or the heading of a camera with a frustum
+            is missing.
         """
-        return None if self.guard is None else self.guard.sight(poses)._replace(
-            turns=self._config.max_turn > 0.0)
+        count = len(poses.poses)
+        models, movable, pitch = self.models * count, count, (0.0, 0.5 * np.pi)
+        if self.rig is not None:
+            models, movable, pitch = self.rig.models, len(self.rig.cameras), self.rig.pitch
+            if count not in (movable, movable + len(self.rig.fixed)):
+                others = f', or {movable + len(self.rig.fixed)} with those in place' \
+                    if self.rig.fixed else ''
+                raise MessageError(f'poses: found {count} cameras; expected {movable}{others}, '
+                                   f'as {self.rig.document.name} has it')
+        rows = np.zeros((count, 6))
+        rows[:, :3] = msg_to_positions(poses)
+        for camera, (pose, model) in enumerate(zip(poses.poses, models)):
+            if not model.omnidirectional:
+                rows[camera, 3:] = heading_of(
+                    rotation_of(pose.orientation, f'poses: camera {camera}'))
+        if self.rig is not None and count == movable:
+            rows = np.concatenate([rows, self.rig.fixed_poses])
+        return RigState(rows, models, movable, pitch, self._config.max_turn > 0.0)
 
-    def _movable(self, positions: np.ndarray) -> np.ndarray:
-        """Return where the cameras are that may be moved: (M, 3) metres, M <= K."""
-        return positions if self.guard is None else self.guard.movable(positions)
-
-    def decide(self, cloud: np.ndarray, poses: PoseArray, step: int, settled: bool) -> PoseArray:
+    def decide(self, cloud: np.ndarray, poses: PoseArray, turn: int, settled: bool) -> PoseArray:
         """
         Choose where the cameras go and how they are turned there.
 
         :param cloud: (N, 3) float32, metres: the points seen so far.
         :param poses: where the cameras are.
-        :param step: turns played so far.
+        :param turn: turns played so far.
         :param settled: whether the cameras shall stay where they are.
         """
-        positions = msg_to_positions(poses)
-        target, movable, sight = positions.copy(), self._movable(positions), self.sight(poses)
-        self.planner.know(sight)
-        if not settled:
-            # Nobody leaves the floor that was seen: beyond a wall one looks through its back.
-            space = FreePlane.of(cloud, float(np.median(movable[:, 2])), len(movable),
-                                 self._config.wall_margin)
-            target[:len(movable), :2] = space.moved(
-                movable[:, :2], self.moves(cloud, movable, step), self._config.max_step)
-        target = self._held(cloud, positions, target, settled)
-        turned = {} if settled else self._turned(cloud, sight, target, step)
-        self.widest = max((float(np.linalg.norm(way_between(sight.placement[camera, 3:], heading)))
-                           for camera, heading in turned.items()), default=0.0)
-        return moved_to(poses, target, turned)
-
-    def _turned(self, cloud: np.ndarray, sight: RigState | None, target: np.ndarray, step: int
-                ) -> dict[int, np.ndarray]:
-        """Return yaw, pitch and roll (3,) in radians of the cameras that are turned."""
-        max_turn, turns = self._config.max_turn, self._config.turns
-        if self.aim is None or not max_turn:
-            return {}
-        everybody = sight.placement[:, :3].copy()
-        everybody[:len(target)] = target
-        try:
-            headings = self.aim(cloud, sight, everybody, max_turn, min(step, turns), turns,
-                                self.planner.headings)
-        except Exception as error:
-            # As with planners: whatever happens, this node goes on.
-            self._log.error(f'aiming: found {type(error).__name__}: {error}; cameras stay turned '
-                            'as they are')
-            return {}
-        return {camera: headings[camera] for camera in self.aim.aimed}
-
-    def _held(self, cloud: np.ndarray, positions: np.ndarray, target: np.ndarray,
-              settled: bool) -> np.ndarray:
-        """Bring targets (K, 3) to where cameras may be."""
         if settled:
-            return positions.copy()
-        target, _ = kept_inside(target, corners_of(cloud).astype(np.float64),
-                                self._config.wall_margin)
-        if self.guard is None:
-            # A camera that looks one way may stand far outside what it has seen.
-            target[:, :2] = towards(positions[:, :2], target[:, :2], self._config.max_step)
-            return target
-        target = self.guard.hold(cloud, positions, target, self._config.max_step)
-        if self.guard.held:
-            self._log.warning('; '.join(self.guard.held), throttle_duration_sec=5.0)
-        return target
+            self.widest = 0.0
+            return moved_to(poses, msg_to_positions(poses), {})
+        state, turns = self.state(poses), self._config.turns
+        command = self.step(cloud, state, min(turn, turns), turns)
+        self.held = command.held
+        if self.held:
+            self._log.warning('; '.join(self.held), throttle_duration_sec=5.0)
+        headings = {camera: command.placement[camera, 3:] for camera in command.rotated}
+        self.widest = max((float(np.linalg.norm(way_between(state.placement[camera, 3:], heading)))
+                           for camera, heading in headings.items()), default=0.0)
+        return moved_to(poses, command.placement[:len(poses.poses), :3], headings)
 
-    def moves(self, cloud: np.ndarray, positions: np.ndarray, step: int) -> np.ndarray:
-        """Ask the planner for the next moves, (K, 2) metres; where it fails, cameras stay."""
+    def plan(self, cloud: np.ndarray, poses: PoseArray, turn: int) -> None:
+        """Let the planner choose moves that nobody makes."""
         turns = self._config.turns
-        try:
-            moves = self.planner.move(cloud, positions, min(step, turns), turns)
-        except Exception as error:
-            # Planners know what to do without a room. What else may happen, this node goes on.
-            failure = f'{type(error).__name__}: {error}'
-        else:
-            if np.isfinite(moves).all():
-                return moves
-            failure = 'moves of NaN or inf'
-        self._log.error(
-            f'{self._config.planner}: found {failure}; cameras stay where they are')
-        return np.zeros((len(positions), 2))
+        self.step.plan(cloud, self.state(poses), min(turn, turns), turns)

@@ -26,6 +26,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from ocp_ros.agent.errors import CheckpointError
+from ocp_ros.ros.runtime.leaving import leaving_within
 from ocp_ros.ros.runtime.network import stay_local
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.util.settings import ConfigurationError
@@ -36,6 +37,8 @@ ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 PARENT = 'OCP_ROS_PARENT'
 #: Seconds after which an idle executor looks for signals.
 LOOK = 0.1
+#: Seconds that the middleware has to take a node down: ``ros2 launch`` kills 10 s after Ctrl-C.
+PATIENCE = 3.0
 #: ``PR_SET_PDEATHSIG`` of prctl(2).
 DEATH_SIGNAL = 1
 #: What rclpy raises where it cannot read its arguments, or cannot start.
@@ -181,8 +184,9 @@ def take_down(node: Node | None, executor: SingleThreadedExecutor | None) -> Non
         if hasattr(node, 'stop'):
             node.stop()
     finally:
-        if executor is not None:
-            executor.shutdown()
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
+        with leaving_within(PATIENCE):
+            if executor is not None:
+                executor.shutdown()
+            if node is not None:
+                node.destroy_node()
+            rclpy.try_shutdown()
