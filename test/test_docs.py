@@ -7,7 +7,7 @@ import shlex
 import subprocess
 import sys
 
-from conftest import ROOT
+from conftest import made_room, ROOT
 import pytest
 
 
@@ -136,8 +136,7 @@ def test_the_readmes_python_example_runs(tmp_path, monkeypatch, capsys):
     import numpy as np
     from plyfile import PlyData, PlyElement
 
-    from ocp_ros.scenes.synthetic.generator import generate_room
-    points = generate_room(1, 3000).points.astype(np.float32)
+    points = made_room(1, 3000).points.astype(np.float32)
     rows = points.view([(axis, 'f4') for axis in 'xyz']).ravel()
     PlyData([PlyElement.describe(rows, 'vertex')]).write(str(tmp_path / 'room.ply'))
     monkeypatch.chdir(tmp_path)
@@ -168,8 +167,7 @@ def test_every_command_in_the_documentation_can_be_run(command, tmp_path, monkey
     if not CHEAP & {command[:1], command[:2]}:
         return
     from ocp_ros.scenes.scene_files import save_scene
-    from ocp_ros.scenes.synthetic.generator import generate_room
-    room = generate_room(8, 1500)
+    room = made_room(8, 1500)
     for name in ('room.ply', 'scan.ply', 'scans/room-8.ply', 'scans/room-9.ply'):
         save_scene(room, tmp_path / name)
     (tmp_path / 'placement.yaml').write_text(yaml_example('docs/quickstart_scan.md', 'cameras:'))

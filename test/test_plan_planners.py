@@ -79,6 +79,12 @@ def planned(files):
     return plan
 
 
+@pytest.fixture
+def few_candidates(monkeypatch):
+    """Lay out few candidates where the clock is all that limits a search."""
+    monkeypatch.setattr('ocp_ros.planners.rig_plan.CANDIDATES', 200)
+
+
 def decoder_of(scene, rig, candidates=120):
     """Return a decoder with few candidates."""
     objective, allowed = Objective(simulator_of(scene, rig, FAST), rig), FeasibleRegion(scene, rig)
@@ -226,7 +232,7 @@ def test_planners_are_told_the_loss_the_coverage_and_what_is_seen(furnished):
 
 
 @pytest.mark.parametrize('name', ['random', 'greedy_error', 'cma_es', 'learned', 'lookahead'])
-def test_who_has_had_enough_gets_the_best_so_far(furnished, name):
+def test_who_has_had_enough_gets_the_best_so_far(furnished, few_candidates, name):
     rig, calls = rig_of(2, 'omnidirectional'), []
     budget = Budget(seconds=3600.0)
 
@@ -245,7 +251,7 @@ def test_who_has_had_enough_gets_the_best_so_far(furnished, name):
         assert plan.answer.loss <= calls[-1][1]
 
 
-def test_seconds_end_a_search_that_counts_nothing(furnished):
+def test_seconds_end_a_search_that_counts_nothing(furnished, few_candidates):
     now = [0.0]
 
     def clock():
@@ -287,7 +293,7 @@ def test_cameras_that_move_never_break_what_they_know_of(planned):
     assert len(visited) == 13 and np.linalg.norm(last[:, :3] - start, axis=1).max() > 0.3
 
 
-def test_the_clock_cuts_no_episode_short(furnished):
+def test_the_clock_cuts_no_episode_short(furnished, few_candidates):
     # Reading kernels and laying out candidates may have taken all the time.
     hours = iter(range(0, 1000000, 3600))
     budget = Budget(seconds=60.0, clock=lambda: next(hours))
