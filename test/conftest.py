@@ -232,22 +232,26 @@ def probe(graph):
 
 
 class Here:
-    """A crew of nobody else."""
+    """A worker pool of this process alone."""
 
-    def __init__(self, workers=0):
+    def __init__(self, workers=0, ray_address=None):
         self.played = []
 
-    def play(self, function, tasks):
-        """Play all tasks in this process."""
+    def map(self, function, tasks):
+        """Run all tasks, in their order."""
         self.played += tasks
         return map(function, tasks)
 
+    def unordered(self, function, tasks):
+        """Run all tasks and number them."""
+        return enumerate(self.map(function, tasks))
+
     def __enter__(self):
-        """Return the crew itself."""
+        """Return the pool itself."""
         return self
 
     def __exit__(self, *_):
-        """There is nobody to send home."""
+        """There is nothing to end."""
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ BESIDE = {'__version__'}
 ONLY = {
     'rclpy': {'ros', 'demo'}, 'tf2_ros': {'ros'}, 'sensor_msgs': {'ros', 'demo'},
     'geometry_msgs': {'ros', 'demo'}, 'rosbags': {'ros'},
-    'stable_baselines3': {'training'}, 'torch': {'agent', 'training', 'ros', 'util'},
+    'stable_baselines3': {'training'}, 'torch': {'agent', 'training', 'ros'},
     'gymnasium': {'simulation', 'training'}, 'matplotlib': {'report'},
     'open3d': {'scenes', 'evaluation'}}
 

@@ -4,6 +4,7 @@
 from dataclasses import replace
 import json
 
+from conftest import Here
 import numpy as np
 import pytest
 
@@ -137,21 +138,14 @@ def test_an_interrupted_comparison_goes_on(tmp_path, monkeypatch):
     done = []
 
     def run_here(protocol, task):
+        if len(done) == 2:
+            done.append(None)
+            raise KeyboardInterrupt
         done.append(task.planner)
         return [{'planner': task.planner}]
 
-    def here(workers):
-        def execute(protocol, tasks):
-            for task, path in tasks.items():
-                if len(done) == 2:
-                    done.append(None)
-                    raise KeyboardInterrupt
-                task_runner.keep_task(protocol, task, path)
-                yield task
-        return execute
-
     monkeypatch.setattr(task_runner, 'run_task', run_here)
-    monkeypatch.setattr(task_runner, '_in_processes', here)
+    monkeypatch.setattr(task_runner, 'WorkerPool', Here)
     with pytest.raises(KeyboardInterrupt):
         task_runner.run(SMALL, tmp_path, 1)
     rows = task_runner.run(SMALL, tmp_path, 1)

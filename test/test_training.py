@@ -52,12 +52,12 @@ def test_evaluation_starts_everybody_from_the_same_place(agent):
 
 
 def test_an_evaluation_is_the_mean_of_its_episodes():
-    crew, trials = Here(), [trial(seed=seed, room=room) for seed, room in ((0, '8'), (1, '12'))]
+    pool, trials = Here(), [trial(seed=seed, room=room) for seed, room in ((0, '8'), (1, '12'))]
     starts, ends, covered = np.array([play_trial(one) for one in trials]).T
-    assert evaluate(crew, trials) == {
+    assert evaluate(pool, trials) == {
         'depth_error_start': starts.mean(), 'depth_error_end': ends.mean(),
         'ratio': ends.mean() / starts.mean(), 'space_coverage_end': covered.mean()}
-    assert crew.played == trials
+    assert pool.played == trials
 
 
 def test_weights_are_judged_with_the_rig_of_the_trial(agent):

@@ -60,7 +60,7 @@ def evaluate(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
         with Progress(*columns, console=Console(stderr=True)) as progress:
             bar = progress.add_task(f'{cameras} cameras')
             rows = run(protocol, arguments.out / f'{cameras}-cameras',
-                       arguments.workers or os.cpu_count() or 1,
+                       arguments.workers or os.cpu_count() or 1, arguments.ray,
                        progress=lambda done, total, bar=bar, progress=progress: progress.update(
                            bar, completed=done, total=total))
         compared = pairs(rows, arguments.planners[0])

@@ -182,6 +182,7 @@ def _add_evaluate(commands: Commands) -> None:
     judged.add_argument('--seeds', type=at_least(1), default=1, help='runs of each')
     judged.add_argument('--workers', type=at_least(1),
                         help='processes; one for each core unless named')
+    judged.add_argument('--ray', metavar='ADDRESS', help='run on a Ray cluster, such as auto')
     judged.add_argument('--out', type=Path, default=Path('out/evaluation'),
                         help='folder of the results; an interrupted evaluation goes on')
     judged.set_defaults(run=_evaluate, show=_show_nothing, scale=1.0, up='z')

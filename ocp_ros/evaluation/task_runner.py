@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run a comparison: all tasks, on all cores or on a Ray cluster, once each, interrupted or not."""
 
-from collections.abc import Callable, Iterator
-from concurrent.futures import as_completed, ProcessPoolExecutor
+from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 import hashlib
 import json
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +15,9 @@ from ocp_ros.planners.registry import PAPER
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.util.worker_pool import WorkerPool
 
 Rows = list[dict[str, Any]]
-#: Runs tasks, leaves the rows of each in its file, and yields those that are done.
-Execute = Callable[[Protocol, dict[BenchmarkTask, Path]], Iterator[BenchmarkTask]]
 
 
 def run(protocol: Protocol, folder: Path, workers: int, ray_address: str | None = None,
@@ -39,14 +37,15 @@ def run(protocol: Protocol, folder: Path, workers: int, ray_address: str | None 
     files = {task: folder / 'tasks' / f'{name_of(task)}.json' for task in tasks}
     _claim(folder, protocol)
     left = [task for task in tasks if not files[task].exists()]
-    execute = _on_ray(ray_address) if ray_address else _in_processes(workers)
     done = len(tasks) - len(left)
     if progress is not None:
         progress(done, len(tasks))
-    for _ in execute(protocol, {task: files[task] for task in left}):
-        done += 1
-        if progress is not None:
-            progress(done, len(tasks))
+    with WorkerPool(workers, ray_address) as pool:
+        for number, rows in pool.unordered(partial(run_task, protocol), left):
+            write_atomically(files[left[number]], json.dumps(rows))
+            done += 1
+            if progress is not None:
+                progress(done, len(tasks))
     return [row for task in tasks for row in json.loads(files[task].read_text())]
 
 
@@ -78,46 +77,3 @@ def _weights(model: str) -> dict[str, str]:
     """Return the SHA-256 of the weights that may play: under the same name there may be others."""
     return {name: hashlib.sha256(find_model(name).read_bytes()).hexdigest()
             for name in dict.fromkeys((model, PAPER))}
-
-
-def keep_task(protocol: Protocol, task: BenchmarkTask, path: Path) -> None:
-    """Run a task and leave its rows in a file, whatever becomes of the other tasks."""
-    write_atomically(path, json.dumps(run_task(protocol, task)))
-
-
-def _in_processes(workers: int) -> Execute:
-    """Run tasks in processes of this machine."""
-    def execute(protocol: Protocol, tasks: dict[BenchmarkTask, Path]) -> Iterator[BenchmarkTask]:
-        # Forked, threads of the parent would leave locks that nobody opens.
-        with ProcessPoolExecutor(workers, mp_context=get_context('spawn')) as pool:
-            futures = {pool.submit(keep_task, protocol, task, path): task
-                       for task, path in tasks.items()}
-            try:
-                for future in as_completed(futures):
-                    future.result()
-                    yield futures[future]
-            finally:
-                pool.shutdown(wait=True, cancel_futures=True)
-    return execute
-
-
-def _on_ray(address: str) -> Execute:
-    """Run tasks on a Ray cluster; each of its machines needs this package and the scans."""
-    try:
-        import ray
-    except ImportError as error:
-        raise ConfigurationError(
-            '--ray: found no package ray; expected it; pip install "ocp_ros[ray]"') from error
-
-    def execute(protocol: Protocol, tasks: dict[BenchmarkTask, Path]) -> Iterator[BenchmarkTask]:
-        if not ray.is_initialized():
-            ray.init(address=address, log_to_driver=False)
-        remote = ray.remote(num_cpus=1, max_retries=2)(run_task)
-        waiting = {remote.remote(protocol, task): task for task in tasks}
-        while waiting:
-            ready, _ = ray.wait(list(waiting))
-            for reference in ready:
-                task = waiting.pop(reference)
-                write_atomically(tasks[task], json.dumps(ray.get(reference)))
-                yield task
-    return execute

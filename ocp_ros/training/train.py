@@ -80,7 +80,7 @@ class Run:
     :ivar config: its settings.
     :ivar folder: where it lives.
     :ivar model: SAC, whose actor is what is trained.
-    :ivar crew: who plays episodes.
+    :ivar pool: plays episodes.
     :ivar progress: the bars.
     :ivar name: identity of the run.
     """
@@ -88,7 +88,7 @@ class Run:
     config: TrainingConfig
     folder: Path
     model: SAC
-    crew: WorkerPool
+    pool: WorkerPool
     progress: Progress
     name: str
 
@@ -125,7 +125,7 @@ class Run:
         """Play the validation rooms; write the line, the state and, if best, the weights."""
         checkpoint = self.checkpoint()
         blob = checkpoint.to_bytes()
-        result = evaluate(self.crew, [replace(trial, weights=blob) for trial in self.trials])
+        result = evaluate(self.pool, [replace(trial, weights=blob) for trial in self.trials])
         for name, value in result.items():
             self.model.logger.record(f'validation/{name}', value)
         # First: weights that are noted as the best are there, whenever the process ends.
@@ -167,7 +167,7 @@ def imitate(run: Run) -> None:
         if not path.exists():
             tasks = demonstrations.tasks_of(run.config, run.rooms, number,
                                             run.checkpoint().to_bytes())
-            demonstrations.save_round(path, list(run.crew.play(demonstrations.demonstrate, tasks)))
+            demonstrations.save_round(path, list(run.pool.map(demonstrations.demonstrate, tasks)))
         if fitted.exists():
             continue
         last = number + 1 == settings.rounds
@@ -287,8 +287,8 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
     _claim(folder, config)
     columns = (TextColumn('{task.description}'), MofNCompleteColumn(), TimeRemainingColumn(),
                TextColumn('{task.fields[error]}'))
-    with WorkerPool(config.workers) as crew, Progress(*columns) as progress:
-        run = Run(config, folder, _model(config, folder), crew, progress, new_run())
+    with WorkerPool(config.workers, config.ray or None) as pool, Progress(*columns) as progress:
+        run = Run(config, folder, _model(config, folder), pool, progress, new_run())
         if run.state.exists():
             run.name = load_state(run.model, run.state)
         imitate(run)
@@ -373,8 +373,8 @@ def report(run: Run, command: str) -> Checkpoint:
         'hardware': torch.cuda.get_device_name() if on_gpu else cpu,
         'seconds': lines[-1]['seconds'], 'curve': lines,
         'test': {'rooms': len(trials),
-                 'policy': evaluate(run.crew, [replace(one, weights=blob) for one in trials]),
-                 RANDOM_MOVES: evaluate(run.crew, trials)}}
+                 'policy': evaluate(run.pool, [replace(one, weights=blob) for one in trials]),
+                 RANDOM_MOVES: evaluate(run.pool, trials)}}
     final = replace(best, provenance=provenance)
     final.save(run.folder / 'best.safetensors')
     return final

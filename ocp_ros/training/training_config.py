@@ -117,6 +117,8 @@ class TrainingConfig:
         'choose one after the other', 0, 1 << 40)
     environments: int = setting(4, 'episodes played side by side', 1, 1024)
     workers: int = setting(0, 'processes that play; 0 for one on each core', 0, 1024)
+    ray: str = setting('', 'a Ray cluster that plays demonstrations and evaluations instead, such '
+                       'as auto; empty for none')
     fewest_cameras: int = setting(
         4, 'episodes have from so many to simulation.rig.cameras cameras', 1, MOST_CAMERAS)
     updates_per_turn: float = setting(1.0, 'gradient steps per interaction', 0.0, 100.0)

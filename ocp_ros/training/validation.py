@@ -91,14 +91,14 @@ def policy_of(weights: bytes) -> Policy:
     return Policy(Checkpoint.from_bytes(weights))
 
 
-def evaluate(crew: WorkerPool, trials: Sequence[ValidationTrial]) -> dict[str, float]:
+def evaluate(pool: WorkerPool, trials: Sequence[ValidationTrial]) -> dict[str, float]:
     """
     Play some episodes.
 
     :returns: mean depth error at start and end (metres), their ratio, and mean space coverage at
         the end (cubic metres).
     """
-    starts, ends, covered = np.array(list(crew.play(play_trial, trials))).T
+    starts, ends, covered = np.array(list(pool.map(play_trial, trials))).T
     return {'depth_error_start': float(starts.mean()), 'depth_error_end': float(ends.mean()),
             'ratio': float(ends.mean() / starts.mean()),
             'space_coverage_end': float(covered.mean())}

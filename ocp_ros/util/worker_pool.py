@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Processes that play episodes, each on a core of its own."""
+"""Many tasks at once: in processes of this machine, or on a Ray cluster where one is named."""
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import as_completed, ProcessPoolExecutor
 from multiprocessing import get_context, parent_process
 import os
 import threading
-from typing import TypeVar
+from typing import Any, TypeVar
 
+from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.threads import cores
 
 T, U = TypeVar('T'), TypeVar('U')
@@ -15,37 +16,79 @@ T, U = TypeVar('T'), TypeVar('U')
 
 class WorkerPool:
     """
-    Play many episodes at once.
+    Run functions on many tasks at once; use it in a ``with`` statement.
 
-    :param workers: how many processes; 0 for one on each core.
+    :param workers: how many processes of this machine; 0 for one on each core.
+    :param ray_address: a Ray cluster to run on instead, such as ``auto``; each of its machines
+        needs this package and the files that tasks name.
+    :raises ConfigurationError: if there is no Ray.
     """
 
-    def __init__(self, workers: int = 0) -> None:
+    def __init__(self, workers: int = 0, ray_address: str | None = None) -> None:
+        self._ray = _connected(ray_address) if ray_address else None
         # Forked, threads of the parent would leave locks that nobody opens.
-        self._pool = ProcessPoolExecutor(workers or cores(), mp_context=get_context('spawn'),
-                                         initializer=_alone)
+        self._processes = None if ray_address else ProcessPoolExecutor(
+            workers or cores(), mp_context=get_context('spawn'), initializer=_work_alone)
 
-    def play(self, function: Callable[[T], U], tasks: Sequence[T]) -> Iterator[U]:
-        """Yield what a function returns for each task, in their order."""
-        return self._pool.map(function, tasks)
+    def unordered(self, function: Callable[[T], U], tasks: Sequence[T]
+                  ) -> Iterator[tuple[int, U]]:
+        """Yield the number of each task and what the function returns for it, as they end."""
+        if self._ray is not None:
+            yield from self._on_ray(function, tasks)
+            return
+        numbers = {self._processes.submit(function, task): number
+                   for number, task in enumerate(tasks)}
+        for future in as_completed(numbers):
+            yield numbers[future], future.result()
+
+    def map(self, function: Callable[[T], U], tasks: Sequence[T]) -> Iterator[U]:
+        """Yield what a function returns for each task, in the order of the tasks."""
+        waiting: dict[int, U] = {}
+        due = 0
+        for number, result in self.unordered(function, tasks):
+            waiting[number] = result
+            while due in waiting:
+                yield waiting.pop(due)
+                due += 1
+
+    def _on_ray(self, function: Callable[[T], U], tasks: Sequence[T]) -> Iterator[tuple[int, U]]:
+        """Run tasks on the cluster; one whose machine is lost runs again on another."""
+        remote = self._ray.remote(num_cpus=1, max_retries=2)(function)
+        numbers = {remote.remote(task): number for number, task in enumerate(tasks)}
+        while numbers:
+            for reference in self._ray.wait(list(numbers))[0]:
+                yield numbers.pop(reference), self._ray.get(reference)
 
     def __enter__(self) -> 'WorkerPool':
-        """Return the crew itself."""
+        """Return the pool itself."""
         return self
 
     def __exit__(self, *_) -> None:
-        """Send everybody home."""
-        self._pool.shutdown(wait=True, cancel_futures=True)
+        """End the processes; tasks that have not begun are dropped."""
+        if self._processes is not None:
+            self._processes.shutdown(wait=True, cancel_futures=True)
 
 
-def _alone() -> None:
-    """Use one core only, since the others have their own work; go when nobody waits any more."""
-    import torch
-    torch.set_num_threads(1)
-    threading.Thread(target=_follow, args=(parent_process(),), daemon=True).start()
+def _connected(address: str) -> Any:
+    """Return the module ``ray``, connected to a cluster."""
+    try:
+        import ray
+    except ImportError as error:
+        raise ConfigurationError(
+            '--ray: found no package ray; expected it; pip install "ocp_ros[ray]"') from error
+    if not ray.is_initialized():
+        ray.init(address=address, log_to_driver=False)
+    return ray
 
 
-def _follow(parent) -> None:
+def _work_alone() -> None:
+    """Use one core only, since the others have their own work; end with the parent."""
+    # PyTorch reads it when it is imported, which may be never.
+    os.environ['OMP_NUM_THREADS'] = '1'
+    threading.Thread(target=_end_with, args=(parent_process(),), daemon=True).start()
+
+
+def _end_with(parent: Any) -> None:
     """End with the parent, however it ended: a killed one tells nobody."""
     parent.join()
     os._exit(1)
