@@ -2,6 +2,7 @@
 """The shape of the tree: who may import whom, and files that must agree."""
 
 import ast
+from collections import Counter
 import re
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -51,6 +52,14 @@ def test_the_data_flows_one_way(path, layer):
         if top == 'ocp_ros' and rest:
             assert rest[0] in allowed, f'{layer} must not import {name}'
         assert layer in ONLY.get(top, {layer}), f'{layer} must not import {name}'
+
+
+def test_every_name_of_a_module_and_of_a_class_occurs_once():
+    paths = [path for path, _ in modules() if path.stem != '__init__']
+    names = Counter(path.stem for path in paths)
+    names.update(node.name for path in paths for node in ast.walk(ast.parse(path.read_text()))
+                 if isinstance(node, ast.ClassDef))
+    assert [name for name, count in names.items() if count > 1] == []
 
 
 def test_geometry_needs_numpy_and_numba_alone():

@@ -17,15 +17,19 @@ from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 
 #: Layers from the bottom, and what each is for; each may import those below it.
 LAYERS = {
+    'util': 'settings, files, threads, worker processes',
     'geometry': 'what a camera sees of points: arrays in, arrays out',
     'scenes': 'rooms from files, generated rooms',
-    'simulation': 'a rig in a room: state, reward, files',
-    'agent': 'what runs on the robot: observation, network',
+    'rig': 'cameras, mounts, constraints, their files',
+    'simulation': 'a rig in a room: engine, objective, episode',
+    'agent': 'what runs on the robot: partial map, network',
     'planners': 'every method that finds a placement',
     'training': 'SAC, replay, demonstrations',
-    'benchmark': 'one protocol for all planners',
+    'evaluation': 'one protocol for all planners',
     'report': 'pictures, pages, exports',
-    'nodes': 'ROS 2: convert, call, publish'}
+    'ros': 'ROS 2 nodes: convert, call, publish',
+    'demo': 'node processes, and who watches them',
+    'cli': 'ocp: one file a command'}
 #: Where nodes stand, in a picture of 10 x 6.
 NODES = {'sim_node\nor your cameras': (6.0, 4.6), 'policy_node': (9.1, 4.6),
          'trainer_node': (9.1, 1.9), 'RViz, plots': (6.0, 1.9)}
@@ -52,11 +56,12 @@ def draw(path: Path) -> None:
     axes.set_axis_off()
     _title(axes, 0.3, 'Layers: each imports those below it')
     for number, (name, about) in enumerate(LAYERS.items()):
-        bottom = 0.35 + 0.55 * number
-        _box(axes, 0.3, bottom, 4.3, 0.46, FILLS[number % 2])
-        axes.text(0.45, bottom + 0.23, name, fontsize=9.5, fontweight='bold', color=INK,
+        bottom = 0.3 + 0.39 * number
+        _box(axes, 0.3, bottom, 4.3, 0.33, FILLS[number % 2])
+        axes.text(0.45, bottom + 0.165, name, fontsize=9.0, fontweight='bold', color=INK,
                   va='center', zorder=3)
-        axes.text(1.55, bottom + 0.23, about, fontsize=7.5, color=PALE_INK, va='center', zorder=3)
+        axes.text(1.55, bottom + 0.165, about, fontsize=7.5, color=PALE_INK, va='center',
+                  zorder=3)
     _title(axes, 5.2, 'Nodes and topics')
     for name, (x, y) in NODES.items():
         _box(axes, x - 0.7, y - 0.35, 1.4, 0.7, '#fdf0d9')
