@@ -49,7 +49,7 @@ def test_memory_is_compared_within_one_life(monkeypatch):
     monkeypatch.setattr(soak_watch, 'rss_of', held.get)
     processes = [SimpleNamespace(name=name, process=SimpleNamespace(pid=pid))
                  for pid, name in enumerate('abc', 1)]
-    memory = soak_watch.Memory()
+    memory = soak_watch.MemoryWatch()
 
     def live(since, until):
         for second in range(since, until):

@@ -96,7 +96,6 @@ class OnlineStep:
         :param turn: time steps taken so far.
         :param turns: time steps of the whole episode.
         """
-        self.planner.know(state)
         moves = self.plan(cloud, state, turn, turns)
         placement = state.placement.copy()
         targets, held = self._constrain(cloud, state, moves)
@@ -107,8 +106,9 @@ class OnlineStep:
         return Command(placement, list(headings), held)
 
     def plan(self, cloud: np.ndarray, state: RigState, turn: int, turns: int) -> np.ndarray:
-        """Ask the planner for the next moves: (K, 2) metres; where it fails, cameras stay."""
+        """Show the planner what is; return its moves (K, 2), metres, none where it fails."""
         positions = state.placement[:state.movable, :3]
+        self.planner.know(state)
         try:
             moves = self.planner.move(cloud, positions, turn, turns)
             if not np.isfinite(moves).all():
