@@ -9,16 +9,17 @@ with each turn, and what it remembers of the turns before only makes its answers
 be killed and restarted at any time.
 """
 
+import os
+from pathlib import Path
 import sys
+from typing import TYPE_CHECKING
 
 from geometry_msgs.msg import PoseArray
 import numpy as np
 from rclpy.node import Node
 from std_msgs.msg import UInt8MultiArray
-import torch
 
-from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
-from ocp_ros.agent.policy import Policy
+from ocp_ros.agent.errors import CheckpointError
 from ocp_ros.planners.online_planner import Online
 from ocp_ros.rig.placement_file import save_placement
 from ocp_ros.ros.interface import topics
@@ -32,7 +33,6 @@ from ocp_ros.ros.interface.qos import LATCHED, LOOP
 from ocp_ros.ros.policy.arbitration import Arbitration
 from ocp_ros.ros.policy.convergence import Convergence
 from ocp_ros.ros.policy.decider import Decider
-from ocp_ros.ros.policy.experiences import Experiences
 from ocp_ros.ros.policy.live_turns import LiveTurns
 from ocp_ros.ros.policy.placement_record import placement_from
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
@@ -43,6 +43,16 @@ from ocp_ros.ros.runtime.node_main import run
 from ocp_ros.ros.runtime.parameters import declare, follow
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.threads import set_threads
+
+if TYPE_CHECKING:
+    from ocp_ros.agent.checkpoint import Checkpoint
+    from ocp_ros.agent.policy import Policy
+
+
+def load_checkpoint(path: Path) -> 'Checkpoint':
+    """Read weights; only here is PyTorch needed, which takes long to import."""
+    from ocp_ros.agent.checkpoint import Checkpoint
+    return Checkpoint.load(path)
 
 
 class PolicyNode(Node):
@@ -61,7 +71,7 @@ class PolicyNode(Node):
         set_threads(self.config.threads)
         path = None if self.config.weightless else find_model(self.config.model)
         self._decider = Decider(
-            self.config, None if path is None else Checkpoint.load(path), self.get_logger())
+            self.config, None if path is None else load_checkpoint(path), self.get_logger())
         self._counts = {'turns_answered': 0, 'refused_messages': 0, 'weights_swapped': 0,
                         'weights_refused': 0}
         self._finality = Convergence(self)
@@ -70,8 +80,10 @@ class PolicyNode(Node):
         self._placement = self.create_publisher(PoseArray, topics.PLACEMENT, LATCHED)
         self._turns: SimulatedTurns | None = None
         self._live: LiveTurns | None = None
-        self._experiences = Experiences(self, lambda: self.policy, self._go_on) \
-            if self.config.explore else None
+        self._experiences = None
+        if self.config.explore:
+            from ocp_ros.ros.policy.experiences import Experiences
+            self._experiences = Experiences(self, lambda: self.policy, self._go_on)
         if self.config.clouds:
             self._live = LiveTurns(
                 self, self.config, self._commands, self._play, lambda: self._settled,
@@ -100,7 +112,7 @@ class PolicyNode(Node):
         return self._decider.planner
 
     @property
-    def policy(self) -> Policy | None:
+    def policy(self) -> 'Policy | None':
         """Return the policy that runs, if any."""
         return None if self._decider.learned is None else self._decider.learned.policy
 
@@ -203,6 +215,7 @@ class PolicyNode(Node):
 
     def _on_weights(self, message: UInt8MultiArray) -> None:
         """Check new weights and swap them in whole, or keep those that run."""
+        from ocp_ros.agent.checkpoint import Checkpoint
         running = self.policy.checkpoint
         try:
             checkpoint = Checkpoint.from_bytes(msg_to_bytes(message), topics.POLICY_WEIGHTS)
@@ -238,8 +251,9 @@ class PolicyNode(Node):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    # The network is small: more threads would only take cores from the rest of the robot.
-    torch.set_num_threads(1)
+    # The network is small: more threads would only take cores from the rest of the robot. PyTorch
+    # reads this when it is imported, which with lookahead is never.
+    os.environ['OMP_NUM_THREADS'] = '1'
     return run(PolicyNode, args)
 
 

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """What ``policy_node`` decides in a turn: messages to a rig state, one step, and back."""
 
+from typing import TYPE_CHECKING
+
 from geometry_msgs.msg import PoseArray
 import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
-from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.rig_state import RigState
 from ocp_ros.geometry.cameras import CameraModel, heading_of
 from ocp_ros.geometry.clouds import corners_of
@@ -22,6 +23,9 @@ from ocp_ros.ros.interface.conversions import (
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from ocp_ros.ros.policy.policy_planners import make_planner, planned_alike
 from ocp_ros.scenes.scene import LARGEST
+
+if TYPE_CHECKING:
+    from ocp_ros.agent.checkpoint import Checkpoint
 
 
 def limits_of(config: PolicyNodeConfig) -> Limits:
@@ -44,7 +48,7 @@ class Decider:
     :raises ConfigurationError: if the rig file cannot be used.
     """
 
-    def __init__(self, config: PolicyNodeConfig, checkpoint: Checkpoint | None,
+    def __init__(self, config: PolicyNodeConfig, checkpoint: 'Checkpoint | None',
                  log: RcutilsLogger) -> None:
         self._config, self._log = config, log
         planner, self.learned = make_planner(config, checkpoint)

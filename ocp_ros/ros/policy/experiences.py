@@ -10,34 +10,14 @@ from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
-from ocp_ros.agent.policy import Policy
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import bytes_to_msg, MessageError, msg_to_fields
 from ocp_ros.ros.interface.qos import LATCHED, LOOP
-from ocp_ros.training.experience import Choice, Experience, to_bytes
+from ocp_ros.ros.policy.recorded_policy import RecordedPolicy
+from ocp_ros.training.experience import Experience, to_bytes
 
 #: Seconds after which a trainer that asked to wait and says nothing more is not waited for.
 PATIENCE = 5.0
-
-
-class RecordedPolicy(Policy):
-    """A policy that remembers what it read and chose since somebody asked last."""
-
-    def __init__(self, *args) -> None:
-        super().__init__(*args)
-        self._choices: list[Choice] = []
-
-    def choose(self, encoded: dict[str, np.ndarray], rng: np.random.Generator | None = None
-               ) -> np.ndarray:
-        """Choose the next moves; see :meth:`~ocp_ros.agent.policy.Policy.choose`."""
-        moves = super().choose(encoded, rng)
-        self._choices.append(Choice(encoded, moves))
-        return moves
-
-    def take(self) -> list[Choice]:
-        """Return the choices since the last call, in their order."""
-        choices, self._choices = self._choices, []
-        return choices
 
 
 class Experiences:

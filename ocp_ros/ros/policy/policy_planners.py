@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which planner ``policy_node`` asks, by its parameters."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.encoder import Encoder
-from ocp_ros.agent.policy import Policy
 from ocp_ros.planners.lookahead import Lookahead
 from ocp_ros.planners.online_planner import Learned, Online, ThenLookahead
 from ocp_ros.rig.motion import bounded_moves
-from ocp_ros.ros.policy.experiences import RecordedPolicy
 from ocp_ros.ros.policy.policy_config import LEARNED, PolicyNodeConfig
+
+if TYPE_CHECKING:
+    from ocp_ros.agent.checkpoint import Checkpoint
 
 #: Parameters that a planner is made with and that may change.
 PLANNED_WITH = ('max_step', 'max_range', 'wall_margin')
@@ -25,7 +27,7 @@ class Exploring(Learned):
         return bounded_moves(actions, self.max_step)
 
 
-def make_planner(config: PolicyNodeConfig, checkpoint: Checkpoint | None
+def make_planner(config: PolicyNodeConfig, checkpoint: 'Checkpoint | None'
                  ) -> tuple[Online, Learned | None]:
     """
     Build what chooses the moves.
@@ -39,6 +41,9 @@ def make_planner(config: PolicyNodeConfig, checkpoint: Checkpoint | None
     settings = rng, config.max_step, config.max_range, config.wall_margin
     if checkpoint is None:
         return Lookahead(*settings), None
+    # Only here: PyTorch takes longer to import than all the rest.
+    from ocp_ros.agent.policy import Policy
+    from ocp_ros.ros.policy.recorded_policy import RecordedPolicy
     encoder = Encoder(checkpoint.config, *rig)
     if config.explore:
         exploring = Exploring(RecordedPolicy(checkpoint, encoder), *settings)
