@@ -162,3 +162,16 @@ def test_a_bad_parameter_ends_a_node_with_one_sentence(domain):
     assert done.returncode == 2
     assert "unknown name 'turnz'; did you mean 'turns'" in done.stderr
     assert 'Traceback' not in done.stderr
+
+
+@pytest.mark.system
+def test_nodes_that_end_all_at_once_or_beside_a_killed_one_end_with_0(tmp_path):
+    command = [sys.executable, str(ROOT / 'tools' / 'stress_endings'), '--endings', '3',
+               '--kinds', 'together,bereaved', '--jobs', '1', '--busy', '0', '--out',
+               str(tmp_path / 'endings')]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    found = json.loads((tmp_path / 'endings' / 'endings.json').read_text())
+    assert {kind: one['codes'] for kind, one in found['kinds'].items()} == {
+        'together': {'0': 3}, 'bereaved': {'0': 2}}
+    assert found['faults'] == []

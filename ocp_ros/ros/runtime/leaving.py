@@ -35,9 +35,9 @@ class _Times(ctypes.Structure):
 
 
 @contextmanager
-def leaving_within(seconds: float) -> Iterator[None]:
+def leaving_within(seconds: float, code: int) -> Iterator[None]:
     """
-    End this process with code 0 if a block takes longer than some seconds.
+    End this process with an exit code if a block takes longer than some seconds.
 
     Whatever is to be kept has to be saved before. Nothing is limited where the C library has no
     such timers.
@@ -46,7 +46,7 @@ def leaving_within(seconds: float) -> Iterator[None]:
     sys.stdout.flush()
     sys.stderr.flush()
     libc, timer = ctypes.CDLL(None), ctypes.c_void_p()
-    event = _Notification(value=0, how=SIGEV_THREAD,
+    event = _Notification(value=code, how=SIGEV_THREAD,
                           function=ctypes.cast(libc._exit, ctypes.c_void_p))
     armed = hasattr(libc, 'timer_create') and not libc.timer_create(
         time.CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(timer))

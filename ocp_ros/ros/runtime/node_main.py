@@ -143,14 +143,14 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     logging.getLogger('ocp_ros').setLevel(logging.INFO)
     logging.captureWarnings(True)
     name, node, executor, alone = make_node.__name__, None, None, stay_local()
-    received = interrupt_on_signals()
+    received, code = interrupt_on_signals(), 2
     try:
         end_with_parent()
         left = remove_ros_args(sys.argv if args is None else ['', *args])[1:]
         if left:
             print(f'{name}: found the arguments {" ".join(left)}; expected parameters '
                   'after --ros-args, such as --ros-args -p name:=value', file=sys.stderr)
-            return 2
+            return code
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         executor = SingleThreadedExecutor()
         node = make_node()
@@ -159,32 +159,38 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
                                    'ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET reaches farther')
         executor.add_node(node)
         spin(executor, received)
+        code = 0
     except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+        code = 0
     except USER_ERRORS as error:
         print(f'{name}: {error}', file=sys.stderr)
-        return 2
     except Exception as error:
         if isinstance(error, REFUSALS) and executor is None or about_security(error):
             print(f'{name}: {refusal(error)}', file=sys.stderr)
-            return 2
-        # A signal comes at any moment: in the middle of a conversion, which turns the interrupt
-        # into another error, or of a callback while somebody shuts the context down.
-        if rclpy.ok() and not received:
+        elif rclpy.ok() and not received:
+            code = 1
             raise
+        else:
+            # A signal comes at any moment: in the middle of a conversion, which turns the
+            # interrupt into another error, or while somebody shuts the context down.
+            code = 0
     finally:
         ignore_signals()
-        take_down(node, executor)
-    return 0
+        take_down(node, executor, code)
+    return code
 
 
-def take_down(node: Node | None, executor: SingleThreadedExecutor | None) -> None:
-    """Save what a node has to save, then end executor, node and context, in this order."""
+def take_down(node: Node | None, executor: SingleThreadedExecutor | None, code: int) -> None:
+    """
+    Save what a node has to save, then end executor, node and context, in this order.
+
+    :param code: with which the process ends where the middleware never returns.
+    """
     try:
         if hasattr(node, 'stop'):
             node.stop()
     finally:
-        with leaving_within(PATIENCE):
+        with leaving_within(PATIENCE, code):
             if executor is not None:
                 executor.shutdown()
             if node is not None:
