@@ -26,6 +26,7 @@ from ocp_ros.report.benchmark_report import page
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.scenes.scene import SceneError, turned
+from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.scenes.scene_source import make_room
 from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
@@ -72,11 +73,11 @@ def test_a_folder_of_scans_is_a_set_of_rooms(tmp_path):
 def test_mounting_is_off_by_so_much_alike_for_all_and_inside():
     space = FreePlane(np.zeros(2), np.ones(2) * 4.0, 1.9, 3)
     placement = space.placement(np.array([[1.0, 1.0], [2.0, 3.0], [4.0, 4.0]]))
-    moved = mounted(placement, 0.05, space)
+    moved = mounted(placement, 0.05, space.inside)
     off = np.linalg.norm((moved - placement)[:, :2], axis=-1)
     np.testing.assert_allclose(off, 0.05)
     assert (moved[..., :2] <= 4.0).all() and (moved[..., 2] == 1.9).all()
-    shifted = mounted(placement - [0.5, 0.5, 0.0], 0.05, space)
+    shifted = mounted(placement - [0.5, 0.5, 0.0], 0.05, space.inside)
     np.testing.assert_allclose(shifted[:, :2] + [0.5, 0.5, 0.0], moved[:, :2])
 
 
@@ -87,7 +88,7 @@ def test_the_judge_is_the_engine_at_its_best(room):
     judged = Judge(simulator)(placement)
     assert judged['exact'] == simulator.evaluate(placement).depth_error
     means = [np.mean([simulator.evaluate(moved).depth_error
-                      for moved in mounted(placement, off, space_of(simulator))])
+                      for moved in mounted(placement, off, space_of(simulator).inside)])
              for off in MOUNTING]
     assert [judged[name] for name in ('depth_error', 'off_5_cm', 'off_10_cm')] == \
         pytest.approx(means)
@@ -296,3 +297,30 @@ def test_a_ray_cluster_of_two_nodes_does_the_same(tmp_path):
     here = run_task(SMALL, BenchmarkTask('3', 0.0, 'annealing'))
     assert [row['placement'] for row in rows if row['planner'] == 'annealing'] == \
         [row['placement'] for row in here]
+
+
+D455 = """
+cameras: [{sensor: realsense_d455, count: 2}]
+mount: {on: walls, height: [1.6, 2.2]}
+"""
+
+
+def test_planners_are_compared_for_a_rig_file(tmp_path, capsys):
+    (tmp_path / 'rig.yaml').write_text(D455)
+    save_scene(generate_room(3, 2500), tmp_path / 'rooms' / 'room.ply')
+    command = ['benchmark', '--rig', str(tmp_path / 'rig.yaml'), '--rooms',
+               str(tmp_path / 'rooms'), '--planners', 'rig_search,random,lookahead', '--budgets',
+               '20', '--seeds', '1', '--workers', '1', '--out', str(tmp_path / 'out')]
+    assert cli.main(command) == 0, capsys.readouterr().err
+    rows = json.loads((tmp_path / 'out' / 'results.json').read_text())
+    assert {row['planner'] for row in rows} == {CONTROL, 'rig_search', 'random', 'lookahead'}
+    assert all(np.shape(row['placement']) == (2, 6) for row in rows)
+    errors = {row['planner']: row['depth_error'] for row in rows}
+    chance = [row['depth_error'] for row in rows if row['planner'] == CONTROL]
+    assert errors['rig_search'] < np.median(chance)
+    least = next(row['lower_bound'] for row in rows if row['planner'] == CONTROL)
+    assert all(least <= row['exact'] + 1e-9 for row in rows if row['planner'] == CONTROL)
+    summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
+    assert (summary['rig'], summary['cameras']) == ('rig.yaml', 2)
+    assert cli.main([*command, '--report', str(tmp_path / 'report')]) == 2
+    assert '--report: found it with --rig' in capsys.readouterr().err

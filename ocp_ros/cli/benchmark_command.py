@@ -22,6 +22,7 @@ from ocp_ros.evaluation.protocol import PRESETS, Protocol
 from ocp_ros.evaluation.summary import summarise
 from ocp_ros.evaluation.task_runner import run
 from ocp_ros.planners.registry import OFFLINE, ONLINE
+from ocp_ros.planners.rig_methods import PLANNERS
 from ocp_ros.report.benchmark_report import (
     budget_named,
     budgets_of,
@@ -32,6 +33,7 @@ from ocp_ros.report.benchmark_report import (
 )
 from ocp_ros.report.comparison_page import write_page
 from ocp_ros.report.drawing.placement_picture import draw_examples, Example
+from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.scene_source import make_room
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.files import folder_to_write, write_atomically
@@ -54,6 +56,16 @@ def protocol_of(arguments: argparse.Namespace) -> Protocol:
     if arguments.rooms is None and changes.keys() & {'scale', 'up'}:
         raise ConfigurationError('--scale and --up: found no --rooms; expected a folder of scans '
                                  'that they are about; generated rooms are in metres, z up')
+    if arguments.rig is not None:
+        if arguments.report:
+            raise ConfigurationError('--report: found it with --rig; expected one of the two: the '
+                                     'report draws omnidirectional cameras; leave it out, '
+                                     'summary.json has all figures')
+        # Read now: a file that cannot be used is refused before anything runs.
+        load_rig(arguments.rig)
+        # Zones and cameras in place have coordinates of the room as it is.
+        changes = {'planners': PLANNERS, 'rotations': (0.0,), **changes,
+                   'rig_file': str(arguments.rig)}
     protocol = replace(PRESETS[arguments.preset], **changes)
     if arguments.rooms is not None:
         rooms = rooms_in(arguments.rooms, protocol.scale, protocol.up)
@@ -86,8 +98,7 @@ def compare(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
         'command': command, 'date': timestamp(),
         'versions': {'python': platform.python_version(),
                      **{name: version(name) for name in PACKAGES}},
-        'rotations': len(protocol.rotations), 'cameras': protocol.simulation.rig.cameras,
-        **summarise(rows)}
+        'rotations': len(protocol.rotations), **_cameras(protocol), **summarise(rows)}
     _write(arguments.out, rows, summary)
     if arguments.report:
         write_report(arguments.report, summary, rows)
@@ -102,6 +113,14 @@ def compare(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     print(f'wrote {arguments.out / "summary.json"}'
           + (f' and {arguments.report / "README.md"}' if arguments.report else ''))
     return summary
+
+
+def _cameras(protocol: Protocol) -> dict[str, Any]:
+    """Say what was placed: the rig file if there is one, and how many cameras."""
+    if protocol.rig_file:
+        return {'rig': Path(protocol.rig_file).name,
+                'cameras': len(load_rig(protocol.rig_file).cameras)}
+    return {'cameras': protocol.simulation.rig.cameras}
 
 
 def _shown(protocol: Protocol, rows: Rows) -> Shown:

@@ -134,6 +134,8 @@ def _add_benchmark(commands: Commands) -> None:
                          'rotations, up to 10,000 evaluations')
     compare.add_argument('--rooms', type=Path, help='folder of scans to take instead')
     add_units(compare, 'of the scans')
+    compare.add_argument('--rig', type=Path, help='cameras and what is asked of them, in place of '
+                         'omnidirectional ones: docs/rig.md')
     compare.add_argument('--planners', type=names,
                          help='names with commas between; all unless named')
     compare.add_argument('--budgets', type=whole_numbers, help='evaluations, with commas between')

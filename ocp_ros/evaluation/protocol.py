@@ -10,6 +10,7 @@ as the mean over cameras mounted 2 cm off: nobody mounts a camera to the millime
 placement that exploits the cells of a map loses what it gained.
 """
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 import time
 from typing import Any
@@ -18,14 +19,21 @@ import numpy as np
 
 from ocp_ros.evaluation.benchmark_rooms import POINTS, ROTATIONS, space_of, TEST_ROOMS
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.planners.budget import Budget
+from ocp_ros.planners.candidate_pool import Pool, random_sites
 from ocp_ros.planners.registry import OFFLINE, ONLINE
+from ocp_ros.planners.rig_methods import PLANNERS
+from ocp_ros.planners.rig_plan import RigPlanner
 from ocp_ros.planners.rollout import play
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
-from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.rig.feasible_region import FeasibleRegion
+from ocp_ros.rig.rig_file import load_rig, Rig
+from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_files import UP_AXES
 from ocp_ros.scenes.scene_source import make_room
 from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.objective import Objective, simulator_of
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.settings import ConfigurationError
@@ -55,6 +63,8 @@ class Protocol:
     :ivar scale: metres per unit of the scans.
     :ivar up: the axis of the scans that points up.
     :ivar simulation: the rig; its engine is the judge's.
+    :ivar rig_file: a rig file to plan for instead, each planner under all its constraints; empty
+        for the omnidirectional cameras of ``simulation``.
     :ivar model: weights of planners that have learned: path or name.
     """
 
@@ -67,13 +77,15 @@ class Protocol:
     up: str = 'z'
     simulation: SimulationConfig = SimulationConfig(engine=EngineConfig(preset='fine'))
     model: str = 'default'
+    rig_file: str = ''
 
     def __post_init__(self) -> None:
         """Refuse what cannot be compared."""
+        known = PLANNERS if self.rig_file else {**OFFLINE, **ONLINE}
         for name in self.planners:
-            if name not in {**OFFLINE, **ONLINE}:
+            if name not in known:
                 raise ConfigurationError(f'planners: found {name!r}; expected some of '
-                                         f'{sorted({**OFFLINE, **ONLINE})}')
+                                         f'{sorted(known)}')
         for figure in ('planners', 'rooms', 'rotations', 'budgets'):
             given = getattr(self, figure)
             if len(set(given)) < len(given):
@@ -133,29 +145,66 @@ class Judge:
         :returns: ``exact``, and for each of ``MOUNTING`` the mean depth error of cameras mounted
             so far off, in metres; and the space coverage, in cubic metres.
         """
+        return judged_off(placement, self._space.inside, self._evaluate)
+
+    def _evaluate(self, placement: np.ndarray) -> tuple[float, float]:
+        """Return depth error and space coverage."""
         result = self.simulator.evaluate(placement)
-        judged = {'exact': result.depth_error, 'space_coverage': result.space_coverage}
-        for off in MOUNTING:
-            placements = mounted(placement, off, self._space)
-            judged[f'off_{100 * off:.0f}_cm'] = float(np.mean(
-                [self.simulator.evaluate(moved).depth_error for moved in placements]))
-        judged['depth_error'] = judged[f'off_{100 * MOUNTING[0]:.0f}_cm']
-        return judged
+        return result.depth_error, result.space_coverage
 
 
-def mounted(placement: np.ndarray, off: float, space: FreePlane) -> np.ndarray:
+class RigJudge:
+    """
+    Score final placements of a rig file by its objective.
+
+    ``depth_error`` is objective x depth error of seeing nothing, metres: where the rig asks for
+    nothing more, the depth error.
+
+    :param scene: the room.
+    :param rig: the rig.
+    :param engine: at its best.
+    """
+
+    def __init__(self, scene: Scene, rig: Rig, engine: EngineConfig) -> None:
+        self.objective = Objective(simulator_of(scene, rig, engine), rig)
+
+    def __call__(self, placement: np.ndarray) -> dict[str, float]:
+        """Judge one placement (K, 6), metres and radians; see :meth:`Judge.__call__`."""
+        # Who hangs a camera a little off hangs it on its mount all the same.
+        return judged_off(placement, lambda positions: positions, self._evaluate)
+
+    def _evaluate(self, placement: np.ndarray) -> tuple[float, float]:
+        """Return the objective in metres, and space coverage."""
+        result = self.objective.evaluate(placement)
+        return (result.loss * self.objective.simulator.depth_error.worst, result.space_coverage)
+
+
+def judged_off(placement: np.ndarray, inside: Callable[[np.ndarray], np.ndarray],
+               evaluate: Callable[[np.ndarray], tuple[float, float]]) -> dict[str, float]:
+    """Judge a placement as it is, and mounted a little off; see :meth:`Judge.__call__`."""
+    error, coverage = evaluate(placement)
+    judged = {'exact': error, 'space_coverage': coverage}
+    for off in MOUNTING:
+        judged[f'off_{100 * off:.0f}_cm'] = float(np.mean(
+            [evaluate(moved)[0] for moved in mounted(placement, off, inside)]))
+    judged['depth_error'] = judged[f'off_{100 * MOUNTING[0]:.0f}_cm']
+    return judged
+
+
+def mounted(placement: np.ndarray, off: float, inside: Callable[[np.ndarray], np.ndarray]
+            ) -> np.ndarray:
     """
     Mount cameras a little off, in the same ways for every placement.
 
-    :param placement: (K, 3) metres.
+    :param placement: (K, 3) or (K, 6), metres and radians.
     :param off: how far each camera is off on the plane, metres.
-    :param space: where cameras may be.
-    :returns: (8, K, 3) metres.
+    :param inside: moves positions (..., 2) to where cameras may be.
+    :returns: (8, K, 3) or (8, K, 6).
     """
     angles = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, (MOUNTINGS, len(placement)))
     moved = np.repeat(placement[None], MOUNTINGS, axis=0)
     moved[..., :2] += off * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    moved[..., :2] = space.inside(moved[..., :2])
+    moved[..., :2] = inside(moved[..., :2])
     return moved
 
 
@@ -167,6 +216,8 @@ def run_task(protocol: Protocol, task: BenchmarkTask) -> list[dict[str, Any]]:
         placement and the trace of the search.
     """
     scene = make_room(task.room, task.rotation, POINTS, protocol.scale, protocol.up)
+    if protocol.rig_file:
+        return _rig(protocol, scene, load_rig(protocol.rig_file), task)
     judge = Judge(Simulator(scene, protocol.simulation))
     if task.planner == CONTROL:
         return _control(judge, task)
@@ -219,4 +270,47 @@ def _control(judge: Judge, task: BenchmarkTask) -> list[dict[str, Any]]:
         rows.append({**asdict(task), 'budget': 1, 'seed': seed, **judge(placement),
                      'lower_bound': least, 'evaluations': 1, 'seconds': 0.0,
                      'placement': placement.tolist(), 'trace': []})
+    return rows
+
+
+def _rig(protocol: Protocol, scene: Scene, rig: Rig, task: BenchmarkTask) -> list[dict[str, Any]]:
+    """Plan a rig file with every budget and seed; see :func:`run_task`."""
+    judge = RigJudge(scene, rig, protocol.simulation.engine)
+    if task.planner == CONTROL:
+        return _rig_control(protocol, judge, task)
+    # A time step of an online planner is an evaluation: its budget is that of the episode.
+    budgets = (TURNS,) if task.planner in ONLINE else protocol.budgets
+    rows = []
+    for budget in budgets:
+        for seed in range(protocol.seeds):
+            began = time.process_time()
+            limit = Budget(evaluations=budget or protocol.simulation.episode.turns)
+            planner = RigPlanner(scene, rig, replace(protocol.simulation.engine, preset='fast'),
+                                 limit, seed, planner=task.planner)
+            plan, seconds = planner.plan(rig), time.process_time() - began
+            rows.append({**asdict(task), 'budget': budget, 'seed': seed,
+                         **judge(plan.answer.poses), 'searched': plan.answer.loss * plan.worst,
+                         'evaluations': plan.answer.evaluations, 'seconds': seconds,
+                         'placement': plan.answer.poses.tolist(), 'trace': []})
+            if budget == TURNS:
+                each = seconds / max(plan.answer.evaluations, 1)
+                rows[-1] |= {'seconds_per_turn': each, 'seconds_at_most': each}
+    return rows
+
+
+def _rig_control(protocol: Protocol, judge: RigJudge, task: BenchmarkTask
+                 ) -> list[dict[str, Any]]:
+    """Judge random feasible placements of a rig, and what all candidates together miss."""
+    objective = judge.objective
+    rig, simulator = objective.rig, objective.simulator
+    pool = Pool(objective, FeasibleRegion(simulator.scene, rig), POOL)
+    least = objective.judge(pool.everywhere(rig)).loss * simulator.depth_error.worst
+    rng, rows = np.random.default_rng(0), []
+    while len(rows) < CONTROLS:
+        if not (sites := random_sites(rig, pool, rng)):
+            continue
+        poses = np.array([site.pose for site in sites])
+        rows.append({**asdict(task), 'budget': 1, 'seed': len(rows), **judge(poses),
+                     'lower_bound': least, 'evaluations': 1, 'seconds': 0.0,
+                     'placement': poses.tolist(), 'trace': []})
     return rows

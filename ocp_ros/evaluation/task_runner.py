@@ -62,7 +62,7 @@ def name_of(task: BenchmarkTask) -> str:
 
 def _claim(folder: Path, protocol: Protocol) -> None:
     """Write down what all results here have in common, or check that it is the same."""
-    common = {'ocp_ros': __version__, 'weights': _weights(protocol.model), **{
+    common = {'ocp_ros': __version__, 'weights': _weights(protocol.model), **_rig(protocol), **{
         name: value for name, value in asdict(protocol).items()
         if name not in ('rooms', 'rotations', 'planners')}}
     path, text = folder / 'protocol.json', json.dumps(common, indent=2) + '\n'
@@ -71,6 +71,13 @@ def _claim(folder: Path, protocol: Protocol) -> None:
             f'{folder}: found the results of another comparison; expected the same budgets, '
             'seeds, rig, weights and version; name another folder or remove this one')
     write_atomically(path, text)
+
+
+def _rig(protocol: Protocol) -> dict[str, str]:
+    """Return the SHA-256 of the rig file, if there is one: under the same name may be another."""
+    if not protocol.rig_file:
+        return {}
+    return {'rig': hashlib.sha256(Path(protocol.rig_file).read_bytes()).hexdigest()}
 
 
 def _weights(model: str) -> dict[str, str]:
