@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Hold commands to what a rig file asks for, as far as what has been seen so far tells.
+Hold targets to the constraints of a rig file, judged on the observed cloud.
 
 Each camera goes to the allowed place nearest to where it was to go, among those that one turn
 reaches. Where there is none it stays: nobody is sent through a place where it must not be.

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Where cameras that do not see all around look: yaw and pitch, judged on what has been seen.
+Choose the headings of cameras with a frustum: yaw and pitch, judged on the observed cloud.
 
 Each camera has a goal, which it turns towards turn by turn. Goals are sought among directions from
 where the cameras go, one camera after the other, for the depth error of the observed cloud that

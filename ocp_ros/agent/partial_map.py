@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The engine on what has been seen, and which parts of the air nobody has looked into yet.
+Partial map: the engine on the observed cloud, and the space that no camera has covered yet.
 
 Whoever decides online, a planner or a policy, knows the room through this alone.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the cameras of a rig see and how they stand: what planners are told where it is known."""
+"""State of a rig at a time step: poses, camera models, and which cameras may be moved."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

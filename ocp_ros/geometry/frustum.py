@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a camera sees that looks one way, of what one sees that looks all around from there."""
+"""Clip what an omnidirectional camera sees to a frustum."""
 
 from numba import njit
 import numpy as np
@@ -13,7 +13,7 @@ def keep_in_cone(points, pose, lens, seen, kept):
     Keep the points in the viewing cone.
 
     :param points: N :class:`~ocp_ros.geometry.surfels.Surfels` or
-        :class:`~ocp_ros.geometry.surfels.Places`.
+        :class:`~ocp_ros.geometry.surfels.SurfelPlaces`.
     :param pose: the camera's :class:`~ocp_ros.geometry.cameras.Pose`.
     :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Frustum`.
     :param seen: (W,) uint64, packed bits of the points.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the cameras of a rig may hang in a room, and what is wrong where they may not."""
+"""Feasible region: where cameras may be in a room, and which constraint is violated elsewhere."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple

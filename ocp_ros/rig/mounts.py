@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Places and headings to choose from: what a mount offers before constraints are looked at."""
+"""Candidate positions and headings that a mount offers, before constraints apply."""
 
 from typing import NamedTuple
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What cameras hang on and where the air of a room is, both found in its points."""
+"""Structure of a room, found in its points: floor, ceiling, walls and free space."""
 
 from dataclasses import dataclass
 from functools import cached_property

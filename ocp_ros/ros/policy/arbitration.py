@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-One policy commands a rig: of several, the one that was there first, and the others hold still.
+Arbitration: of several policies for one rig, the one that came first commands it.
 
 Each says twice a second since when it has been there, and all of them go by the same rule, so they
 agree without asking anybody. Where the first one falls silent, the next one takes over. Words come

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a placement is final and why, for all to see."""
+"""Convergence: whether a placement is final, and why."""
 
 from rclpy.node import Node
 from std_msgs.msg import String
