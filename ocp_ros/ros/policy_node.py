@@ -4,9 +4,9 @@
 
 The turns are those of a simulation, or of live cameras: see
 :mod:`ocp_ros.ros.policy.simulated_turns` and :mod:`ocp_ros.ros.policy.live_turns`. It starts
-without open3d, stable-baselines3, matplotlib or, with lookahead, PyTorch. Whatever it needs to know
-about an episode comes with each turn, and what it remembers of the turns before only makes its
-answers better, so it can be killed and restarted at any time.
+without open3d, stable-baselines3, matplotlib or, with lookahead, PyTorch. Whatever it needs to
+know about an episode comes with each turn, and what it remembers of the turns before only makes
+its answers better, so it can be killed and restarted at any time.
 """
 
 import os
