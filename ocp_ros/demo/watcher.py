@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node that watches a loop of sim and policy, for the demos."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 import json
 import os
 from pathlib import Path
@@ -28,7 +28,7 @@ from ocp_ros.ros.interface.conversions import (
     stamp_to_ns,
 )
 from ocp_ros.ros.interface.qos import LATCHED, RECORDER
-from ocp_ros.ros.runtime.network import LOCALHOST
+from ocp_ros.ros.runtime.network import local_udp
 from ocp_ros.util.files import write_atomically
 
 
@@ -140,10 +140,11 @@ class Watch:
 
 def run_watched(name: str, out: Path, play: Callable[[int, Watch], dict[str, Any]],
                 show: Callable[[dict[str, Any]], None],
-                errors: tuple[type[Exception], ...] = (RuntimeError,),
-                network: Mapping[str, str] = LOCALHOST) -> int:
+                errors: tuple[type[Exception], ...] = (RuntimeError,)) -> int:
     """
     Play with node processes in a ROS domain of their own, and write what was found.
+
+    Nodes hear each other by UDP, so that one may be killed without harm to the others.
 
     :param name: of what is played, and of its JSON file.
     :param out: folder for the file.
@@ -151,12 +152,11 @@ def run_watched(name: str, out: Path, play: Callable[[int, Watch], dict[str, Any
         sentences, where there are any.
     :param show: prints them.
     :param errors: what is told in one sentence.
-    :param network: variables of the environment that keep the nodes to this machine.
     :returns: exit code: 2 after such an error or with faults, 130 after an interrupt.
     """
     end_on_signals()
     before = dict(os.environ)
-    os.environ.update(network)
+    os.environ.update(local_udp())
     domain, holder = free_domain()
     try:
         with holder, Watch(domain) as watch:

@@ -28,7 +28,6 @@ from ocp_ros.demo.node_processes import grown, NodeProcess, stopped_at_the_end
 from ocp_ros.demo.train_demo import pair_of
 from ocp_ros.demo.watcher import run_watched, show_json, Watch
 from ocp_ros.ros.interface.conversions import ns_to_stamp
-from ocp_ros.ros.runtime.network import local_udp
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.threads import cores
 from system.soak_watch import check_files, Latency, Lies, MemoryWatch
@@ -252,7 +251,7 @@ def main(args: list[str] | None = None) -> int:
     """Run; 2 if the loop did not go on, a file was torn or memory has grown."""
     options = parser().parse_args(args)
     return run_watched('soak', options.out, lambda domain, watch: soak(options, domain, watch),
-                       show_json, network=local_udp())
+                       show_json)
 
 
 if __name__ == '__main__':
