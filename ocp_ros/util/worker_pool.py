@@ -53,8 +53,9 @@ class WorkerPool:
 
     def _on_ray(self, function: Callable[[T], U], tasks: Sequence[T]) -> Iterator[tuple[int, U]]:
         """Run tasks on the cluster; one whose machine is lost runs again on another."""
-        remote = self._ray.remote(num_cpus=1, max_retries=2)(function)
-        numbers = {remote.remote(task): number for number, task in enumerate(tasks)}
+        # Ray takes plain functions alone, and a task may come with a partial one.
+        remote = self._ray.remote(num_cpus=1, max_retries=2)(_applied)
+        numbers = {remote.remote(function, task): number for number, task in enumerate(tasks)}
         while numbers:
             for reference in self._ray.wait(list(numbers))[0]:
                 yield numbers.pop(reference), self._ray.get(reference)
@@ -67,6 +68,11 @@ class WorkerPool:
         """End the processes; tasks that have not begun are dropped."""
         if self._processes is not None:
             self._processes.shutdown(wait=True, cancel_futures=True)
+
+
+def _applied(function: Callable[[T], U], task: T) -> U:
+    """Run a function on a task."""
+    return function(task)
 
 
 def _connected(address: str) -> Any:
