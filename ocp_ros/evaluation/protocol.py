@@ -292,9 +292,6 @@ def _rig(protocol: Protocol, scene: Scene, rig: Rig, task: BenchmarkTask) -> lis
                          **judge(plan.answer.poses), 'searched': plan.answer.loss * plan.worst,
                          'evaluations': plan.answer.evaluations, 'seconds': seconds,
                          'placement': plan.answer.poses.tolist(), 'trace': []})
-            if budget == TURNS:
-                each = seconds / max(plan.answer.evaluations, 1)
-                rows[-1] |= {'seconds_per_turn': each, 'seconds_at_most': each}
     return rows
 
 
