@@ -106,8 +106,8 @@ def domain(tmp_path_factory):
     """Hold a ROS domain that no other test process uses."""
     pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
     from ocp_ros.demo.node_processes import free_domain
-    from ocp_ros.ros.runtime.network import LOCALHOST
-    os.environ.update(LOCALHOST)
+    from ocp_ros.ros.runtime.network import local_transport
+    os.environ.update(local_transport())
     os.environ['ROS_LOG_DIR'] = str(tmp_path_factory.mktemp('ros'))
     number, holder = free_domain()
     with holder:

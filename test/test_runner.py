@@ -3,6 +3,7 @@
 
 from contextlib import suppress
 import os
+from pathlib import Path
 import select
 import signal
 import subprocess
@@ -18,7 +19,7 @@ from rclpy.signals import get_current_signal_handlers_options, SignalHandlerOpti
 from std_msgs.msg import Float64
 
 from ocp_ros.demo.node_processes import free_domain
-from ocp_ros.ros.runtime.network import ASKED, LOCALHOST, stay_local
+from ocp_ros.ros.runtime.network import ASKED, stay_local
 from ocp_ros.ros.runtime.node_main import run, undisturbed
 from ocp_ros.scenes.scene import SceneError
 
@@ -47,7 +48,7 @@ def test_a_signal_while_a_node_publishes_ends_it_with_0():
 
 INTERRUPTED = """
 import signal, sys
-from ocp_ros.ros.runtime.network import ASKED, LOCALHOST, stay_local
+from ocp_ros.ros.runtime.network import ASKED, stay_local
 from ocp_ros.ros.runtime.node_main import run
 
 def make_node():
@@ -184,19 +185,28 @@ def test_a_node_that_cannot_be_kept_safe_is_not_started(tmp_path, monkeypatch, c
     assert 'Traceback' not in ''.join(lines)
 
 
-@pytest.mark.parametrize(('said', 'value', 'alone'), [
-    (None, '', True), ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET', False),
-    ('FASTRTPS_DEFAULT_PROFILES_FILE', 'mine.xml', False)])
-def test_nobody_outside_this_machine_is_heard_unless_asked(monkeypatch, said, value, alone):
-    for name in ASKED:
-        monkeypatch.delenv(name, raising=False)
+@pytest.mark.parametrize(('said', 'value', 'alone', 'reach'), [
+    (None, '', True, 'SYSTEM_DEFAULT'),
+    ('RMW_IMPLEMENTATION', 'rmw_cyclonedds_cpp', True, 'LOCALHOST'),
+    ('ROS_STATIC_PEERS', '192.168.0.7', True, 'LOCALHOST'),
+    ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET', False, 'SUBNET'),
+    ('FASTDDS_BUILTIN_TRANSPORTS', 'UDPv4', False, ''),
+    ('FASTRTPS_DEFAULT_PROFILES_FILE', 'mine.xml', False, '')])
+def test_nobody_outside_this_machine_is_heard_unless_asked(monkeypatch, said, value, alone,
+                                                           reach):
     # Set and taken away again, for what is looked at here is not put back otherwise.
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', '')
+    for name in (*ASKED, 'RMW_IMPLEMENTATION', 'ROS_STATIC_PEERS'):
+        monkeypatch.setenv(name, '')
     if said:
         monkeypatch.setenv(said, value)
     assert stay_local() is alone
-    wanted = 'LOCALHOST' if alone else value if said in LOCALHOST else ''
-    assert os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] == wanted
+    assert os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] == reach
+    profiles = os.environ['FASTRTPS_DEFAULT_PROFILES_FILE']
+    # Fast DDS reads the interfaces from the file: this machine's own, and no other.
+    if reach == 'SYSTEM_DEFAULT':
+        assert '<address>127.0.0.1</address></interfaceWhiteList>' in Path(profiles).read_text()
+    else:
+        assert profiles == (value if said == 'FASTRTPS_DEFAULT_PROFILES_FILE' else '')
 
 
 def test_what_a_user_can_put_right_is_told_in_one_sentence(capsys):

@@ -12,7 +12,6 @@ import socket
 import subprocess
 import sys
 
-from ocp_ros.ros.runtime.network import LOCALHOST
 from ocp_ros.ros.runtime.node_main import ENDING, PARENT, undisturbed
 
 #: Seconds that a node has to end when it is told to: plenty, but for a machine with other work.
@@ -89,7 +88,7 @@ class NodeProcess:
             self.process = subprocess.Popen(
                 arguments, stdout=file, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
                 close_fds=False,
-                env={**LOCALHOST, **os.environ, 'ROS_DOMAIN_ID': str(domain),
+                env={**os.environ, 'ROS_DOMAIN_ID': str(domain),
                      PARENT: str(os.getpid()), 'PYTHONUNBUFFERED': '1',
                      'PYTHONFAULTHANDLER': '1'})
 

@@ -28,7 +28,7 @@ from ocp_ros.ros.interface.conversions import (
     stamp_to_ns,
 )
 from ocp_ros.ros.interface.qos import LATCHED, RECORDER
-from ocp_ros.ros.runtime.network import local_udp
+from ocp_ros.ros.runtime.network import local_transport
 from ocp_ros.util.files import write_atomically
 
 
@@ -156,7 +156,7 @@ def run_watched(name: str, out: Path, play: Callable[[int, Watch], dict[str, Any
     """
     end_on_signals()
     before = dict(os.environ)
-    os.environ.update(local_udp())
+    os.environ.update(local_transport())
     domain, holder = free_domain()
     try:
         with holder, Watch(domain) as watch:

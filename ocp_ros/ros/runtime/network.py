@@ -5,21 +5,27 @@ import os
 
 from ocp_ros.util.resources import find_config
 
-#: What keeps nodes to this machine.
+#: What keeps nodes of any middleware to this machine.
 LOCALHOST = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
-#: Where somebody may have said how far ROS shall look.
+#: Where somebody may have said how far ROS shall look, or by which transport.
 ASKED = ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY', 'ROS_DISCOVERY_SERVER',
-         'FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE', 'CYCLONEDDS_URI')
+         'FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE',
+         'FASTDDS_BUILTIN_TRANSPORTS', 'CYCLONEDDS_URI')
 
 
-def local_udp() -> dict[str, str]:
+def local_transport() -> dict[str, str]:
     """
-    Return what keeps nodes to this machine and lets one be killed without harm to the others.
+    Return the environment that keeps nodes to this machine.
 
-    Messages go by UDP: of Fast DDS's shared memory a killed node keeps what it was reading, until
-    those who live have none left to send clouds in, and who lives may die of SIGSEGV when it ends
-    (``SharedMemChannelResource::release``, once in some 700 endings beside killed nodes).
+    With Fast DDS messages go by UDP. Of its shared memory a killed node keeps what it was
+    reading, until those who live have none left to send clouds in, and who lives may die of
+    SIGSEGV when it ends (``SharedMemChannelResource::release``, once in some 700 endings beside
+    killed nodes). Nodes that use shared memory are still heard, by UDP. Peers that were named
+    one by one (``ROS_STATIC_PEERS``) may be on other machines, which that UDP does not reach.
     """
+    middleware = os.environ.get('RMW_IMPLEMENTATION') or 'rmw_fastrtps'
+    if not middleware.startswith('rmw_fastrtps') or os.environ.get('ROS_STATIC_PEERS'):
+        return LOCALHOST
     return {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SYSTEM_DEFAULT',
             'FASTRTPS_DEFAULT_PROFILES_FILE': str(find_config('fastdds_local.xml'))}
 
@@ -34,5 +40,5 @@ def stay_local() -> bool:
     """
     if any(os.environ.get(name) for name in ASKED):
         return False
-    os.environ.update(LOCALHOST)
+    os.environ.update(local_transport())
     return True
