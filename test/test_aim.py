@@ -19,6 +19,7 @@ from ocp_ros.rig.motion import turned_towards, way_between
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 
@@ -98,7 +99,8 @@ class Played:
         config = SimulationConfig(
             RigConfig(cameras=len(models)), EngineConfig('fast', 32, 0.5),
             EpisodeConfig(turns=turns, start_radius=0.0))
-        self.episode = Episode(Simulator(room, config, models), np.random.default_rng(0))
+        problem = PlaneProblem(Simulator(room, config, models))
+        self.episode = Episode(problem, np.random.default_rng(0))
         self.models, self.movable = models, len(models) - len(fixed)
         self.positions, self.headings = np.array(positions, dtype=float), np.array(headings)
         self.turns, self.trail = turns, [self.headings.copy()]

@@ -37,6 +37,7 @@ from ocp_ros.ros.policy.turns import HOLD, Turns
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 
@@ -352,7 +353,7 @@ def test_live_cameras_are_turned_and_waited_for(graph, probe, rig_file, room):
     config = SimulationConfig(
         RigConfig(cameras=2, sensors='realsense_d455', tilt=0.3),
         EngineConfig('fast', 32, 0.5), EpisodeConfig(turns=1000))
-    episode = Episode(Simulator(room, config), np.random.default_rng(0))
+    episode = Episode(PlaneProblem(Simulator(room, config)), np.random.default_rng(0))
     # Both look the same way.
     first = episode.move(np.zeros((2, 2)), np.tile([0.5, 0.3, 0.0], (2, 1)))
     probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)

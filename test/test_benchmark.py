@@ -110,9 +110,9 @@ def test_a_task_runs_every_budget_and_seed():
 
 
 def test_an_online_planner_plays_an_episode_with_every_seed():
-    protocol = replace(SMALL, planners=('hand_rule',), simulation=replace(
+    protocol = replace(SMALL, planners=('greedy_step',), simulation=replace(
         SMALL.simulation, episode=EpisodeConfig(turns=3)))
-    rows = run_task(protocol, BenchmarkTask('3', 0.0, 'hand_rule'))
+    rows = run_task(protocol, BenchmarkTask('3', 0.0, 'greedy_step'))
     assert [(row['budget'], row['seed']) for row in rows] == [(0, 0), (0, 1)]
     for row in rows:
         trajectory = np.array(row['trajectory'])
@@ -204,13 +204,13 @@ def test_intervals_and_ranks_tell_planners_apart():
 def test_the_command_compares_and_reports(tmp_path, capsys):
     np.save(tmp_path / 'small.npy', generate_room(1, 2500).points)
     arguments = ['benchmark', '--rooms', str(tmp_path), '--planners',
-                 'random,greedy_error,hand_rule', '--budgets', '8,20', '--seeds', '1',
+                 'random,greedy_error,greedy_step', '--budgets', '8,20', '--seeds', '1',
                  '--workers', '1', '--out', str(tmp_path / 'out'), '--report',
                  str(tmp_path / 'report')]
     assert cli.main(arguments) == 0
     summary = json.loads((tmp_path / 'report' / 'summary.json').read_text())
     assert summary['command'].startswith('ocp benchmark --rooms')
-    assert set(summary['planners']) == {'random', 'greedy_error', 'hand_rule'}
+    assert set(summary['planners']) == {'random', 'greedy_error', 'greedy_step'}
     assert set(summary['planners']['random']) == {'8', '20'}
     text = (tmp_path / 'report' / 'README.md').read_text()
     assert 'ms a turn at the median' in text and '| greedy error |' in text

@@ -23,6 +23,7 @@ from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.scenes.scene_source import make_room
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.reward import potential
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
@@ -73,7 +74,7 @@ def config_of(agent, **shown):
     return TrainingConfig(
         seed=1, fewest_cameras=2, rooms=RoomsConfig(points=1500, rotations='0,30'),
         simulation=SIMULATION, agent=agent, sac=SAC,
-        demonstrations=DemonstrationsConfig(**{'expert': 'hand_rule', 'stray': 0.2, **shown}))
+        demonstrations=DemonstrationsConfig(**{'expert': 'greedy_step', 'stray': 0.2, **shown}))
 
 
 def task_of(agent, number=0, expert_moves=0.5, **shown):
@@ -178,7 +179,7 @@ def test_who_moves_is_the_expert_the_policy_or_chance(small_agent):
     assert away.min(axis=0).max() > 0.05
 
 
-def test_the_hand_rule_is_imitated_as_it_plays(small_agent):
+def test_the_greedy_step_is_imitated_as_it_plays(small_agent):
     """What it answers camera by camera is what it does for all of them."""
     task = task_of(small_agent, 1, 1.0, stray=0.0)
     shown = demonstrate(replace(task, weights=b''))
@@ -201,7 +202,7 @@ def test_an_expert_that_knows_the_room_goes_straight_to_its_placement(room):
     expert = expert_of('random', simulator, SIMULATION, 40, np.random.default_rng(0))
     assert isinstance(expert, Walk)
     goal = expert._placement
-    outcome = play(expert, Episode(simulator, np.random.default_rng(3)))
+    outcome = play(expert, Episode(PlaneProblem(simulator), np.random.default_rng(3)))
 
     def away(positions):
         apart = np.linalg.norm(positions[:, None, :2] - goal[None], axis=2)
@@ -335,7 +336,7 @@ def test_only_the_latest_demonstrations_fill_a_small_replay(small_agent):
 
 
 SHOWN = {**TINY, 'interactions': 0, 'demonstrations': {
-    'rounds': 2, 'episodes': 2, 'expert': 'hand_rule', 'evaluate_every': 1, 'epochs': 2,
+    'rounds': 2, 'episodes': 2, 'expert': 'greedy_step', 'evaluate_every': 1, 'epochs': 2,
     'last_epochs': 3, 'batch_size': 4}}
 
 
@@ -436,7 +437,7 @@ def test_the_best_place_of_a_toy_room_is_learned(tmp_path):
     config = TrainingConfig(
         fewest_cameras=1, simulation=simulation, agent=agent, sac=SAC,
         rooms=RoomsConfig(points=3000, rotations='0'), demonstrations=DemonstrationsConfig(
-            episodes=16, expert='hand_rule', stray=0.15, batch_size=32, learning_rate=3e-3))
+            episodes=16, expert='greedy_step', stray=0.15, batch_size=32, learning_rate=3e-3))
     shown = kept([demonstrate(task) for task in tasks_of(config, [path], 0, b'')], tmp_path)
     model = make_sac(SAC, agent, 1, seed=0)
     simulator = Simulator(make_room(path, 0.0, 3000), simulation)
@@ -447,7 +448,8 @@ def test_the_best_place_of_a_toy_room_is_learned(tmp_path):
     def errors():
         policy = Policy(actor_checkpoint(model, agent, 'r', {}))
         online = Learned(policy, *settings_of(simulation, np.random.default_rng(0)))
-        return np.mean([play(online, Episode(simulator, np.random.default_rng(seed))).depth_error
+        problem = PlaneProblem(simulator)
+        return np.mean([play(online, Episode(problem, np.random.default_rng(seed))).depth_error
                         for seed in range(5)], axis=0)
 
     unlearned = errors()

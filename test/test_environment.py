@@ -19,6 +19,7 @@ from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.reward import potential, reward
 from ocp_ros.simulation.simulation_config import EpisodeConfig, RewardConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
@@ -170,7 +171,7 @@ def test_where_nothing_is_seen_the_cameras_are_all_that_is_known(room):
 @budget(max_examples=15, deadline=None)
 def test_what_was_observed_stays_observed(simulator, seed):
     rng = np.random.default_rng(seed)
-    episode = Episode(simulator, rng)
+    episode = Episode(PlaneProblem(simulator), rng)
     for _ in range(4):
         before = episode.observed
         episode.move(rng.uniform(-1, 1, (4, 2)))
@@ -182,7 +183,7 @@ def test_what_was_observed_stays_observed(simulator, seed):
 @budget(max_examples=25, deadline=None)
 def test_cameras_never_move_too_far_nor_leave_the_room(simulator, seed, scale):
     rng = np.random.default_rng(seed)
-    episode = Episode(simulator, rng)
+    episode = Episode(PlaneProblem(simulator), rng)
     low, high = simulator.scene.bounds
     for _ in range(3):
         before = episode.turn.positions
@@ -196,7 +197,8 @@ def test_cameras_never_move_too_far_nor_leave_the_room(simulator, seed, scale):
 def test_cameras_start_near_the_centre_at_their_height_above_the_floor(room):
     sunken = Scene(room.points - np.float32([0.0, 0.0, 1.5]), name='sunken')
     simulator = Simulator(sunken, SMALL)
-    starts = np.concatenate([Episode(simulator, np.random.default_rng(seed)).turn.positions
+    problem = PlaneProblem(simulator)
+    starts = np.concatenate([Episode(problem, np.random.default_rng(seed)).turn.positions
                              for seed in range(20)])
     offsets = np.linalg.norm((starts - sunken.bounds.mean(axis=0))[:, :2], axis=1)
     assert 0.3 < offsets.max() <= 0.5
@@ -204,7 +206,7 @@ def test_cameras_start_near_the_centre_at_their_height_above_the_floor(room):
 
 
 def test_leaving_the_bounding_box_is_penalised_and_prevented(simulator):
-    episode = Episode(simulator, np.random.default_rng(0))
+    episode = Episode(PlaneProblem(simulator), np.random.default_rng(0))
     penalties = [episode.move(np.tile([0.5, 0.0], (4, 1))).terms.penalty for _ in range(12)]
     assert penalties[0] == 0.0 and penalties[-1] == 1.0
     assert episode.turn.positions[:, 0].max() <= simulator.scene.bounds[1, 0] - 0.1 + 1e-9
@@ -213,7 +215,7 @@ def test_leaving_the_bounding_box_is_penalised_and_prevented(simulator):
 def test_cameras_are_turned_with_a_move_and_stay_so(room):
     rig = RigConfig(cameras=2, sensors='realsense_d455', tilt=0.2)
     simulator = Simulator(room, SimulationConfig(engine=SMALL.engine, rig=rig))
-    episode = Episode(simulator, np.random.default_rng(0))
+    episode = Episode(PlaneProblem(simulator), np.random.default_rng(0))
     moves, headings = np.array([[0.1, 0.0], [0.0, 0.2]]), np.array([[1, 0.3, 0], [2, 0.1, 0.2]])
     np.testing.assert_array_equal(episode.move(moves).headings, rig.headings)
     turn = episode.move(moves, headings)
@@ -270,7 +272,7 @@ def test_each_camera_of_a_mixed_rig_sees_with_its_own_model(room):
 def test_the_cameras_of_an_episode_look_outwards(room):
     rig = RigConfig(cameras=4, sensors='azure_kinect_wfov', tilt=0.4)
     simulator = Simulator(room, SimulationConfig(engine=SMALL.engine, rig=rig))
-    episode = Episode(simulator, np.random.default_rng(0))
+    episode = Episode(PlaneProblem(simulator), np.random.default_rng(0))
     placement = np.hstack([episode.turn.positions, rig.headings])
     np.testing.assert_allclose(np.rad2deg(rig.headings[:, 0]), [0, 90, 180, 270])
     assert episode.turn.depth_error == simulator.evaluate(placement).depth_error
@@ -296,7 +298,7 @@ def test_threads_change_nothing(room, preset):
 
 def test_the_potential_reward_telescopes(simulator):
     rng = np.random.default_rng(4)
-    episode = Episode(simulator, rng)
+    episode = Episode(PlaneProblem(simulator), rng)
     first, total = episode.turn, 0.0
     for _ in range(5):
         total += episode.move(rng.uniform(-0.2, 0.2, (4, 2))).terms.reward
@@ -345,7 +347,7 @@ def test_the_paper_preset_runs(room):
 
 def test_the_shares_of_the_cameras_add_up_to_the_reward_of_the_turn(room):
     config = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=32))
-    episode = Episode(Simulator(room, config), np.random.default_rng(0))
+    episode = Episode(PlaneProblem(Simulator(room, config)), np.random.default_rng(0))
     rng = np.random.default_rng(1)
     for turn in range(3):
         before = episode.turn

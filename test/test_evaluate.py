@@ -55,16 +55,16 @@ def test_evaluate_plays_scans_with_each_number_of_cameras(tmp_path, capsys):
     for seed in (8, 9):
         save_scene(generate_room(seed, 1500), tmp_path / f'{seed}.ply')
         scans.append(str(tmp_path / f'{seed}.ply'))
-    command = ['evaluate', '--planners', 'hand_rule,greedy_coverage', '--budgets', '20',
+    command = ['evaluate', '--planners', 'greedy_step,greedy_coverage', '--budgets', '20',
                '--cameras', '1,2', '--workers', '1', '--out', str(tmp_path / 'out'), '--rooms']
     assert main([*command, *scans]) == 0
     found = json.loads((tmp_path / 'out' / 'evaluation.json').read_text())
     assert set(found['cameras']) == {'1', '2'} and found['model'] == 'default'
     for judged in found['cameras'].values():
-        assert set(judged['pairs']) == {'hand_rule', 'greedy_coverage'}
-        assert set(judged['rooms']['hand_rule, 0']) == {'8', '9'}
-        assert 0.0 < judged['slowest_turn']['hand_rule'] < 60.0
-    one, two = (found['cameras'][count]['pairs']['hand_rule']['sum'] for count in '12')
+        assert set(judged['pairs']) == {'greedy_step', 'greedy_coverage'}
+        assert set(judged['rooms']['greedy_step, 0']) == {'8', '9'}
+        assert 0.0 < judged['slowest_turn']['greedy_step'] < 60.0
+    one, two = (found['cameras'][count]['pairs']['greedy_step']['sum'] for count in '12')
     assert two < one
     assert '1 cameras' in capsys.readouterr().out
 
@@ -89,7 +89,7 @@ def test_the_figure_of_training_is_drawn_from_what_runs_left(tmp_path):
             'agent: {inputs: world}\ninteractions: 100\n'
             f'simulation: {{reward: {{kind: {reward}}}}}\n'
             f'sac: {{shared_extractor: {shared}}}\n'
-            'demonstrations: {rounds: 2, expert: hand_rule}\n')
+            'demonstrations: {rounds: 2, expert: greedy_step}\n')
         (folder / 'progress.jsonl').write_text('\n'.join(json.dumps(
             {'phase': 'sac', 'interactions': 10 * k, 'ratio': 1.0 / (k + seed),
              'critic_loss': 1.0 / k}) for k in range(1, 5)))

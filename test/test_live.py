@@ -38,6 +38,7 @@ from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.runtime import diagnostics
 from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.settings import ConfigurationError
@@ -132,7 +133,7 @@ def live(graph, probe, room):
         probe.listen(kind, topic, qos.LATCHED)
 
     def start(frames=(BODY, OPTICAL, MAP), **parameters):
-        episode = Episode(Simulator(room, config), np.random.default_rng(0))
+        episode = Episode(PlaneProblem(Simulator(room, config)), np.random.default_rng(0))
         probe.rig = graph.add(lambda **kwargs: Rig(
             episode, frames, **{**kwargs, 'parameter_overrides': []}))
         probe.policy = graph.add(PolicyNode, **{

@@ -19,6 +19,7 @@ from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.settings import ConfigurationError
 
 ENGINE = EngineConfig(preset='fast', error_rows=32)
+SETTINGS = SimulationConfig(engine=ENGINE)
 FIXED = [{'sensor': 'kinect_v2', 'position': [4.0, 4.0, 2.2], 'yaw': 200, 'pitch': 20}]
 REGIONS = [{'name': 'a', 'box': [[0, 0, -1], [4, 4, 9]], 'weight': 2.0, 'must_see': 0.9},
            {'name': 'b', 'polygon': [[4, 4], [7, 4], [7, 7]], 'weight': 0.5}]
@@ -29,7 +30,7 @@ POSES = np.array([[2.0, 2.0, 1.9, 0.3, 0.4, 0.0], [5.0, 5.0, 1.9, 3.0, 0.5, 0.0]
 def objective_of(room, **more):
     """Judge three D455 and a Kinect that hangs already."""
     rig = rig_of(3, 'd455', fixed=FIXED, **more)
-    return Objective(simulator_of(room, rig, ENGINE), rig)
+    return Objective(simulator_of(room, rig, SETTINGS), rig)
 
 
 def flags_of(objective, poses=POSES):
@@ -104,7 +105,7 @@ def test_one_more_camera_is_judged_as_if_it_hung_there(room, seen_by):
 
 def test_nobody_sees_nothing(room):
     rig = rig_of(2, 'd455', seen_by=2)
-    objective = Objective(simulator_of(room, rig, ENGINE), rig)
+    objective = Objective(simulator_of(room, rig, SETTINGS), rig)
     worth = objective.judge([])
     assert worth.depth_error == objective.simulator.depth_error.worst and worth.loss == 1.0
     assert len(worth.seen) == 0 and worth.space_coverage == 0.0
@@ -117,7 +118,7 @@ def test_the_engine_takes_models_of_ones_own(room):
     rig = rig_of(1, 'd455', fixed=FIXED)
     own = replace(rig.cameras[0].model, max_range=4.0, horizontal_fov=0.7)
     rig = replace(rig, cameras=(rig.cameras[0]._replace(model=own), *rig.cameras))
-    simulator = simulator_of(room, rig, ENGINE)
+    simulator = simulator_of(room, rig, SETTINGS)
     assert simulator.models == (own, SENSORS['realsense_d455'].model, SENSORS['kinect_v2'].model)
     few, many = (np.unpackbits(simulator.look(POSES[0], k).seen.view(np.uint8)).sum()
                  for k in (0, 1))

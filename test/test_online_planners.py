@@ -16,6 +16,7 @@ from ocp_ros.planners.rollout import play
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.resources import find_model
@@ -45,14 +46,14 @@ def learned(seed=0):
 
 
 def then_lookahead(seed=0):
-    """Return the hand rule with lookahead in the last turns."""
+    """Return the greedy step with lookahead in the last turns."""
     return ThenLookahead(GreedyStep(*settings(seed)), Lookahead(*settings(seed)))
 
 
 MADE = {
     'wanderer': lambda seed=0: Wanderer(*settings(seed)),
     'learned': learned,
-    'hand rule': lambda seed=0: GreedyStep(*settings(seed)),
+    'greedy step': lambda seed=0: GreedyStep(*settings(seed)),
     'lookahead': lambda seed=0: Lookahead(*settings(seed)),
     'then lookahead': then_lookahead}
 
@@ -72,7 +73,8 @@ class Outcomes(dict):
 
     def __missing__(self, name):
         """Play the episode of a planner."""
-        self[name] = play(MADE[name](), Episode(self.engine, np.random.default_rng(5)))
+        episode = Episode(PlaneProblem(self.engine), np.random.default_rng(5))
+        self[name] = play(MADE[name](), episode)
         return self[name]
 
 
@@ -95,9 +97,9 @@ def test_an_episode_is_played_to_its_end_by_the_rules(name, outcomes, engine):
         assert engine.evaluate(outcome.trajectory[at]).depth_error == outcome.depth_error[at]
 
 
-@pytest.mark.parametrize('name', ['wanderer', 'hand rule', 'lookahead', 'then lookahead'])
+@pytest.mark.parametrize('name', ['wanderer', 'greedy step', 'lookahead', 'then lookahead'])
 def test_no_move_is_too_long_or_leads_out_of_what_has_been_seen(name, engine):
-    online, episode = MADE[name](), Episode(engine, np.random.default_rng(6))
+    online, episode = MADE[name](), Episode(PlaneProblem(engine), np.random.default_rng(6))
     while not episode.turn.truncated:
         cloud, positions = episode.observed_cloud, episode.turn.positions
         moves = online.move(cloud, positions, episode.turn.step, CONFIG.episode.turns)
@@ -113,10 +115,10 @@ def test_no_move_is_too_long_or_leads_out_of_what_has_been_seen(name, engine):
 def test_a_seed_and_a_reset_give_the_same_episode(name, engine, outcomes):
     # A new planner with the same seed; and the second episode of one is that of another.
     one, other = MADE[name](), MADE[name]()
-    first = play(one, Episode(engine, np.random.default_rng(5)))
+    first = play(one, Episode(PlaneProblem(engine), np.random.default_rng(5)))
     np.testing.assert_array_equal(first.trajectory, outcomes[name].trajectory)
-    play(other, Episode(engine, np.random.default_rng(5)))
-    second = [play(online, Episode(engine, np.random.default_rng(9))).trajectory
+    play(other, Episode(PlaneProblem(engine), np.random.default_rng(5)))
+    second = [play(online, Episode(PlaneProblem(engine), np.random.default_rng(9))).trajectory
               for online in (one, other)]
     np.testing.assert_array_equal(*second)
 
@@ -134,13 +136,13 @@ def test_lookahead_ends_far_better_than_random_moves(outcomes, engine):
     assert np.mean(errors < final['lookahead']) < 0.01
 
 
-def test_the_hand_rule_improves_on_its_start(outcomes):
-    error = outcomes['hand rule'].depth_error
+def test_the_greedy_step_improves_on_its_start(outcomes):
+    error = outcomes['greedy step'].depth_error
     assert error[-1] < 0.7 * error[0]
 
 
 def test_lookahead_in_the_last_turns_helps(outcomes):
-    hand = outcomes['hand rule'].depth_error
+    hand = outcomes['greedy step'].depth_error
     both = outcomes['then lookahead'].depth_error
     # The first planner's turns are its own, and what comes then does better than where it stood.
     np.testing.assert_array_equal(both[:5], hand[:5])
@@ -158,9 +160,9 @@ def test_lookahead_alone_in_the_last_turn_stays_within_reach(room):
     assert after < before
 
 
-@pytest.mark.parametrize('name', ['hand rule', 'lookahead', 'then lookahead'])
+@pytest.mark.parametrize('name', ['greedy step', 'lookahead', 'then lookahead'])
 def test_what_nobody_has_seen_changes_no_move(name, engine, room):
-    episode = Episode(engine, np.random.default_rng(2))
+    episode = Episode(PlaneProblem(engine), np.random.default_rng(2))
     # Disturb what is out of every camera's range, but not the bounds.
     way = room.points[:, None] - episode.turn.positions
     far = np.linalg.norm(way, axis=2).min(axis=1) > MAX_RANGE + 0.8
@@ -169,7 +171,7 @@ def test_what_nobody_has_seen_changes_no_move(name, engine, room):
     points = room.points.copy()
     points[far] = np.clip(points + noise, *room.bounds)[far]
     disturbed = Scene(points, normals=room.normals_or_estimate)
-    other = Episode(Simulator(disturbed, CONFIG), np.random.default_rng(2))
+    other = Episode(PlaneProblem(Simulator(disturbed, CONFIG)), np.random.default_rng(2))
     assert far.sum() > 50 and other.turn.depth_error != episode.turn.depth_error
     np.testing.assert_array_equal(other.observed_cloud, episode.observed_cloud)
     one, two = (MADE[name]().move(either.observed_cloud, either.turn.positions, 0, 12)
@@ -199,14 +201,14 @@ def test_clouds_that_are_no_room_do_no_harm(name, kind):
 @pytest.mark.parametrize('turns', [1, 2, 3])
 def test_lookahead_plays_short_episodes_of_one_camera(turns, room):
     config = SimulationConfig(rig=RigConfig(cameras=1), episode=EpisodeConfig(turns=turns))
-    outcome = play(Lookahead(*settings()), Episode(Simulator(room, config),
-                                                   np.random.default_rng(0)))
+    problem = PlaneProblem(Simulator(room, config))
+    outcome = play(Lookahead(*settings()), Episode(problem, np.random.default_rng(0)))
     assert outcome.trajectory.shape == (turns + 1, 1, 3)
     assert np.isfinite(outcome.depth_error).all()
 
 
 def test_learned_gives_the_actions_of_its_policy_in_metres(engine):
-    online, episode = learned(), Episode(engine, np.random.default_rng(3))
+    online, episode = learned(), Episode(PlaneProblem(engine), np.random.default_rng(3))
     cloud, positions = episode.observed_cloud, episode.turn.positions
     actions = online.policy.act(cloud, positions, 0, 12)
     online.reset()

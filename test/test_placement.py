@@ -26,7 +26,8 @@ from ocp_ros.rig.placement_file import load_placement, placement_of, save_placem
 from ocp_ros.rig.rig_file import load_rig, rig_of
 from ocp_ros.scenes.scene import Scene, turned
 from ocp_ros.scenes.synthetic.generator import generate_room
-from ocp_ros.simulation.objective import Objective, simulator_of
+from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.simulation_config import SimulationConfig
 
 MIXED = """\
 cameras:
@@ -63,7 +64,7 @@ def placement_in(tmp_path, text, rig=None):
 
 def judged(scene, rig, placement):
     """Return the scores of a placement."""
-    objective = Objective(simulator_of(scene, rig, placement.engine), rig)
+    objective = Problem.of(scene, rig, SimulationConfig(engine=placement.engine)).objective
     return scores_of(objective, objective.look(placement.poses))
 
 

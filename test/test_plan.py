@@ -29,7 +29,8 @@ from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.rig_file import load_rig, rig_of, with_count
 from ocp_ros.scenes.scene_files import save_scene
-from ocp_ros.simulation.objective import Objective, simulator_of
+from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.settings import ConfigurationError
 
 FAST = EngineConfig(preset='fast', error_rows=32)
@@ -47,17 +48,17 @@ regions:
 """
 
 
-def judges(scene, rig, engine=FAST):
-    """Return what judges placements of a rig and holds them to its constraints."""
-    return Objective(simulator_of(scene, rig, engine), rig), FeasibleRegion(scene, rig)
+def problem_of(scene, rig, engine=FAST):
+    """Put a rig into a room."""
+    return Problem.of(scene, rig, SimulationConfig(engine=engine))
 
 
 def found_by(scene, rig, evaluations=120, seed=0, start=()):
     """Search with few candidates."""
-    objective, allowed = judges(scene, rig)
-    pool = Pool(objective, allowed, 120)
+    problem = problem_of(scene, rig)
+    pool = Pool(problem, 120)
     budget = Budget(evaluations=evaluations)
-    return search(objective, allowed, pool, budget, seed, start), objective, pool
+    return search(problem, pool, budget, seed, start), problem.objective, pool
 
 
 HEIGHTS = {'plane': (1.9, 1.9), 'ceiling': (2.5, 2.75), 'rods': (2.0, 2.0), 'walls': (1.7, 2.3),
@@ -165,8 +166,8 @@ def test_cameras_that_hardly_find_room_are_packed(furnished):
 
 def test_one_more_camera_is_the_best_of_all_candidates(furnished):
     rig = rig_of(2, 'd455', spacing=1.0)
-    objective, allowed = judges(furnished, rig)
-    pool = Pool(objective, allowed, 60)
+    problem = problem_of(furnished, rig)
+    objective, pool = problem.objective, Pool(problem, 60)
     kind = pool.kind(rig.models[0])
     first = pool.site(rig.models[0], 7)
     more = best_addition(objective, pool, [first])
@@ -197,8 +198,8 @@ def test_what_cannot_be_is_refused_by_name(furnished, more, words):
 
 def test_who_has_had_enough_gets_the_best_so_far(furnished):
     rig = rig_of(2, 'd455')
-    objective, allowed = judges(furnished, rig)
-    pool, budget = Pool(objective, allowed, 120), Budget(seconds=3600.0)
+    problem = problem_of(furnished, rig)
+    pool, budget = Pool(problem, 120), Budget(seconds=3600.0)
     calls = []
 
     def progress(share, loss):
@@ -206,8 +207,9 @@ def test_who_has_had_enough_gets_the_best_so_far(furnished):
         if np.isfinite(loss):
             budget.stop()
 
-    answer = search(objective, allowed, pool, budget, 0, (), progress)
-    assert budget.stopped and calls[-1][1] >= answer.loss and allowed.broken(answer.poses) == []
+    answer = search(problem, pool, budget, 0, (), progress)
+    assert budget.stopped and calls[-1][1] >= answer.loss
+    assert problem.region.broken(answer.poses) == []
 
 
 def test_a_budget_runs_out_by_what_comes_first():

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import yaml
 
-from ocp_ros.agent.heading_planner import MAX_TURN
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.blocks import Subset
 from ocp_ros.geometry.engine_config import EngineConfig
@@ -21,17 +20,17 @@ from ocp_ros.planners.pose_decoder import Decoder
 from ocp_ros.planners.registry import OFFLINE, ONLINE
 from ocp_ros.planners.rig_methods import PLANNERS
 from ocp_ros.planners.rig_offline import RigScorer
-from ocp_ros.planners.rig_online import rollout
 from ocp_ros.planners.rig_plan import RigPlanner
-from ocp_ros.planners.step import Limits, OnlineStep
+from ocp_ros.planners.rollout import play
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import placement_of, save_placement
 from ocp_ros.rig.rig_file import load_rig, rig_of, with_count
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.scenes.scene_source import make_room
 from ocp_ros.scenes.synthetic.generator import generate_room
-from ocp_ros.simulation.objective import Objective, simulator_of
-from ocp_ros.simulation.simulation_config import EpisodeConfig
+from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 
 FAST = EngineConfig(preset='fast', error_rows=32)
 EVALUATIONS, TURNS = 40, 10
@@ -87,8 +86,8 @@ def few_candidates(monkeypatch):
 
 def decoder_of(scene, rig, candidates=120):
     """Return a decoder with few candidates."""
-    objective, allowed = Objective(simulator_of(scene, rig, FAST), rig), FeasibleRegion(scene, rig)
-    return Decoder(objective, allowed, Pool(objective, allowed, candidates, 600))
+    problem = Problem.of(scene, rig, SimulationConfig(engine=FAST))
+    return Decoder(problem, Pool(problem, candidates, 600))
 
 
 @pytest.mark.parametrize('name', PLANNERS)
@@ -267,7 +266,7 @@ def test_seconds_end_a_search_that_counts_nothing(furnished, few_candidates):
 def test_cameras_that_move_never_break_what_they_know_of(planned):
     # Targets go straight through the zone.
     rig = replace(planned.rig, pitch=(0.0, 1.0))
-    objective = Objective(simulator_of(planned.scene, rig, FAST), rig)
+    problem = Problem.of(planned.scene, rig, SimulationConfig(engine=FAST))
     visited = []
 
     class Across(Online):
@@ -279,18 +278,17 @@ def test_cameras_that_move_never_break_what_they_know_of(planned):
             visited.append(positions.copy())
             return np.array([[0.5, 0.0], [0.0, 0.5], [-0.5, 0.0]])
 
-    start = np.array([[1.2, 3.5, 1.9], [3.5, 1.2, 1.9], [5.5, 3.5, 1.9]])
-    online = Across(np.random.default_rng(0), 0.5, 4.0, 0.1)
-    step = OnlineStep(online, Limits(0.5, MAX_TURN, 0.1), rig)
-    last = rollout(step, objective, start, 12, lambda turn: turn >= 12)
-    visited.append(last[:, :3])
+    episode = Episode(problem, np.random.default_rng(0))
+    play(Across(np.random.default_rng(0), 0.5, 4.0, 0.1), episode, lambda turn: turn >= 12)
+    last, start = episode.turn.positions, visited[0]
+    visited.append(last)
     for positions in visited[1:]:
         x, y, _ = positions.T
         assert not ((x > 2.5) & (x < 4.5) & (y > 2.5) & (y < 4.5)).any()
         places = np.vstack([positions, [6.0, 6.0, 2.0]])
         away = np.linalg.norm(places[:, None] - places[None], axis=2)
         assert away[np.triu_indices(4, 1)].min() >= 1.2 - 0.0011
-    assert len(visited) == 13 and np.linalg.norm(last[:, :3] - start, axis=1).max() > 0.3
+    assert len(visited) == 13 and np.linalg.norm(last - start, axis=1).max() > 0.3
 
 
 def test_the_clock_cuts_no_episode_short(furnished, few_candidates):
@@ -298,7 +296,7 @@ def test_the_clock_cuts_no_episode_short(furnished, few_candidates):
     hours = iter(range(0, 1000000, 3600))
     budget = Budget(seconds=60.0, clock=lambda: next(hours))
     rig = rig_of(2, 'omnidirectional')
-    planner = RigPlanner(furnished, rig, FAST, budget, planner='hand_rule')
+    planner = RigPlanner(furnished, rig, FAST, budget, planner='greedy_step')
     assert planner.plan(rig).answer.evaluations == EpisodeConfig().turns
 
 

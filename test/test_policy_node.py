@@ -39,6 +39,7 @@ from ocp_ros.ros.policy.simulated_turns import REMEMBERED
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.util.settings import ConfigurationError
 
 POSITIONS = np.array([[4.0, 4.0, 1.9], [5.0, 4.0, 1.9], [4.0, 5.0, 1.9]])
@@ -58,7 +59,7 @@ def robot(probe, model, room):
 
     def start(**parameters):
         return probe.start_policy(
-            model=model, **{'planner': 'learned+lookahead', **parameters})
+            model=model, **{'planner': 'learned_lookahead', **parameters})
 
     def send(stamp, cloud=room.points, positions=POSITIONS):
         probe.send_turn(stamp, cloud, positions_to_msg(positions, Header()))
@@ -451,12 +452,12 @@ def test_weights_that_cannot_be_used_are_refused(robot, small_agent):
 
 def test_a_killed_and_restarted_policy_continues_the_episode(graph, model):
     sim = graph.add(SimNode, resend_period=0.05, **SMALL)
-    policy = graph.add(PolicyNode, planner='learned+lookahead', model=model,
+    policy = graph.add(PolicyNode, planner='learned_lookahead', model=model,
                        convergence_distance=0.0)
     graph.until(lambda: sim.episode.turn.step >= 3)
     graph.remove(policy)
     step, observed = sim.episode.turn.step, sim.episode.observed
-    policy = graph.add(PolicyNode, planner='learned+lookahead', model=model,
+    policy = graph.add(PolicyNode, planner='learned_lookahead', model=model,
                        convergence_distance=0.0)
     graph.until(lambda: sim.episode.turn.step >= step + 3)
     assert sim._episodes == 1
@@ -469,7 +470,7 @@ def test_an_episode_over_ros_is_the_episode_of_the_engine(graph, probe, model, c
     probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
     graph.add(PolicyNode, planner='learned', model=model, convergence_distance=0.0)
     online, _ = make_planner(PolicyNodeConfig(planner='learned'), checkpoint)
-    outcome = play(online, Episode(sim.simulator, np.random.default_rng(3)))
+    outcome = play(online, Episode(PlaneProblem(sim.simulator), np.random.default_rng(3)))
     placement = msg_to_positions(probe.last(topics.PLACEMENT))
     np.testing.assert_allclose(placement, outcome.trajectory[-1], atol=1e-6)
     assert sim.episode.turn.depth_error == pytest.approx(outcome.depth_error[-1], abs=1e-3)

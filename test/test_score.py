@@ -12,10 +12,10 @@ from ocp_ros.cli.main import main
 from ocp_ros.cli.score_command import room_named
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.report.findings import improvements
-from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.rig_file import load_rig, rig_of
 from ocp_ros.scenes.scene_files import load_scene, save_scene
-from ocp_ros.simulation.objective import Objective, simulator_of
+from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.simulation_config import SimulationConfig
 
 RIG = """\
 cameras:
@@ -58,7 +58,7 @@ def scored(capsys, *arguments):
 def test_json_says_what_the_engine_says(files, capsys):
     found = scored(capsys, 'room.ply', 'placement.yaml', '--rig', 'rig.yaml')
     scene, rig = load_scene('room.ply'), load_rig('rig.yaml')
-    objective = Objective(simulator_of(scene, rig, EngineConfig()), rig)
+    objective = Problem.of(scene, rig).objective
     poses = np.array([[1.0, 1.0, 1.9, 45, 25, 0], [1.2, 1.2, 1.9, 100, 80, 0],
                       [7.0, 1.0, 1.9, 135, 25, 0]])
     poses[:, 3:] = np.deg2rad(poses[:, 3:])
@@ -175,9 +175,9 @@ def test_a_generated_room_is_known_by_its_points():
 
 def test_where_nothing_more_may_hang_no_camera_is_offered(room):
     rig = rig_of(1, 'd455', no_go=[{'box': [[-9, -9, -9], [99, 99, 99]]}])
-    objective, poses = Objective(simulator_of(room, rig, EngineConfig(preset='fast')), rig), \
-        np.array([[2.0, 2.0, 1.9, 0.0, 0.4, 0.0]])
-    found = improvements(objective, FeasibleRegion(room, rig), poses, objective.look(poses))
+    problem = Problem.of(room, rig, SimulationConfig(engine=EngineConfig(preset='fast')))
+    poses = np.array([[2.0, 2.0, 1.9, 0.0, 0.4, 0.0]])
+    found = improvements(problem, poses, problem.look(poses))
     assert found['one_more'] is None
     assert found['missed']['hopeless'] == found['missed']['share'] > 0.5
 

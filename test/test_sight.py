@@ -33,7 +33,7 @@ CLOUD = thinned(box_room(12.0, 4.0).points, 4000)
 #: A camera starts in the middle of a long room, and one is in place near either end of it.
 START, PLACED = np.array([6.0, 2.0, 1.9]), (2.0, 10.0)
 PLANNERS = {
-    'lookahead': Lookahead, 'hand rule': GreedyStep,
+    'lookahead': Lookahead, 'greedy step': GreedyStep,
     'then lookahead': lambda *settings: ThenLookahead(GreedyStep(*settings), Lookahead(*settings))}
 
 
@@ -94,7 +94,7 @@ def test_a_plan_says_how_cameras_are_turned_within_the_limits():
 
 
 def test_moves_are_judged_by_what_a_camera_sees_as_it_is_turned():
-    """The inputs of policy and hand rule: who looks one way misses what is behind it."""
+    """The inputs of policy and greedy step: who looks one way misses what is behind it."""
     turned = RigState(np.array([[*START, 0.0, 0.2, 0.0], [2.0, 2.0, 1.9, 1.0, 0.3, 0.0]]),
                       (D455, D455), 1)
     model = PartialMap(CLOUD, START[None], MAX_RANGE, POINTS, ROWS)

@@ -31,6 +31,7 @@ from ocp_ros.ros.trainer_node import TrainerNode, TrainerNodeConfig
 from ocp_ros.ros.training_source import topic_of
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.training.encoded_environment import CameraByCamera, EncodedObservation
 from ocp_ros.training.experience import Choice, Experience, to_bytes
 from ocp_ros.training.transitions import Transition
@@ -161,7 +162,7 @@ def test_what_is_learned_over_ros_is_what_is_learned_in_one_process(recorded, in
     wrapped = kind(env, weights.config)
     wrapped.reset()
     # The same episode: where it starts is drawn as the node draws it.
-    env.episode = Episode(sim.simulator, np.random.default_rng(3))
+    env.episode = Episode(PlaneProblem(sim.simulator), np.random.default_rng(3))
     wrapped._encoder.reset()
     before = wrapped._encoded() if inputs == 'cloud' else wrapped._begin()
     policy, rng = Policy(weights), np.random.default_rng(0)

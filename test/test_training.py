@@ -42,13 +42,13 @@ def trial(**changes):
 def test_evaluation_starts_everybody_from_the_same_place(agent):
     weights = random_checkpoint(agent).to_bytes()
     ends = {name: play_trial(one) for name, one in {
-        'random': trial(), 'hand rule': trial(planner='hand_rule'),
+        'random': trial(), 'greedy step': trial(planner='greedy_step'),
         'weights': trial(weights=weights), 'another seed': trial(seed=4)}.items()}
-    assert ends['random'][0] == ends['hand rule'][0] == ends['weights'][0]
+    assert ends['random'][0] == ends['greedy step'][0] == ends['weights'][0]
     assert ends['another seed'][0] != ends['random'][0]
     assert len({end for _, end, _ in ends.values()}) == 4
     assert play_trial(trial(weights=weights)) == ends['weights']
-    assert ends['hand rule'][1] < ends['hand rule'][0]
+    assert ends['greedy step'][1] < ends['greedy step'][0]
 
 
 def test_an_evaluation_is_the_mean_of_its_episodes():

@@ -12,19 +12,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ocp_ros.rig.feasible_region import apart, FeasibleRegion, LEEWAY
-from ocp_ros.rig.motion import kept_inside
+from ocp_ros.rig.motion import kept_inside, nearest_place, ROUNDING
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.rig.structure import STAND_OFF
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.util.settings import ConfigurationError
 
-#: Places from the middle to the edge of the disc that a turn reaches, and how often they are
-#: sought again, each time so many times nearer together.
-ACROSS, FINER = 10, (1.0, 0.15)
 #: Metres of air that there are above a camera at least: those that look down do not see it.
 ABOVE = 0.1
-#: Metres that a number may be off by rounding.
-ROUNDING = 1e-9
 
 
 class FilteredTargets(NamedTuple):
@@ -97,30 +92,13 @@ class ConstraintFilter:
     def _nearest(self, position: np.ndarray, target: np.ndarray, others: np.ndarray,
                  bounds: np.ndarray, max_step: float) -> np.ndarray | None:
         """Return the allowed place that is nearest to a target, about; None if there is none."""
-        best, middle = None, position
-        for scale in FINER:
-            places = np.concatenate([target[None], self._around(middle, scale * max_step),
-                                     position + np.linspace(0.0, 1.0, ACROSS)[:, None]
-                                     * (target - position)])
-            if best is not None:
-                places = np.concatenate([best[None], places])
-            places = self._raised(places, position[2])
-            good = np.linalg.norm(places - position, axis=1) <= max_step + ROUNDING
-            places = places[good & apart(places, others, self.rig.spacing)
-                            & self._inside(places, bounds)]
-            places = places[self._allowed.allowed(places)] if len(places) else places
-            if len(places) == 0:
-                return best
-            best = places[np.argmin(np.linalg.norm(places - target, axis=1))]
-            middle = best
-        return best
+        def allowed(places: np.ndarray) -> np.ndarray:
+            good = apart(places, others, self.rig.spacing) & self._inside(places, bounds)
+            good[good] = self._allowed.allowed(places[good]) if good.any() else False
+            return good
 
-    def _around(self, middle: np.ndarray, radius: float) -> np.ndarray:
-        """Return places (P, 3) in a level disc."""
-        steps = np.linspace(-radius, radius, 2 * ACROSS + 1)
-        x, y = (axis.ravel() for axis in np.meshgrid(steps, steps))
-        within = np.hypot(x, y) <= radius
-        return middle + np.column_stack([x, y, np.zeros_like(x)])[within]
+        return nearest_place(position, target, max_step,
+                             lambda places: self._raised(places, position[2]), allowed)
 
     def _raised(self, places: np.ndarray, height: float) -> np.ndarray:
         """Bring places to the height of the mount, where they are not: (P, 3)."""

@@ -31,8 +31,6 @@ YAWS, PITCHES = 12, 3
 FINER = np.deg2rad([15.0, 7.5])
 #: How often each camera is asked.
 ROUNDS = 2
-#: Radians: the most that a camera is turned in a turn, unless told otherwise.
-MAX_TURN = 0.5
 
 
 class Goal(NamedTuple):

@@ -4,7 +4,7 @@
 import argparse
 from collections.abc import Callable
 
-from ocp_ros.util.settings import LARGEST_SEED, MOST_CAMERAS
+from ocp_ros.util.settings import current_name, LARGEST_SEED, MOST_CAMERAS
 
 
 def count(text: str) -> int:
@@ -43,7 +43,7 @@ def number(text: str, expected: str, holds: Callable[[float], bool]) -> float:
 
 def names(text: str) -> tuple[str, ...]:
     """Read names with commas between."""
-    return tuple(text.split(','))
+    return tuple(current_name(name) for name in text.split(','))
 
 
 def camera_counts(text: str) -> tuple[int, ...]:

@@ -64,8 +64,8 @@ def protocol_of(arguments: argparse.Namespace) -> Protocol:
         # Read now: a file that cannot be used is refused before anything runs.
         load_rig(arguments.rig)
         # Zones and cameras in place have coordinates of the room as it is.
-        changes = {'planners': PLANNERS, 'rotations': (0.0,), **changes,
-                   'rig_file': str(arguments.rig)}
+        simulation = replace(PRESETS[arguments.preset].simulation, rig_file=str(arguments.rig))
+        changes = {'planners': PLANNERS, 'rotations': (0.0,), **changes, 'simulation': simulation}
     protocol = replace(PRESETS[arguments.preset], **changes)
     if arguments.rooms is not None:
         rooms = rooms_in(arguments.rooms, protocol.scale, protocol.up)
@@ -117,9 +117,9 @@ def compare(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
 
 def _cameras(protocol: Protocol) -> dict[str, Any]:
     """Say what was placed: the rig file if there is one, and how many cameras."""
-    if protocol.rig_file:
-        return {'rig': Path(protocol.rig_file).name,
-                'cameras': len(load_rig(protocol.rig_file).cameras)}
+    if protocol.simulation.rig_file:
+        return {'rig': Path(protocol.simulation.rig_file).name,
+                'cameras': len(load_rig(protocol.simulation.rig_file).cameras)}
     return {'cameras': protocol.simulation.rig.cameras}
 
 

@@ -168,7 +168,7 @@ def _add_evaluate(commands: Commands) -> None:
     judged = commands.add(LEARN, 'evaluate', 'judge a policy room by room',
                           'ocp evaluate --model models/mine.safetensors --set test')
     judged.add_argument('--model', default='default', help='weights: a path, or a name')
-    judged.add_argument('--planners', type=names, default=('learned', 'hand_rule'),
+    judged.add_argument('--planners', type=names, default=('learned', 'greedy_step'),
                         help='names with commas between; the first is compared with the others')
     rooms = judged.add_mutually_exclusive_group()
     rooms.add_argument('--set', choices=('fresh', 'test', 'training', 'validation'),

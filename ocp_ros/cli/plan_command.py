@@ -72,9 +72,9 @@ def plan(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     placement = placement_of(best.rig, best.answer.poses, room=room, engine=engine,
                              created=created_by(command, best.planner))
     with _kept(folder, placement):
-        objective, allowed = planner.judges_of(best.rig)
+        problem = planner.problem(best.rig)
         found = {'room': room, 'cameras': data_of(placement)['cameras'],
-                 **verdict(objective, allowed, placement.poses), 'notes': [],
+                 **verdict(problem, placement.poses), 'notes': [],
                  'search': _search_of(best, budget, arguments.seed),
                  'installer': [dict(zip(['number', *COLUMNS], row)) for row in rows_of(
                      placement, walls_around(scene), floor_height(scene))]}
@@ -83,7 +83,7 @@ def plan(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
             found['count'] = {'cameras': len(best.rig.cameras), 'by': arguments.by,
                               'target': arguments.target,
                               'reached': best.reaches(arguments.by, arguments.target)}
-        judged = Assessment(objective, replace(placement, scores=found['scores']), found)
+        judged = Assessment(problem.objective, replace(placement, scores=found['scores']), found)
         return {**found, **written_to(folder, judged, lambda: [draw_curve(
             folder / 'curve.png', found['curve'], found['count'])] if counting else [])}
 

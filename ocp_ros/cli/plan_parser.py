@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ocp_ros.cli.arguments import add_reading, at_least, cameras, count, seconds, seed, share
 from ocp_ros.cli.common import Commands, Found, PLAN
-from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.util.settings import ConfigurationError, current_name
 
 #: What counting cameras goes by unless told otherwise.
 COUNTING = {'target': 0.95, 'by': 'error', 'most': 12}
@@ -49,7 +49,7 @@ def add_plan(commands: Commands) -> None:
                          'space covered')
     planned.add_argument('--most', type=cameras,
                          help='with auto: the most cameras to try')
-    planned.add_argument('--planner', default='rig_search', metavar='NAME',
+    planned.add_argument('--planner', type=current_name, default='rig_search', metavar='NAME',
                          help='who searches: rig_search unless named, or one of docs/planners.md '
                          'such as cma_es or lookahead')
     planned.add_argument('--seconds', type=seconds, help='of search for each number of cameras; '

@@ -15,7 +15,6 @@ from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.exports import export
 from ocp_ros.report.findings import verdict
 from ocp_ros.report.key_figures import percent
-from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import (
     ANGLES,
     created_by,
@@ -27,7 +26,8 @@ from ocp_ros.rig.placement_file import (
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_source import make_room
-from ocp_ros.simulation.objective import Objective, simulator_of
+from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.files import folder_to_write
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.yaml_files import written
@@ -68,15 +68,14 @@ def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str
     :raises ConfigurationError: if the placement's rig cannot be used in this room.
     """
     rig = placement.rig_in(scene)
-    allowed = FeasibleRegion(scene, rig)
-    objective = Objective(simulator_of(scene, rig, placement.engine), rig)
+    problem = Problem.of(scene, rig, SimulationConfig(engine=placement.engine))
     found = {'room': room, 'cameras': data_of(placement)['cameras'],
-             **verdict(objective, allowed, placement.poses)}
+             **verdict(problem, placement.poses)}
     scores = found['scores']
     found['notes'] = _notes(placement, room, scores)
     created = created_by(command, placement.created.get('planner', ''))
-    return Assessment(objective, replace(placement, rig=rig, room=room, scores=scores,
-                                         created=created), found)
+    return Assessment(problem.objective, replace(
+        placement, rig=rig, room=room, scores=scores, created=created), found)
 
 
 def score(arguments: argparse.Namespace, command: str) -> dict[str, Any]:

@@ -28,6 +28,7 @@ from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.yaml_files import timestamp
@@ -223,7 +224,7 @@ def speed(points: int = 25000) -> dict[str, float]:
     views = [simulator.look(position) for position in placements[0]]
 
     def steps(seed: int) -> None:
-        episode = Episode(simulator, np.random.default_rng(seed))
+        episode = Episode(PlaneProblem(simulator), np.random.default_rng(seed))
         for moves in rng.uniform(-0.5, 0.5, (300, 4, 2)):
             episode.move(moves)
 

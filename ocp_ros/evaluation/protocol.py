@@ -27,13 +27,12 @@ from ocp_ros.planners.rig_plan import RigPlanner
 from ocp_ros.planners.rollout import play
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
-from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.rig_file import load_rig, Rig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_files import UP_AXES
 from ocp_ros.scenes.scene_source import make_room
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.objective import Objective, simulator_of
+from ocp_ros.simulation.problem import PlaneProblem, Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.settings import ConfigurationError
@@ -62,9 +61,8 @@ class Protocol:
     :ivar seeds: how many runs of each.
     :ivar scale: metres per unit of the scans.
     :ivar up: the axis of the scans that points up.
-    :ivar simulation: the rig; its engine is the judge's.
-    :ivar rig_file: a rig file to plan for instead, each planner under all its constraints; empty
-        for the omnidirectional cameras of ``simulation``.
+    :ivar simulation: the rig, or a rig file, for which each planner plans under all its
+        constraints; its engine is the judge's.
     :ivar model: weights of planners that have learned: path or name.
     """
 
@@ -77,11 +75,10 @@ class Protocol:
     up: str = 'z'
     simulation: SimulationConfig = SimulationConfig(engine=EngineConfig(preset='fine'))
     model: str = 'default'
-    rig_file: str = ''
 
     def __post_init__(self) -> None:
         """Refuse what cannot be compared."""
-        known = PLANNERS if self.rig_file else {**OFFLINE, **ONLINE}
+        known = PLANNERS if self.simulation.rig_file else {**OFFLINE, **ONLINE}
         for name in self.planners:
             if name not in known:
                 raise ConfigurationError(f'planners: found {name!r}; expected some of '
@@ -160,13 +157,11 @@ class RigJudge:
     ``depth_error`` is objective x depth error of seeing nothing, metres: where the rig asks for
     nothing more, the depth error.
 
-    :param scene: the room.
-    :param rig: the rig.
-    :param engine: at its best.
+    :param problem: the rig in the room; its engine is at its best.
     """
 
-    def __init__(self, scene: Scene, rig: Rig, engine: EngineConfig) -> None:
-        self.objective = Objective(simulator_of(scene, rig, engine), rig)
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
 
     def __call__(self, placement: np.ndarray) -> dict[str, float]:
         """Judge one placement (K, 6), metres and radians; see :meth:`Judge.__call__`."""
@@ -175,8 +170,8 @@ class RigJudge:
 
     def _evaluate(self, placement: np.ndarray) -> tuple[float, float]:
         """Return the objective in metres, and space coverage."""
-        result = self.objective.evaluate(placement)
-        return (result.loss * self.objective.simulator.depth_error.worst, result.space_coverage)
+        result = self.problem.objective.evaluate(placement)
+        return self.problem.error(result), result.space_coverage
 
 
 def judged_off(placement: np.ndarray, inside: Callable[[np.ndarray], np.ndarray],
@@ -216,8 +211,8 @@ def run_task(protocol: Protocol, task: BenchmarkTask) -> list[dict[str, Any]]:
         placement and the trace of the search.
     """
     scene = make_room(task.room, task.rotation, POINTS, protocol.scale, protocol.up)
-    if protocol.rig_file:
-        return _rig(protocol, scene, load_rig(protocol.rig_file), task)
+    if protocol.simulation.rig_file:
+        return _rig(protocol, scene, load_rig(protocol.simulation.rig_file), task)
     judge = Judge(Simulator(scene, protocol.simulation))
     if task.planner == CONTROL:
         return _control(judge, task)
@@ -245,8 +240,8 @@ def _online(protocol: Protocol, judge: Judge, task: BenchmarkTask) -> list[dict[
     for seed in range(protocol.seeds):
         online = ONLINE[task.planner](protocol.simulation, np.random.default_rng([seed, 1]),
                                       protocol.model)
-        episode = Episode(judge.simulator, np.random.default_rng([seed, 0]))
-        outcome = play(online, episode, time.process_time)
+        episode = Episode(PlaneProblem(judge.simulator), np.random.default_rng([seed, 0]))
+        outcome = play(online, episode, clock=time.process_time)
         # Whoever ends beyond a wall is hung up on the near side of it.
         space, last = space_of(judge.simulator), outcome.trajectory[-1]
         placement = space.placement(space.inside(last[:, :2]))
@@ -275,9 +270,9 @@ def _control(judge: Judge, task: BenchmarkTask) -> list[dict[str, Any]]:
 
 def _rig(protocol: Protocol, scene: Scene, rig: Rig, task: BenchmarkTask) -> list[dict[str, Any]]:
     """Plan a rig file with every budget and seed; see :func:`run_task`."""
-    judge = RigJudge(scene, rig, protocol.simulation.engine)
+    judge = RigJudge(Problem.of(scene, rig, protocol.simulation))
     if task.planner == CONTROL:
-        return _rig_control(protocol, judge, task)
+        return _rig_control(judge, task)
     # A time step of an online planner is an evaluation: its budget is that of the episode.
     budgets = (TURNS,) if task.planner in ONLINE else protocol.budgets
     rows = []
@@ -295,13 +290,11 @@ def _rig(protocol: Protocol, scene: Scene, rig: Rig, task: BenchmarkTask) -> lis
     return rows
 
 
-def _rig_control(protocol: Protocol, judge: RigJudge, task: BenchmarkTask
-                 ) -> list[dict[str, Any]]:
+def _rig_control(judge: RigJudge, task: BenchmarkTask) -> list[dict[str, Any]]:
     """Judge random feasible placements of a rig, and what all candidates together miss."""
-    objective = judge.objective
-    rig, simulator = objective.rig, objective.simulator
-    pool = Pool(objective, FeasibleRegion(simulator.scene, rig), POOL)
-    least = objective.judge(pool.everywhere(rig)).loss * simulator.depth_error.worst
+    problem, rig = judge.problem, judge.problem.rig
+    pool = Pool(problem, POOL)
+    least = problem.error(problem.judge(pool.everywhere(rig)))
     rng, rows = np.random.default_rng(0), []
     while len(rows) < CONTROLS:
         if not (sites := random_sites(rig, pool, rng)):

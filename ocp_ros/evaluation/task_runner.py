@@ -75,9 +75,9 @@ def _claim(folder: Path, protocol: Protocol) -> None:
 
 def _rig(protocol: Protocol) -> dict[str, str]:
     """Return the SHA-256 of the rig file, if there is one: under the same name may be another."""
-    if not protocol.rig_file:
+    if not protocol.simulation.rig_file:
         return {}
-    return {'rig': hashlib.sha256(Path(protocol.rig_file).read_bytes()).hexdigest()}
+    return {'rig': hashlib.sha256(Path(protocol.simulation.rig_file).read_bytes()).hexdigest()}
 
 
 def _weights(model: str) -> dict[str, str]:

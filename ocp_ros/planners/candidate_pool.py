@@ -15,6 +15,7 @@ from ocp_ros.rig.feasible_region import apart, FeasibleRegion
 from ocp_ros.rig.placement_file import as_written
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.simulation.objective import Objective, simulator_of
+from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulator import View
 
 #: Poses that are looked from at a time, and those that are in any case.
@@ -81,8 +82,7 @@ class Pool:
     """
     Candidates for each model of a rig, and what they see.
 
-    :param objective: of a rig of these models.
-    :param allowed: its constraints.
+    :param problem: a rig of these models in the room.
     :param most: how many poses to look from, those of all models together.
     :param among: of how many, spread over the room, they are drawn.
     :param threads: how many to use.
@@ -91,9 +91,9 @@ class Pool:
     :raises ConfigurationError: if a camera may hang nowhere.
     """
 
-    def __init__(self, objective: Objective, allowed: FeasibleRegion, most: int, among: int = 0,
-                 threads: int = 1, over: Callable[[], bool] = lambda: False) -> None:
-        rig, self._kinds = objective.rig, {}
+    def __init__(self, problem: Problem, most: int, among: int = 0, threads: int = 1,
+                 over: Callable[[], bool] = lambda: False) -> None:
+        rig, simulator, self._kinds = problem.rig, problem.simulator, {}
         self._found: dict[CameraModel, list[View]] = defaultdict(list)
         models = list(dict.fromkeys(camera.model for camera in rig.cameras))
         #: Whether all that are spread over the room were looked from.
@@ -101,12 +101,12 @@ class Pool:
         with ThreadPoolExecutor(threads) as workers:
             for model in models:
                 camera, count = rig.models.index(model), max(most // len(models), 1)
-                offered = _offered(allowed, model, max(count, among // len(models)))
+                offered = _offered(problem.region, model, max(count, among // len(models)))
                 poses, views = offered[:count], []
                 while len(views) < len(poses) and (len(views) < LEAST or not over()):
                     part = poses[len(views):len(views) + CHUNK]
                     views += workers.map(
-                        lambda pose, camera=camera: objective.simulator.look(pose, camera), part)
+                        lambda pose, camera=camera: simulator.look(pose, camera), part)
                 self.complete &= len(views) == len(offered)
                 poses = poses[:len(views)]
                 self._kinds[model] = PoseSet(poses, views, cKDTree(_features(poses)))
@@ -145,7 +145,8 @@ def quick_of(objective: Objective) -> Objective:
     """Return the same objective with smaller depth maps; it judges the same views."""
     simulator = objective.simulator
     engine = replace(simulator.config.engine, error_rows=QUICK_ROWS)
-    return Objective(simulator_of(simulator.scene, objective.rig, engine), objective.rig)
+    quick = replace(simulator.config, engine=engine)
+    return Objective(simulator_of(simulator.scene, objective.rig, quick), objective.rig)
 
 
 def clear(poses: np.ndarray, sites: Sequence[Site], spacing: float) -> np.ndarray:

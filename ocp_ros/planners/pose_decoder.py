@@ -13,9 +13,8 @@ import numpy as np
 
 from ocp_ros.planners.candidate_pool import best_addition, clear, packed, Pool, quick_of, Site
 from ocp_ros.planners.scorer import REMEMBERED
-from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import as_written
-from ocp_ros.simulation.objective import Objective
+from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulator import View
 
 #: Candidates near a place whose heights and headings are compared.
@@ -32,15 +31,14 @@ class Decoder:
     place itself where that is allowed, else where the candidate does. Where no candidate is left
     all cameras hang packed together, so whatever is proposed, every constraint holds.
 
-    :param objective: judges placements of the rig.
-    :param allowed: the rig's constraints.
+    :param problem: the rig in the room.
     :param pool: candidates of all its models.
     """
 
-    def __init__(self, objective: Objective, allowed: FeasibleRegion, pool: Pool) -> None:
-        self.objective, self.allowed, self.pool = objective, allowed, pool
-        self.rig, simulator = objective.rig, objective.simulator
-        self._quick = quick_of(objective)
+    def __init__(self, problem: Problem, pool: Pool) -> None:
+        self.objective, self.region, self.pool = problem.objective, problem.region, pool
+        self.rig, simulator = problem.rig, problem.simulator
+        self._quick = quick_of(problem.objective)
         nothing = simulator.nothing().bits.nbytes + len(simulator.grid) // 8
 
         def look(camera: int, pose: bytes) -> View:
@@ -110,10 +108,10 @@ class Decoder:
     def _there(self, pose: np.ndarray, sites: Sequence[Site]) -> Site | None:
         """Hang the next camera in a pose (6,), at its mount's height; None if it must not."""
         camera, pose = len(sites), pose.copy()
-        pose[:3] = self.allowed.onto_mount(pose[None, :3])[0]
+        pose[:3] = self.region.onto_mount(pose[None, :3])[0]
         poses = as_written(pose[None])
         model = self.rig.cameras[camera].model
-        if not (clear(poses, sites, self.rig.spacing) & self.allowed.allowed(poses, model))[0]:
+        if not (clear(poses, sites, self.rig.spacing) & self.region.allowed(poses, model))[0]:
             return None
         kind = self.objective.simulator.kind(camera)
         return Site(poses[0], self._look(kind, poses[0].tobytes()))

@@ -33,8 +33,9 @@ def settings_of(config: SimulationConfig, rng: np.random.Generator) -> tuple:
             config.episode.wall_margin)
 
 
-def _hand_rule(config: SimulationConfig, rng: np.random.Generator, model: str = '') -> GreedyStep:
-    """Return the hand rule; it has no weights."""
+def _greedy_step(config: SimulationConfig, rng: np.random.Generator, model: str = ''
+                 ) -> GreedyStep:
+    """Return the greedy step; it has no weights."""
     return GreedyStep(*settings_of(config, rng))
 
 
@@ -99,7 +100,7 @@ KNOWS = {
 
 #: A rig, the source of chance, and the weights of those that have learned: path or name.
 ONLINE: dict[str, Callable[..., Online]] = {
-    'hand_rule': _hand_rule,
+    'greedy_step': _greedy_step,
     'learned': _learned,
     'learned_paper': _learned_paper,
     'lookahead': _lookahead,

@@ -13,8 +13,7 @@ from ocp_ros.planners.registry import OFFLINE, ONLINE
 from ocp_ros.planners.rig_offline import search_offline
 from ocp_ros.planners.rig_online import play_online
 from ocp_ros.planners.rig_search import Answer, Progress, search, views_of
-from ocp_ros.rig.feasible_region import FeasibleRegion
-from ocp_ros.simulation.objective import Objective
+from ocp_ros.simulation.problem import Problem
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.yaml_files import nearest
 
@@ -41,15 +40,13 @@ def check_planner(name: str, counting: bool = False) -> None:
             f'searches a scan, such as {RIG_SEARCH}')
 
 
-def find(name: str, objective: Objective, allowed: FeasibleRegion, pool: Pool, budget: Budget,
-         seed: int,
+def find(name: str, problem: Problem, pool: Pool, budget: Budget, seed: int,
          start: Sequence[Site] = (), progress: Progress | None = None) -> Answer:
     """
     Find the best placement of a rig's cameras by a planner.
 
     :param name: one of ``PLANNERS``.
-    :param objective: judges placements of the rig.
-    :param allowed: its constraints.
+    :param problem: the rig in the room.
     :param pool: candidates of all its models.
     :param budget: how long to go on.
     :param seed: of all chance.
@@ -58,9 +55,9 @@ def find(name: str, objective: Objective, allowed: FeasibleRegion, pool: Pool, b
     :raises ConfigurationError: if there is no placement.
     """
     if name == RIG_SEARCH:
-        return search(objective, allowed, pool, budget, seed, start, progress)
+        return search(problem, pool, budget, seed, start, progress)
     run = play_online if name in ONLINE else search_offline
-    found = run(name, objective, allowed, pool, budget, seed, progress)
-    if start and (loss := objective.loss(views_of(start))) < found.loss:
+    found = run(name, problem, pool, budget, seed, progress)
+    if start and (loss := problem.objective.loss(views_of(start))) < found.loss:
         return Answer(tuple(start), loss, (loss,), found.evaluations)
     return found

@@ -19,8 +19,7 @@ from ocp_ros.planners.pose_decoder import Decoder
 from ocp_ros.planners.registry import OFFLINE
 from ocp_ros.planners.rig_search import Answer, Progress, views_of
 from ocp_ros.planners.solve import solve
-from ocp_ros.rig.feasible_region import FeasibleRegion
-from ocp_ros.simulation.objective import Objective
+from ocp_ros.simulation.problem import Problem
 
 #: Placements by which it is found out how many there is time for, and the most that are planned
 #: for: some methods lay out a grid of as many places.
@@ -79,15 +78,13 @@ class RigScorer:
         return simulator.scene.points[seen.mask]
 
 
-def search_offline(name: str, objective: Objective, allowed: FeasibleRegion, pool: Pool,
-                   budget: Budget,
-                   seed: int, progress: Progress | None = None) -> Answer:
+def search_offline(name: str, problem: Problem, pool: Pool, budget: Budget, seed: int,
+                   progress: Progress | None = None) -> Answer:
     """
     Find a placement of a rig's cameras by an offline planner.
 
     :param name: of ``OFFLINE``.
-    :param objective: judges placements of the rig.
-    :param allowed: its constraints.
+    :param problem: the rig in the room.
     :param pool: candidates of all its models.
     :param budget: how long to go on; where it counts no evaluations, as many are planned for as
         there seems to be time for.
@@ -95,14 +92,14 @@ def search_offline(name: str, objective: Objective, allowed: FeasibleRegion, poo
     :param progress: called after each placement.
     :raises ConfigurationError: if there is no placement.
     """
-    check_room(objective, pool)
-    decoder, space = Decoder(objective, allowed, pool), allowed.space
+    check_room(problem.objective, pool)
+    decoder, space = Decoder(problem, pool), problem.region.space
     expected = budget.evaluations or _expected(decoder, budget, seed)
     scorer = RigScorer(decoder, budget, progress)
     planner = OFFLINE[name](space, np.random.default_rng([seed, 0]), expected)
     result = solve(planner, scorer, budget.evaluations or sys.maxsize)
     sites = decoder.completed(decoder(result.placement[:, :2]))
-    loss = objective.loss(views_of(sites))
+    loss = problem.objective.loss(views_of(sites))
     return Answer(sites, loss, (loss,), scorer.evaluations)
 
 
@@ -110,6 +107,6 @@ def _expected(decoder: Decoder, budget: Budget, seed: int) -> int:
     """Return about how many placements there is time to judge."""
     rng, scorer = np.random.default_rng([seed, 1]), RigScorer(decoder, budget)
     began = time.monotonic()
-    scorer([decoder.allowed.space.random(rng) for _ in range(PILOTS)])
+    scorer([decoder.region.space.random(rng) for _ in range(PILOTS)])
     each = (time.monotonic() - began) / scorer.evaluations
     return int(np.clip((budget.seconds - budget.elapsed) / each, 1, MOST))

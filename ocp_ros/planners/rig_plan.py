@@ -12,10 +12,11 @@ from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.candidate_pool import best_addition, Pool, random_sites
 from ocp_ros.planners.rig_methods import check_planner, find, RIG_SEARCH
 from ocp_ros.planners.rig_search import Answer, Progress
-from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.simulation.objective import Objective, RigEvaluation, simulator_of
+from ocp_ros.simulation.objective import Objective, RigEvaluation
+from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.settings import ConfigurationError
 
 #: Candidates, the fewest where evaluations are counted, and the share of the time that they get.
@@ -95,21 +96,21 @@ class RigPlanner:
         check_planner(planner)
         self.planner = planner
         self.scene, self.engine, self.budget, self.seed = scene, engine, budget, seed
-        self._progress, self._judges = progress, {}
-        objective, allowed = self.judges_of(rig)
+        self._progress, self._problems = progress, {}
+        problem = self.problem(rig)
         most = CANDIDATES
         if budget.evaluations is not None:
             most = int(np.clip(budget.evaluations // 2, FEWEST, CANDIDATES))
-        self.pool = Pool(objective, allowed, most, CANDIDATES, os.cpu_count() or 1, self._looked)
-        self._check_regions(objective)
+        self.pool = Pool(problem, most, CANDIDATES, os.cpu_count() or 1, self._looked)
+        self._check_regions(problem.objective)
 
-    def judges_of(self, rig: Rig) -> tuple[Objective, FeasibleRegion]:
-        """Return what judges placements of a rig, and what holds them to its constraints."""
-        if rig not in self._judges:
-            # Of the last rig alone: an engine holds some ten megabytes.
-            self._judges = {rig: (Objective(simulator_of(self.scene, rig, self.engine), rig),
-                                  FeasibleRegion(self.scene, rig))}
-        return self._judges[rig]
+    def problem(self, rig: Rig) -> Problem:
+        """Put a rig into the room."""
+        if rig not in self._problems:
+            # The last one alone is kept: an engine holds some ten megabytes.
+            config = SimulationConfig(engine=self.engine)
+            self._problems = {rig: Problem.of(self.scene, rig, config)}
+        return self._problems[rig]
 
     def _looked(self) -> bool:
         """Tell whether candidates have had their share of the time."""
@@ -134,9 +135,10 @@ class RigPlanner:
         :param before: of a rig with one camera less; what is found is worth no less.
         :raises ConfigurationError: if its cameras do not find room.
         """
-        objective, allowed = self.judges_of(rig)
+        problem = self.problem(rig)
+        objective = problem.objective
         start = () if before is None else self._and_one_more(objective, before)
-        answer = find(self.planner, objective, allowed, self.pool, self.budget, self.seed, start,
+        answer = find(self.planner, problem, self.pool, self.budget, self.seed, start,
                       self._progress)
         self.pool.add(rig, answer.sites)
         rng = np.random.default_rng([self.seed, RANDOM])

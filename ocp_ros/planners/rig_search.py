@@ -25,9 +25,9 @@ from ocp_ros.planners.candidate_pool import (
     quick_of,
     Site,
 )
-from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import as_written
 from ocp_ros.simulation.objective import Objective
+from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulator import View
 
 #: Searches that begin anew, and candidates that each begins from.
@@ -85,19 +85,19 @@ class Search:
     """
     One search.
 
-    :param objective: judges placements.
-    :param quick: the same with smaller depth maps.
-    :param allowed: the rig's constraints.
+    :param problem: the rig in the room.
+    :param quick: judges placements with smaller depth maps.
     :param pool: candidates.
     :param budget: of all searches.
     :param rng: the only source of chance.
     :param start: a placement to begin with, where there is one.
     """
 
-    def __init__(self, objective: Objective, quick: Objective, allowed: FeasibleRegion, pool: Pool,
-                 budget: Budget, rng: np.random.Generator, start: Sequence[Site] = ()) -> None:
-        self.objective, self.quick, self.allowed, self.pool = objective, quick, allowed, pool
-        self.rig, self.budget, self.rng, self.start = objective.rig, budget, rng, tuple(start)
+    def __init__(self, problem: Problem, quick: Objective, pool: Pool, budget: Budget,
+                 rng: np.random.Generator, start: Sequence[Site] = ()) -> None:
+        self.objective, self.quick, self.region = problem.objective, quick, problem.region
+        self.rig, self.pool, self.budget = problem.rig, pool, budget
+        self.rng, self.start = rng, tuple(start)
         self.most = budget.evaluations and max(budget.evaluations // SEARCHES, 1)
         self.evaluations, self.share, self.least = 0, 0.0, np.inf
 
@@ -181,7 +181,7 @@ class Search:
         others = (*sites[:camera], *sites[camera + 1:])
         model = self.rig.cameras[camera].model
         poses = self._around(sites[camera].pose, model)
-        good = self.allowed.allowed(poses, model) & clear(poses, others, self.rig.spacing)
+        good = self.region.allowed(poses, model) & clear(poses, others, self.rig.spacing)
         if not good.any():
             return None
         pose = poses[int(np.argmax(good))]
@@ -193,20 +193,19 @@ class Search:
         far, turn = between(FAR, NEAR, self.share)
         poses = np.repeat(pose[None], DRAWN, axis=0)
         poses[:, :3] += self.rng.normal(0.0, far, (DRAWN, 3))
-        poses[:, :3] = self.allowed.onto_mount(poses[:, :3])
+        poses[:, :3] = self.region.onto_mount(poses[:, :3])
         if not model.omnidirectional:
             poses[:, 3:5] += self.rng.normal(0.0, turn, (DRAWN, 2))
             poses[:, 4] = np.clip(poses[:, 4], *self.rig.pitch)
         return as_written(poses)
 
 
-def search(objective: Objective, allowed: FeasibleRegion, pool: Pool, budget: Budget, seed: int,
-           start: Sequence[Site] = (), progress: Progress | None = None) -> Answer:
+def search(problem: Problem, pool: Pool, budget: Budget, seed: int, start: Sequence[Site] = (),
+           progress: Progress | None = None) -> Answer:
     """
     Find the best placement of a rig's cameras.
 
-    :param objective: judges placements of the rig.
-    :param allowed: its constraints.
+    :param problem: the rig in the room.
     :param pool: candidates of all its models.
     :param budget: how long to go on.
     :param seed: of all chance.
@@ -214,9 +213,9 @@ def search(objective: Objective, allowed: FeasibleRegion, pool: Pool, budget: Bu
     :param progress: called several times a second.
     :raises ConfigurationError: if there is no placement.
     """
-    check_room(objective, pool)
-    quick = quick_of(objective)
-    searches = [Search(objective, quick, allowed, pool, budget, np.random.default_rng([seed, k]),
+    check_room(problem.objective, pool)
+    quick = quick_of(problem.objective)
+    searches = [Search(problem, quick, pool, budget, np.random.default_rng([seed, k]),
                        start if k == 0 else ()) for k in range(SEARCHES)]
     with ThreadPoolExecutor(SEARCHES) as workers:
         runs = [workers.submit(one.run) for one in searches]

@@ -7,11 +7,18 @@ import time
 
 import numpy as np
 
-from ocp_ros.agent.heading_planner import MAX_TURN
 from ocp_ros.agent.rig_state import RigState
 from ocp_ros.planners.online_planner import Online
 from ocp_ros.planners.step import Limits, OnlineStep
 from ocp_ros.simulation.episode import Episode
+
+
+def state_of(episode: Episode) -> RigState:
+    """Return how the cameras of an episode stand and what each sees, those in place included."""
+    problem, placement, count = episode.problem, episode.placement, len(episode.turn.positions)
+    if problem.rig is None:
+        return RigState(placement, problem.models[:count], count)
+    return RigState(placement, problem.models, count, problem.rig.pitch)
 
 
 @dataclass(frozen=True)
@@ -29,27 +36,29 @@ class Outcome:
     seconds: np.ndarray
 
 
-def play(online: Online, episode: Episode,
+def play(online: Online, episode: Episode, over: Callable[[int], bool] = lambda turn: False,
          clock: Callable[[], float] = time.perf_counter) -> Outcome:
     """
-    Play an episode to its end.
+    Play an episode to its end, the cameras of a rig file under all its constraints.
 
     :param online: moves the cameras; it is reset first.
-    :param episode: a new one, of omnidirectional cameras on a plane.
+    :param episode: a new one.
+    :param over: gets the turns played so far and tells whether to end before all are.
     :param clock: tells the seconds.
     """
-    config, models = episode.config, episode.simulator.models
-    step = OnlineStep(online, Limits(config.max_step, MAX_TURN, config.wall_margin))
+    config, rig = episode.config, episode.problem.rig
+    step = OnlineStep(online, Limits(config.max_step, config.max_turn, config.wall_margin), rig)
     step.reset()
     states, seconds = [episode.turn], []
-    while not episode.turn.truncated:
-        turn = episode.turn
-        placement = np.hstack([turn.positions, turn.headings])
-        state = RigState(placement, models * (len(placement) // len(models)), len(placement))
-        cloud = episode.observed_cloud
+    while not (episode.turn.truncated or over(episode.turn.step)):
+        state, cloud = state_of(episode), episode.observed_cloud
         began = clock()
-        command = step(cloud, state, turn.step, config.turns)
+        command = step(cloud, state, episode.turn.step, config.turns)
         seconds.append(clock() - began)
-        states.append(episode.move((command.placement - placement)[:, :2]))
+        move = (command.placement - state.placement)[:state.movable, :3]
+        if rig is None:
+            states.append(episode.move(move[:, :2]))
+        else:
+            states.append(episode.move(move, command.placement[:state.movable, 3:]))
     return Outcome(np.array([state.positions for state in states]),
                    np.array([state.depth_error for state in states]), np.array(seconds))

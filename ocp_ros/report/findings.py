@@ -10,6 +10,7 @@ from ocp_ros.geometry.blocks import Subset
 from ocp_ros.rig.feasible_region import apart, FeasibleRegion
 from ocp_ros.rig.rig_file import Camera
 from ocp_ros.simulation.objective import Objective
+from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulator import View
 from ocp_ros.util.settings import ConfigurationError
 
@@ -19,17 +20,18 @@ CANDIDATES = 480
 CELL, NAMED = 1.0, 3
 
 
-def verdict(objective: Objective, allowed: FeasibleRegion, poses: np.ndarray) -> dict[str, Any]:
+def verdict(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
     """
     Return all there is to say about a placement as plain data.
 
+    :param problem: the rig in the room.
     :param poses: (K, 6) metres, map frame, and radians.
     :returns: ``scores``, ``broken``, ``missed`` and ``one_more``.
     """
-    views = objective.look(poses)
-    scores = scores_of(objective, views)
-    return {'scores': scores, 'broken': broken_by(allowed, poses, scores),
-            **improvements(objective, allowed, poses, views)}
+    views = problem.look(poses)
+    scores = scores_of(problem.objective, views)
+    return {'scores': scores, 'broken': broken_by(problem.region, poses, scores),
+            **improvements(problem, poses, views)}
 
 
 def scores_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
@@ -54,30 +56,30 @@ def scores_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
                     for camera, added in zip(rig.all_cameras, objective.contributions(views))]}
 
 
-def broken_by(allowed: FeasibleRegion, poses: np.ndarray, scores: dict[str, Any]) -> list[str]:
+def broken_by(region: FeasibleRegion, poses: np.ndarray, scores: dict[str, Any]) -> list[str]:
     """
     Return a sentence for each constraint that a placement breaks, those of regions included.
 
     :param poses: (K, 6) metres, map frame, and radians.
     :param scores: from :func:`scores_of`.
     """
-    return allowed.broken(poses) + [
-        f'{region["name"]}: found {100.0 * region["seen"]:.1f} % of its points seen; expected '
-        f'{100.0 * region["must_see"]:.1f} % (must_see); turn or move a camera towards it'
-        for region in scores['regions'] if not region['met']]
+    return region.broken(poses) + [
+        f'{part["name"]}: found {100.0 * part["seen"]:.1f} % of its points seen; expected '
+        f'{100.0 * part["must_see"]:.1f} % (must_see); turn or move a camera towards it'
+        for part in scores['regions'] if not part['met']]
 
 
-def improvements(objective: Objective, allowed: FeasibleRegion, poses: np.ndarray,
-                 views: Sequence[View]) -> dict[str, Any]:
+def improvements(problem: Problem, poses: np.ndarray, views: Sequence[View]) -> dict[str, Any]:
     """
     Return what a placement misses and where one more camera helps most, as plain data.
 
+    :param problem: the rig in the room.
     :param poses: (K, 6) metres, map frame, and radians.
     :param views: what these cameras see.
     :returns: ``missed``: share of the points, the share that no candidate would see either, and
         where most of it is; ``one_more``: the best candidate, or None where none is allowed.
     """
-    simulator, rig = objective.simulator, objective.rig
+    objective, simulator, rig = problem.objective, problem.simulator, problem.rig
     worth = objective.judge(views)
     seen = worth.seen
     models = [rig.models.index(model) for model in dict.fromkeys(
@@ -85,7 +87,7 @@ def improvements(objective: Objective, allowed: FeasibleRegion, poses: np.ndarra
     best, reachable = None, seen.bits.copy()
     for camera in models:
         try:
-            offered = allowed.candidates(rig.models[camera], CANDIDATES // len(models))
+            offered = problem.region.candidates(rig.models[camera], CANDIDATES // len(models))
         except ConfigurationError:
             continue
         offered = offered[apart(offered[:, :3], poses[:, :3], rig.spacing)]

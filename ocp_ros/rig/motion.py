@@ -1,18 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Moves and turns of cameras: bounded in length, kept inside the room."""
 
+from collections.abc import Callable
+
 import numpy as np
+
+#: Places from the middle to the edge of the disc that a turn reaches, and how often they are
+#: sought again, each time so many times nearer together.
+ACROSS, FINER = 10, (1.0, 0.15)
+#: Metres that a number may be off by rounding.
+ROUNDING = 1e-9
 
 
 def bounded_moves(actions: np.ndarray, max_step: float) -> np.ndarray:
     """
     Turn actions into moves, none longer than ``max_step``.
 
-    :param actions: (K, 2) in [-1, 1].
+    :param actions: (K, 2) or (K, 3) in [-1, 1].
     :param max_step: metres.
-    :returns: (K, 2) float64, metres.
+    :returns: float64 of the same shape, metres; one row for a single action (2,) or (3,).
     """
-    actions = np.asarray(actions, dtype=np.float64).reshape(-1, 2)
+    actions = np.atleast_2d(np.asarray(actions, dtype=np.float64))
     length = np.linalg.norm(actions, axis=1, keepdims=True)
     return actions / np.maximum(length, 1.0) * max_step
 
@@ -90,3 +98,46 @@ def kept_inside(positions: np.ndarray, bounds: np.ndarray, margin: float
     inside = np.array(positions, dtype=np.float64)
     inside[:, :2] = np.clip(flat, low + inset, high - inset)
     return inside, outside
+
+
+def nearest_place(position: np.ndarray, target: np.ndarray, reach: float,
+                  mounted: Callable[[np.ndarray], np.ndarray],
+                  allowed: Callable[[np.ndarray], np.ndarray]) -> np.ndarray | None:
+    """
+    Find the allowed place that is nearest to a target, among those that one turn reaches.
+
+    :param position: (3,) metres, where the camera is.
+    :param target: (3,) metres, where it was to go.
+    :param reach: farthest that it moves in one turn, metres.
+    :param mounted: brings places (P, 3) to what the camera hangs on.
+    :param allowed: tells at which places (P, 3) it may be: (P,) bool.
+    :returns: (3,) metres, found to about a seventieth of the reach; None if there is none.
+    """
+    def usable(places: np.ndarray) -> np.ndarray:
+        places = mounted(places)
+        places = places[np.linalg.norm(places - position, axis=1) <= reach + ROUNDING]
+        return places[allowed(places)] if len(places) else places
+
+    if len(there := usable(target[None])):
+        return there[0]
+    best, middle = None, position
+    for scale in FINER:
+        places = np.concatenate([
+            _disc(middle, scale * reach), position + np.linspace(0.0, 1.0, ACROSS)[:, None]
+            * (target - position)])
+        if best is not None:
+            places = np.concatenate([best[None], places])
+        places = usable(places)
+        if len(places) == 0:
+            return best
+        best = places[np.argmin(np.linalg.norm(places - target, axis=1))]
+        middle = best
+    return best
+
+
+def _disc(middle: np.ndarray, radius: float) -> np.ndarray:
+    """Return places (P, 3) in a level disc."""
+    steps = np.linspace(-radius, radius, 2 * ACROSS + 1)
+    x, y = (axis.ravel() for axis in np.meshgrid(steps, steps))
+    within = np.hypot(x, y) <= radius
+    return middle + np.column_stack([x, y, np.zeros_like(x)])[within]

@@ -127,6 +127,24 @@ def headings_of(rig: Rig, model: CameraModel) -> np.ndarray:
     return np.array([(yaw, pitch, 0.0) for pitch in pitches for yaw in yaws])
 
 
+def first_headings(rig: Rig, positions: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """
+    Turn cameras to begin with: outwards, or from walls to the middle.
+
+    :param positions: (K, 3) metres.
+    :param middle: (2,) metres, of the room.
+    :returns: (K, 3) yaw, pitch and roll in radians.
+    """
+    count = len(positions)
+    headings = np.zeros((count, 3))
+    headings[:, 0] = FULL_TURN * np.arange(count) / count
+    if rig.mount.on == 'walls':
+        way = middle - positions[:, :2]
+        headings[:, 0] = np.arctan2(way[:, 1], way[:, 0])
+    headings[:, 1] = np.clip(0.0, *rig.pitch)
+    return headings
+
+
 def spread(positions: np.ndarray, count: int) -> np.ndarray:
     """
     Choose some of many places, each time the one farthest from those before.

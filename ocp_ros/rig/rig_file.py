@@ -123,6 +123,24 @@ class Rig:
         return self.cameras + tuple(fixed.camera for fixed in self.fixed)
 
     @property
+    def axes(self) -> tuple[str, ...]:
+        """
+        Return what an action changes of a camera that is to be placed.
+
+        :returns: ``x`` and ``y``; ``z`` where the mount leaves a choice of height; ``yaw`` and
+            ``pitch`` where a camera does not see all around.
+        """
+        heights = self.mount.heights
+        upwards = ('z',) if heights is not None and heights[0] < heights[1] else ()
+        aimed = any(not camera.model.omnidirectional for camera in self.cameras)
+        return ('x', 'y', *upwards, *(('yaw', 'pitch') if aimed else ()))
+
+    @property
+    def anchored(self) -> bool:
+        """Return whether it names places in the map, which do not turn with the room."""
+        return bool(self.fixed or self.no_go or self.regions)
+
+    @property
     def fixed_poses(self) -> np.ndarray:
         """Return the poses of the cameras in place: (F, 6) metres, map frame, and radians."""
         return np.array([fixed.pose for fixed in self.fixed]).reshape(-1, 6)

@@ -41,8 +41,8 @@ from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_source import make_scene, SceneConfig
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.point_maps import maps_of
+from ocp_ros.simulation.problem import make_problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
-from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.settings import group, LARGEST_SEED, setting
 
 
@@ -65,7 +65,8 @@ class SimNode(Node):
     def __init__(self, **kwargs) -> None:
         super().__init__('sim_node', **kwargs)
         self.config = declare(self, SimNodeConfig)
-        self.simulator = Simulator(make_scene(self.config.scene), self.config)
+        self.problem = make_problem(make_scene(self.config.scene), self.config)
+        self.simulator = self.problem.simulator
         self._rng = np.random.default_rng(self.config.seed)
         self._episodes = self._stamp = self._previous = 0
         self._counts = {'stale_commands': 0, 'refused_commands': 0, 'resent_turns': 0}
@@ -76,17 +77,18 @@ class SimNode(Node):
                                          clock=Clock(clock_type=ClockType.STEADY_TIME))
         follow(self, self._change)
         self._health = diagnostics.Health(self, self._status)
-        scene = self.simulator.scene
+        scene, models = self.simulator.scene, self.problem.models
         self._scene.publish(cloud_to_msg(scene.points, self._header()))
         self.get_logger().info(
             f'{scene.name}: {len(scene)} points, ' + ' x '.join(f'{s:.1f}' for s in scene.size)
-            + f' m, {self.config.rig.cameras} cameras')
+            + f' m, {len(models)} cameras')
         self._begin()
         if not len(self.episode.observed):
             raise SceneError(
-                f'{scene.name}: found no point within {self.config.rig.ranges.max()} m of the '
-                f'cameras at the centre, {self.config.rig.height} m above the lowest point; '
-                'expected them inside the room; check scene.up, scene.scale and rig.height')
+                f'{scene.name}: found no point within {max(m.max_range for m in models)} m of the '
+                f'cameras at the centre, at {np.round(self.episode.placement[0, :3], 2).tolist()};'
+                ' expected them inside the room; check scene.up, scene.scale and the height of '
+                'the cameras')
 
     def _make_publishers(self) -> None:
         """Create every publisher."""
@@ -99,10 +101,8 @@ class SimNode(Node):
         self._coverage = loop(Float64, topics.SPACE_COVERAGE)
         self._error = loop(Float64, topics.DEPTH_ERROR)
         self._scene = self.create_publisher(PointCloud2, topics.SCENE, LATCHED)
-        models = self.simulator.models
-        self._sees_all_around = np.broadcast_to(
-            [model.omnidirectional for model in models], self.config.rig.cameras)
-        self._rig_view = RigView(self, topics.MARKERS, models, self.config.rig.cameras)
+        models = self.problem.models
+        self._rig_view = RigView(self, topics.MARKERS, models, len(models))
         self._cloud_view = CloudView(
             self, topics.TRUE_COVERAGE_CLOUD, topics.TRUE_ERROR_CLOUD,
             lambda: maps_of(self.simulator, self._camera_poses()))
@@ -113,7 +113,7 @@ class SimNode(Node):
 
     def _begin(self) -> None:
         """Begin an episode and publish its first turn."""
-        self.episode = Episode(self.simulator, self._rng)
+        self.episode = Episode(self.problem, self._rng)
         self._episodes += 1
         self._rig_view.forget()
         self._publish_turn()
@@ -124,10 +124,10 @@ class SimNode(Node):
         # Strictly later than the one before, whatever the clock does.
         self._stamp = max(self.get_clock().now().nanoseconds, self._stamp + 1)
         self._answered = False
-        header, turn = self._header(), self.episode.turn
+        header, turn, rows = self._header(), self.episode.turn, self.episode.placement
         self._turn_messages = (
             (self._reward, fields_to_msg(self._reward_fields())),
-            (self._poses, positions_to_msg(turn.positions, header, turn.headings)),
+            (self._poses, positions_to_msg(rows[:, :3], header, rows[:, 3:])),
             (self._observation, cloud_to_msg(self.episode.observed_cloud, header)))
         self._send_turn()
         self._coverage.publish(Float64(data=turn.space_coverage))
@@ -137,8 +137,7 @@ class SimNode(Node):
 
     def _camera_poses(self) -> list[Pose]:
         """Return where the cameras are and how they are turned."""
-        rows = np.hstack([self.episode.turn.positions, self.episode.turn.headings])
-        return [Pose.of(row) for row in rows]
+        return [Pose.of(row) for row in self.episode.placement]
 
     def _reward_fields(self) -> dict[str, float]:
         """Return the fields of the reward topic in their order."""
@@ -177,7 +176,7 @@ class SimNode(Node):
             self._counts['stale_commands'] += 1
             return
         try:
-            target = msg_to_positions(message, self.config.rig.cameras)
+            target = msg_to_positions(message, len(self.problem.models))
             headings = self._commanded(message)
             if message.header.frame_id != self.config.frame_id:
                 raise MessageError(f'command: found the frame {message.header.frame_id!r}; '
@@ -189,7 +188,10 @@ class SimNode(Node):
         self._answered = True
         if self.episode.turn.truncated:
             return
-        self.episode.move((target - self.episode.turn.positions)[:, :2], headings)
+        # Cameras in place stay, whatever a command says of them.
+        positions = self.episode.turn.positions
+        moves = target[:len(positions)] - positions
+        self.episode.move(moves[:, :2] if self.problem.rig is None else moves, headings)
         self._publish_turn()
         if self.episode.turn.truncated and self.config.auto_reset:
             self._begin()
@@ -202,8 +204,9 @@ class SimNode(Node):
         is that of the turn stays as it is, to the last bit.
         """
         headings, (_, (_, sent), _) = self.episode.turn.headings.copy(), self._turn_messages
-        for camera, (pose, now) in enumerate(zip(message.poses, sent.poses, strict=True)):
-            if not self._sees_all_around[camera] and pose.orientation != now.orientation:
+        cameras = zip(message.poses[:len(headings)], sent.poses, self.problem.models)
+        for camera, (pose, now, model) in enumerate(cameras):
+            if not model.omnidirectional and pose.orientation != now.orientation:
                 headings[camera] = heading_of(
                     rotation_of(pose.orientation, f'command: camera {camera}'))
         return headings

@@ -10,11 +10,13 @@ from gymnasium import spaces
 import numpy as np
 
 from ocp_ros.geometry.clouds import corners_of, fixed_size
-from ocp_ros.rig.motion import bounded_moves
+from ocp_ros.rig.motion import bounded_moves, wrapped
+from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.scene import Scene, turned
 from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.problem import make_problem, PlaneProblem, Problem, settings_for
 from ocp_ros.simulation.simulation_config import SimulationConfig
-from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.util.settings import ConfigurationError
 
 LARGEST_ROOM = 1000.0
 #: Scenes, each turned in one way, whose engines are kept ready.
@@ -23,17 +25,23 @@ KEPT = 16
 
 class CameraPlacementEnv(gym.Env):
     """
-    Move depth cameras on a plane until what they see together explains the room.
+    Move depth cameras until what they see together explains the room.
+
+    They are omnidirectional and move on a plane, or are those of ``config.rig_file`` and keep its
+    constraints: a camera goes as near to where it is sent as it may, and cameras in place see.
 
     ## Action space
     ``Box(-1, 1, (K, 2))``: each camera's move in units of ``max_step``, shortened to the unit
-    disc. Moves of cameras that an episode does not have are ignored.
+    disc. Moves of cameras that an episode does not have are ignored. A rig file may ask for more
+    columns (``axes`` names them): ``z``, where the mount leaves a choice of height, and ``yaw``
+    and ``pitch`` in units of ``max_turn``, where a camera does not see all around.
 
     ## Observation space
     | key | shape | meaning |
     |---|---|---|
     | ``cloud`` | (P, 3) | points seen since the episode began, metres |
     | ``camera_positions`` | (K, 3) | metres; zeros for cameras that the episode does not have |
+    | ``camera_headings`` | (K, 3) | yaw, pitch, roll in radians; only where cameras are turned |
     | ``present`` | (K,) | 1 for each camera that the episode has, else 0 |
     | ``bounds`` | (2, 3) | bounding box of all points seen, metres |
 
@@ -54,6 +62,8 @@ class CameraPlacementEnv(gym.Env):
     :param observation_points: P.
     :param fewest: episodes have from so many to K cameras; K unless told otherwise.
     :param rotations: degrees about the vertical axis.
+    :raises ConfigurationError: if the rig file cannot be used, or not with these numbers of
+        cameras and rotations.
     """
 
     metadata = {'render_modes': []}
@@ -63,9 +73,9 @@ class CameraPlacementEnv(gym.Env):
                  rotations: Sequence[float] = (0.0,)) -> None:
         if not scenes:
             raise ValueError('scenes: found none; expected at least one room')
-        self.scenes, self.config = scenes, config or SimulationConfig()
+        self.scenes, self.config = scenes, settings_for(config or SimulationConfig())
         self.observation_points, self.rotations = observation_points, tuple(rotations)
-        self.simulator = lru_cache(maxsize=KEPT)(self._make_simulator)
+        self.problem = lru_cache(maxsize=KEPT)(self._make_problem)
         self.episode: Episode | None = None
         #: Scene and rotation of the episode: scene x rotations + rotation.
         self.number = 0
@@ -76,17 +86,35 @@ class CameraPlacementEnv(gym.Env):
         if self.fewest < cameras and len(self.config.rig.models) > 1:
             raise ValueError(f'fewest: found {self.fewest} with several kinds of camera; expected '
                              f'{cameras}: which of them would be left out?')
-        self.action_space = spaces.Box(-1.0, 1.0, (cameras, 2), np.float32)
+        self.axes = self._read_axes()
+        shapes = {'cloud': (observation_points, 3), 'camera_positions': (cameras, 3),
+                  'bounds': (2, 3), 'present': (cameras,)}
+        if 'yaw' in self.axes:
+            shapes['camera_headings'] = (cameras, 3)
+        self.action_space = spaces.Box(-1.0, 1.0, (cameras, len(self.axes)), np.float32)
         self.observation_space = spaces.Dict({
             name: spaces.Box(-LARGEST_ROOM, LARGEST_ROOM, shape, np.float32)
-            for name, shape in (('cloud', (observation_points, 3)),
-                                ('camera_positions', (cameras, 3)), ('bounds', (2, 3)),
-                                ('present', (cameras,)))})
+            for name, shape in shapes.items()})
 
-    def _make_simulator(self, index: int, rotation: float) -> Simulator:
-        """Prepare the engine for a scene, turned."""
+    def _read_axes(self) -> tuple[str, ...]:
+        """Return what an action changes of each camera."""
+        if not self.config.rig_file:
+            return PlaneProblem.axes
+        rig, cameras = load_rig(self.config.rig_file), self.config.rig.cameras
+        if self.fewest < cameras:
+            raise ConfigurationError(f'fewest: found {self.fewest} with a rig file; expected '
+                                     f'{cameras}, all cameras that {rig.document.name} lists')
+        if rig.anchored and any(self.rotations):
+            raise ConfigurationError(
+                f'rotations: found {self.rotations} with {rig.document.name}, whose fixed, no_go '
+                'or regions are places in the map; expected 0 alone: they do not turn with the '
+                'room')
+        return rig.axes
+
+    def _make_problem(self, index: int, rotation: float) -> PlaneProblem | Problem:
+        """Prepare a scene, turned."""
         scene = self.scenes[index]
-        return Simulator(turned(scene, rotation) if rotation else scene, self.config)
+        return make_problem(turned(scene, rotation) if rotation else scene, self.config)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         """Begin an episode; ``options`` may choose the scene, its rotation and the cameras."""
@@ -100,14 +128,22 @@ class CameraPlacementEnv(gym.Env):
         if chosen['rotation'] in self.rotations:
             turned_by = self.rotations.index(chosen['rotation'])
         self.number = chosen['scene'] * len(self.rotations) + turned_by
-        self.episode = Episode(self.simulator(chosen['scene'], chosen['rotation']),
+        self.episode = Episode(self.problem(chosen['scene'], chosen['rotation']),
                                self.np_random, chosen['cameras'])
         return self._observation(), self._info()
 
     def step(self, action):
         """Move every camera by its action and look."""
-        present = np.asarray(action).reshape(-1, 2)[:len(self.episode.turn.positions)]
-        turn = self.episode.move(bounded_moves(present, self.config.episode.max_step))
+        now, limits = self.episode.turn, self.config.episode
+        axes = np.asarray(action, dtype=np.float64).reshape(-1, len(self.axes))
+        axes = axes[:len(now.positions)]
+        level = 3 if 'z' in self.axes else 2
+        headings = None
+        if 'yaw' in self.axes:
+            headings = now.headings.copy()
+            headings[:, :2] += bounded_moves(axes[:, level:], limits.max_turn)
+            headings[:, 0] = wrapped(headings[:, 0])
+        turn = self.episode.move(bounded_moves(axes[:, :level], limits.max_step), headings)
         return self._observation(), turn.terms.reward, False, turn.truncated, self._info()
 
     def _observation(self) -> dict[str, np.ndarray]:
@@ -120,9 +156,11 @@ class CameraPlacementEnv(gym.Env):
         present = np.zeros(len(positions), dtype=np.float32)
         count = len(self.episode.turn.positions)
         positions[:count], present[:count] = self.episode.turn.positions, 1.0
-        return {'cloud': fixed_size(cloud, self.observation_points),
-                'camera_positions': positions, 'present': present,
-                'bounds': corners_of(cloud)}
+        found = {'cloud': fixed_size(cloud, self.observation_points),
+                 'camera_positions': positions, 'present': present, 'bounds': corners_of(cloud)}
+        if 'yaw' in self.axes:
+            found['camera_headings'] = self.episode.turn.headings.astype(np.float32)
+        return found
 
     def _info(self) -> dict[str, Any]:
         """Return the true state of the placement and the terms of the reward."""

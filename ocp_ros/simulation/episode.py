@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ocp_ros.rig.motion import drawn_near, kept_inside
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.simulation.problem import PlaneProblem, Problem
 from ocp_ros.simulation.reward import NO_REWARD, reward, RewardTerms
 from ocp_ros.simulation.simulator import Simulator, View
 
@@ -36,56 +37,64 @@ class Turn:
 
 class Episode:
     """
-    Move a rig in one scene.
+    Move the cameras of a rig that are to be placed in one scene.
 
-    :param simulator: the engine for the scene.
+    :param problem: the rig in the scene.
     :param rng: where the cameras start is drawn from it.
-    :param cameras: how many there are; those of the simulator's rig unless told otherwise.
+    :param cameras: how many there are; those of the problem unless told otherwise.
     """
 
-    def __init__(self, simulator: Simulator, rng: np.random.Generator,
+    def __init__(self, problem: PlaneProblem | Problem, rng: np.random.Generator,
                  cameras: int | None = None) -> None:
-        self.simulator, self.scene = simulator, simulator.scene
-        rig = simulator.config.rig
-        self.rig = rig if cameras is None else replace(rig, cameras=cameras)
-        self.config = simulator.config.episode
-        self.observed = simulator.nothing()
+        self.problem, self.config = problem, problem.simulator.config.episode
+        self.observed = problem.nothing()
         self._views: list[View] = []
-        self.turn = self._look(0, self._start(rng), self.rig.headings)
-        #: The turn before, and what each camera saw then.
-        self._before = self.turn, self._views
+        #: Space coverage and the error that rewards are made of, of the current placement.
+        self._value = 0.0, 0.0
+        count = len(problem.models) - len(problem.fixed_poses)
+        start = problem.start(rng, self.config, count if cameras is None else cameras)
+        self.turn = self._look(0, start)
+        #: The value before the turn, and what each camera saw then.
+        self._before = self._value, self._views
 
-    def _start(self, rng: np.random.Generator) -> np.ndarray:
-        """Draw the cameras' positions around the centre: (K, 3) metres."""
-        positions = np.empty((self.rig.cameras, 3))
-        positions[:, :2] = self.scene.bounds.mean(axis=0)[:2]
-        positions[:, :2] += drawn_near(rng, len(positions), self.config.start_radius)
-        positions[:, 2] = self.simulator.height
-        return kept_inside(positions, self.scene.bounds, self.config.wall_margin)[0]
+    @property
+    def simulator(self) -> Simulator:
+        """Return the engine."""
+        return self.problem.simulator
+
+    @property
+    def scene(self) -> Scene:
+        """Return the room."""
+        return self.problem.simulator.scene
+
+    @property
+    def placement(self) -> np.ndarray:
+        """Return all cameras, then those in place: (K + F, 6) metres, map frame, and radians."""
+        moved = np.hstack([self.turn.positions, self.turn.headings])
+        return np.vstack([moved, self.problem.fixed_poses])
 
     def move(self, moves: np.ndarray, headings: np.ndarray | None = None) -> Turn:
         """
         Play one turn.
 
-        :param moves: (K, 2) metres on the plane; a longer one than ``max_step`` is shortened.
+        :param moves: (K, 2) metres on the plane, or (K, 3); a longer one than ``max_step`` is
+            shortened.
         :param headings: (K, 3) yaw, pitch and roll in radians; None for cameras that stay turned
             as they are.
         :returns: the new state, also kept as ``turn``.
         """
         moves = np.asarray(moves, dtype=np.float64)
         length = np.linalg.norm(moves, axis=1, keepdims=True)
-        target = self.turn.positions.copy()
-        target[:, :2] += moves * np.minimum(
+        poses = np.hstack([self.turn.positions, self.turn.headings])
+        target = poses.copy()
+        target[:, :moves.shape[1]] += moves * np.minimum(
             self.config.max_step / np.maximum(length, 1e-12), 1.0)
-        target, outside = kept_inside(target, self.scene.bounds, self.config.wall_margin)
-        before, self._before = self.turn, (self.turn, self._views)
-        self.turn = self._look(before.step + 1, target,
-                               before.headings if headings is None else headings)
-        simulator = self.simulator
-        terms = reward((before.space_coverage, before.depth_error),
-                       (self.turn.space_coverage, self.turn.depth_error), outside,
-                       simulator.volume, simulator.depth_error.worst, simulator.config.reward)
-        self.turn = Turn(**{**vars(self.turn), 'terms': terms})
+        if headings is not None:
+            target[:, 3:] = headings
+        target, outside = self.problem.reached(poses, target, self.config)
+        self._before = before, _ = self._value, self._views
+        turn = self._look(self.turn.step + 1, target)
+        self.turn = replace(turn, terms=self.reward(before, self._value, outside))
         return self.turn
 
     def shares(self, order: Sequence[int]) -> list[RewardTerms]:
@@ -97,26 +106,35 @@ class Episode:
         :param order: in which the cameras moved.
         :returns: one per camera, in this order.
         """
-        turn, views = self._before
-        views, simulator, found = list(views), self.simulator, []
-        before = turn.space_coverage, turn.depth_error
+        before, views = self._before
+        views, found = list(views), []
         for camera in order:
             views[camera] = self._views[camera]
-            result = simulator.judge(views)
-            after = result.space_coverage, result.depth_error
-            found.append(reward(before, after, False, simulator.volume,
-                                simulator.depth_error.worst, simulator.config.reward))
+            after = self.value_of(views)
+            found.append(self.reward(before, after))
             before = after
         return found
 
-    def _look(self, step: int, positions: np.ndarray, headings: np.ndarray) -> Turn:
-        """Judge the placement and remember what it sees."""
-        self._views = [self.simulator.look(pose, camera) for camera, pose in enumerate(
-            np.hstack([positions, headings]))]
-        result = self.simulator.judge(self._views)
+    def value_of(self, views: Sequence[View]) -> tuple[float, float]:
+        """Return space coverage, cubic metres, and the error of rewards, metres, of views."""
+        result = self.problem.judge(views)
+        return result.space_coverage, self.problem.error(result)
+
+    def reward(self, before: tuple[float, float], after: tuple[float, float],
+               outside: bool = False) -> RewardTerms:
+        """Reward what led from one value, of :meth:`value_of`, to another."""
+        simulator = self.simulator
+        return reward(before, after, outside, simulator.volume, simulator.depth_error.worst,
+                      simulator.config.reward)
+
+    def _look(self, step: int, poses: np.ndarray) -> Turn:
+        """Judge the placement (K, 6) and remember what it sees."""
+        self._views = self.problem.look(poses)
+        result = self.problem.judge(self._views)
+        self._value = result.space_coverage, self.problem.error(result)
         self.observed |= result.seen
-        return Turn(step, positions, headings, result.space_coverage, result.depth_error,
-                    NO_REWARD, truncated=step >= self.config.turns)
+        return Turn(step, poses[:, :3].copy(), poses[:, 3:].copy(), result.space_coverage,
+                    result.depth_error, NO_REWARD, truncated=step >= self.config.turns)
 
     @property
     def observed_cloud(self) -> np.ndarray:

@@ -2,13 +2,13 @@
 """What a placement of a rig is worth: the depth error, and what the rig's regions ask for."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from ocp_ros.geometry.blocks import count_bits, no_bits, pack, seen_by, Subset
 from ocp_ros.geometry.coverage import space_coverage
-from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.feasible_region import check_heights
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.rig_file import Region, Rig
@@ -55,10 +55,11 @@ class Contribution(NamedTuple):
     only: float
 
 
-def simulator_of(scene: Scene, rig: Rig, engine: EngineConfig) -> Simulator:
+def simulator_of(scene: Scene, rig: Rig, config: SimulationConfig | None = None) -> Simulator:
     """
     Build the engine of a rig in a room: its cameras are the K to be placed, then the F in place.
 
+    :param config: the settings of all but the cameras.
     :raises ConfigurationError: if the cameras' height is not inside the room.
     """
     check_heights(scene, rig)
@@ -67,8 +68,8 @@ def simulator_of(scene: Scene, rig: Rig, engine: EngineConfig) -> Simulator:
     height = 0.5 * float(scene.size[2])
     if rig.mount.on == 'plane':
         height = floor_height(scene) + rig.mount.heights[0] - float(scene.bounds[0, 2])
-    config = SimulationConfig(RigConfig(cameras=len(rig.models), height=height), engine)
-    return Simulator(scene, config, rig.models)
+    described = RigConfig(cameras=len(rig.models), height=height)
+    return Simulator(scene, replace(config or SimulationConfig(), rig=described), rig.models)
 
 
 class Objective:

@@ -15,6 +15,9 @@ class EpisodeConfig:
     turns: int = setting(30, 'turns until the episode ends', 1, 100000, running=True)
     max_step: float = setting(
         0.5, 'farthest a camera moves in one turn, metres', 0.001, 10.0, running=True)
+    max_turn: float = setting(
+        0.5, 'farthest a camera that does not see all around is turned in one turn, radians',
+        0.001, 3.1416, running=True)
     start_radius: float = setting(
         0.5, 'cameras start this near the centre, metres', 0.0, 50.0, running=True)
     wall_margin: float = setting(
@@ -42,3 +45,5 @@ class SimulationConfig:
     engine: EngineConfig = group(EngineConfig)
     episode: EpisodeConfig = group(EpisodeConfig)
     reward: RewardConfig = group(RewardConfig)
+    rig_file: str = setting(
+        '', 'YAML of docs/rig.md: its cameras and constraints in place of rig.*; empty for none')

@@ -4,7 +4,7 @@ Demonstrations: episodes in which an expert says at each turn what it would do.
 
 Who moves the cameras is a mixture: at first the expert, then more and more the policy that learns
 from it, so that it also learns to get out of where its own moves lead (DAgger: Ross, Gordon and
-Bagnell, 2011). Experts are the hand rule and the other online planners, which know no more than
+Bagnell, 2011). Experts are the greedy step and the other online planners, which know no more than
 the policy, and any offline planner, which knows the room and goes straight to its answer.
 """
 
@@ -21,6 +21,7 @@ import torch
 from ocp_ros.agent.move_effects import CHOICES, greedy
 from ocp_ros.planners.online_planner import Online, shared_out
 from ocp_ros.planners.registry import OFFLINE, ONLINE, settings_of
+from ocp_ros.planners.rollout import state_of
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
 from ocp_ros.rig.free_plane import FreePlane
@@ -30,7 +31,7 @@ from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.training.augmentation import random_symmetries, turn, turn_observation
-from ocp_ros.training.encoded_environment import CameraByCamera
+from ocp_ros.training.encoded_environment import encoded
 from ocp_ros.training.training_config import DemonstrationsConfig, RoomsConfig, TrainingConfig
 from ocp_ros.training.training_rooms import make
 from ocp_ros.training.validation import policy_of
@@ -117,7 +118,7 @@ def demonstrate(task: DemonstrationTask) -> dict[str, np.ndarray]:
     cameras = int(rng.integers(task.config.fewest_cameras, simulation.rig.cameras + 1))
     rotation = float(rng.choice(task.config.rooms.angles))
     scene = _room(task.config.rooms, task.room)
-    env = CameraByCamera(CameraPlacementEnv(
+    env = encoded(CameraPlacementEnv(
         [scene], simulation, fewest=task.config.fewest_cameras, rotations=(rotation,)),
         task.config.agent)
     observation, _ = env.reset(seed=int(rng.integers(1 << 31)), options={'cameras': cameras})
@@ -167,7 +168,7 @@ class Expert:
     def __init__(self, settings: DemonstrationsConfig, simulator: Simulator,
                  config: SimulationConfig, rng: np.random.Generator) -> None:
         self._config, self._turn, self._moves = config, -1, np.empty((0, 2))
-        self._greedy = settings.expert == 'hand_rule'
+        self._greedy = settings.expert == 'greedy_step'
         if not self._greedy:
             self._planner = expert_of(settings.expert, simulator, config, settings.budget, rng)
             self._planner.reset()
@@ -182,6 +183,8 @@ class Expert:
         turn = episode.turn
         if turn.step != self._turn:
             self._turn = turn.step
+            if episode.problem.rig is not None:
+                self._planner.know(state_of(episode))
             self._moves = self._planner.move(episode.observed_cloud, turn.positions, turn.step,
                                              episode.config.turns) / longest
         return self._moves[camera]

@@ -10,7 +10,14 @@ import numpy as np
 from ocp_ros.agent import move_effects
 from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.encoder import EncodedTurn, Encoder, order_of, PER_CAMERA
-from ocp_ros.simulation.reward import reward, RewardTerms
+from ocp_ros.agent.heading_planner import HeadingPlanner
+from ocp_ros.planners.rollout import state_of
+from ocp_ros.rig.motion import bounded_moves, way_between
+from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.simulation.environment import CameraPlacementEnv
+from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.problem import PlaneProblem
+from ocp_ros.simulation.reward import RewardTerms
 from ocp_ros.simulation.simulation_config import SimulationConfig
 
 LARGEST = 1000.0
@@ -81,13 +88,69 @@ def encoder_of(agent: AgentConfig, config: SimulationConfig) -> Encoder:
                    config.episode.wall_margin)
 
 
+def tell(encoder: Encoder, episode: Episode) -> None:
+    """Tell an encoder how the cameras of a rig file stand and what each sees."""
+    encoder.know(None if episode.problem.rig is None else state_of(episode))
+
+
+def encoded(env: CameraPlacementEnv, agent: AgentConfig) -> gym.Env:
+    """
+    Return an environment as the networks read it, in which an action is a move on the plane.
+
+    :param agent: what the network reads; where moves are tried, cameras choose one by one.
+    """
+    level = env if env.axes == PlaneProblem.axes else PlaneMoves(env)
+    return (CameraByCamera if agent.world else EncodedObservation)(level, agent)
+
+
+class PlaneMoves(gym.Wrapper):
+    """
+    Let actions be moves on the plane alone.
+
+    Heights stay, and the heading planner turns the cameras as it does in ``policy_node``.
+
+    :param env: with a rig file.
+    """
+
+    def __init__(self, env: CameraPlacementEnv) -> None:
+        super().__init__(env)
+        config, rig = env.config, load_rig(env.config.rig_file)
+        self.action_space = action_space(config.rig.cameras)
+        self._aim = HeadingPlanner(rig.models, len(rig.cameras), rig.pitch,
+                                   config.episode.wall_margin)
+
+    def reset(self, **kwargs):
+        """Begin an episode."""
+        self._aim.reset()
+        return self.env.reset(**kwargs)
+
+    def step(self, action):
+        """Play a turn."""
+        env = self.env.unwrapped
+        axes = np.zeros((len(action), len(env.axes)))
+        axes[:, :2] = action
+        if 'yaw' in env.axes:
+            axes[:, -2:] = self._rotations(env.episode, np.asarray(action, dtype=np.float64))
+        return self.env.step(axes)
+
+    def _rotations(self, episode: Episode, action: np.ndarray) -> np.ndarray:
+        """Choose how cameras are turned where they go: (K, 2) yaw and pitch, of ``max_turn``."""
+        limits, state, turn = episode.config, state_of(episode), episode.turn
+        targets = state.placement[:, :3].copy()
+        targets[:state.movable, :2] += bounded_moves(action, limits.max_step)
+        headings = self._aim(episode.observed_cloud, state, targets, limits.max_turn, turn.step,
+                             limits.turns)
+        return way_between(turn.headings, headings[:state.movable]) / limits.max_turn
+
+
 class EncodedObservation(gym.Wrapper):
     """
     Store with each observation what the network reads: the observation cache.
 
     ``info`` has what the observation was made from, before and after the turn.
 
-    :param env: of :class:`~ocp_ros.simulation.environment.CameraPlacementEnv`.
+    :param env: :class:`~ocp_ros.simulation.environment.CameraPlacementEnv`, or in
+        :class:`PlaneMoves`.
     :param agent: what the network reads.
     """
 
@@ -113,6 +176,7 @@ class EncodedObservation(gym.Wrapper):
     def _encoded(self) -> dict[str, np.ndarray]:
         """Encode the turn."""
         episode = self.env.unwrapped.episode
+        tell(self._encoder, episode)
         return padded(self._encoder(episode.observed_cloud, episode.turn.positions,
                                     episode.turn.step, episode.config.turns), self._cameras)
 
@@ -131,7 +195,8 @@ class CameraByCamera(gym.Wrapper):
     An action is one camera's move, and its reward what that move alone is worth in the room; when
     all have chosen, the turn is played. However many cameras there are, one is seen at a time.
 
-    :param env: of :class:`~ocp_ros.simulation.environment.CameraPlacementEnv`.
+    :param env: :class:`~ocp_ros.simulation.environment.CameraPlacementEnv`, or in
+        :class:`PlaneMoves`.
     :param agent: what the network reads.
     """
 
@@ -169,12 +234,13 @@ class CameraByCamera(gym.Wrapper):
         """Take note of a turn and show it to the first camera."""
         episode = self.env.unwrapped.episode
         turn = episode.turn
+        tell(self._encoder, episode)
         self.encoded = self._encoder.turn(episode.observed_cloud, turn.positions, turn.step,
                                           episode.config.turns)
         self._left = order_of(turn.step, len(turn.positions))
         self._moves = np.zeros((len(turn.positions), 2))
-        self._views = [episode.simulator.look(position) for position in turn.positions]
-        self._value = turn.space_coverage, turn.depth_error
+        self._views = episode.problem.look(np.hstack([turn.positions, turn.headings]))
+        self._value = episode.value_of(self._views)
         return self._observation()
 
     def _observation(self) -> dict[str, np.ndarray]:
@@ -183,9 +249,8 @@ class CameraByCamera(gym.Wrapper):
 
     def _judge(self, camera: int) -> RewardTerms:
         """Tell what a camera's move is worth, the others being where they are by now."""
-        simulator = self.env.unwrapped.episode.simulator
-        self._views[camera] = simulator.look(self.encoded.positions[camera])
-        result = simulator.judge(self._views)
-        before, self._value = self._value, (result.space_coverage, result.depth_error)
-        return reward(before, self._value, False, simulator.volume, simulator.depth_error.worst,
-                      simulator.config.reward)
+        episode = self.env.unwrapped.episode
+        pose = np.concatenate([self.encoded.positions[camera], episode.turn.headings[camera]])
+        self._views[camera] = episode.simulator.look(pose, camera)
+        before, self._value = self._value, episode.value_of(self._views)
+        return episode.reward(before, self._value)

@@ -33,7 +33,7 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.training import demonstrations
-from ocp_ros.training.encoded_environment import CameraByCamera, EncodedObservation
+from ocp_ros.training.encoded_environment import encoded
 from ocp_ros.training.replay_buffer import Rebuild, TurnReplay
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
 from ocp_ros.training.sac_state import load_state, new_run, save_state
@@ -149,8 +149,10 @@ def records(folder: Path) -> list[dict[str, Any]]:
 
 def trials_of(config: TrainingConfig, part: str) -> list[ValidationTrial]:
     """Return one episode in each room of a set, turned by one rotation after the other."""
-    rooms, rig = config.rooms, config.simulation.rig
-    simulation = replace(config.simulation, rig=replace(rig, cameras=min(4, rig.cameras)))
+    rooms, simulation = config.rooms, config.simulation
+    if not simulation.rig_file:
+        few = replace(simulation.rig, cameras=min(4, simulation.rig.cameras))
+        simulation = replace(simulation, rig=few)
     return [ValidationTrial(room, rooms, rooms.angles[index % len(rooms.angles)], simulation,
                             index)
             for index, room in enumerate(room_names(rooms, part))]
@@ -235,7 +237,7 @@ def environments(config: TrainingConfig, rooms: Sequence[str]) -> VecMonitor:
         torch.set_num_threads(1)
         env = CameraPlacementEnv(Rooms(rooms, config.rooms), config.simulation,
                                  fewest=config.fewest_cameras, rotations=config.rooms.angles)
-        return (CameraByCamera if config.agent.world else EncodedObservation)(env, config.agent)
+        return encoded(env, config.agent)
     return VecMonitor(SubprocVecEnv([make] * config.environments, start_method='spawn'))
 
 

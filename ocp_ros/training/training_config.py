@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.move_effects import LONGEST
 from ocp_ros.planners.registry import OFFLINE, ONLINE
+from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.simulation.problem import settings_for
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.settings import (
     check_known,
@@ -90,7 +92,7 @@ class DemonstrationsConfig:
 
     rounds: int = setting(0, 'rounds of episodes, each followed by a fit; 0 for none', 0, 100000)
     episodes: int = setting(32, 'episodes of a round', 1, 100000)
-    expert: str = setting('hand_rule', 'planner to imitate, online or offline')
+    expert: str = setting('greedy_step', 'planner to imitate, online or offline')
     budget: int = setting(1000, 'evaluations of an offline expert', 1, 1000000)
     alone: int = setting(1, 'first rounds in which the expert alone moves the cameras', 1, 1000)
     expert_moves: float = setting(0.3, 'chance that a camera does what the expert says', 0.0, 1.0)
@@ -131,7 +133,9 @@ class TrainingConfig:
     sac: SacConfig = group(SacConfig)
 
     def __post_init__(self) -> None:
-        """Refuse a range of cameras that is empty."""
+        """Take over what a rig file says; refuse what contradicts itself."""
+        if self.simulation.rig_file:
+            self._read_rig()
         if self.fewest_cameras > self.simulation.rig.cameras:
             raise ConfigurationError(
                 f'fewest_cameras: found {self.fewest_cameras} with simulation.rig.cameras '
@@ -155,3 +159,18 @@ class TrainingConfig:
             raise ConfigurationError(
                 f'demonstrations.rounds: found {self.demonstrations.rounds} with agent.inputs '
                 f'{self.agent.inputs!r}; expected 0: who imitates reads world or both')
+
+    def _read_rig(self) -> None:
+        """Take the number of cameras from a rig file, and refuse what does not go with one."""
+        rig = load_rig(self.simulation.rig_file)
+        object.__setattr__(self, 'simulation', settings_for(self.simulation))
+        object.__setattr__(self, 'fewest_cameras', len(rig.cameras))
+        if rig.anchored and any(self.rooms.angles):
+            raise ConfigurationError(
+                f'rooms.rotations: found {self.rooms.rotations!r} with {rig.document.name}, whose '
+                "fixed, no_go or regions are places in the map; expected '0': they do not turn "
+                'with the rooms')
+        if self.demonstrations.rounds and self.demonstrations.expert in OFFLINE:
+            raise ConfigurationError(
+                f'demonstrations.expert: found {self.demonstrations.expert!r} with a rig file; '
+                f'expected one of {", ".join(ONLINE)}: the others place cameras on a plane')

@@ -14,8 +14,8 @@ from ocp_ros.planners.registry import ONLINE, settings_of
 from ocp_ros.planners.rollout import play
 from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.problem import make_problem, PlaneProblem, Problem, settings_for
 from ocp_ros.simulation.simulation_config import SimulationConfig
-from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.training.encoded_environment import encoder_of
 from ocp_ros.training.training_config import RoomsConfig
 from ocp_ros.training.training_rooms import make
@@ -62,17 +62,18 @@ def play_trial(trial: ValidationTrial) -> tuple[float, float, float]:
 
     :returns: depth error at start and end, metres, and space coverage at the end, cubic metres.
     """
-    simulator = _prepared(trial.rooms, trial.room, trial.rotation, trial.simulation)
-    settings = settings_of(trial.simulation, np.random.default_rng([trial.seed, 1]))
+    problem = _prepared(trial.rooms, trial.room, trial.rotation, trial.simulation)
+    simulation = settings_for(trial.simulation)
+    settings = settings_of(simulation, np.random.default_rng([trial.seed, 1]))
     if trial.weights:
         policy = policy_of(trial.weights)
-        policy.encoder = encoder_of(policy.checkpoint.config, trial.simulation)
+        policy.encoder = encoder_of(policy.checkpoint.config, simulation)
         online: Online = Learned(policy, *settings)
     elif trial.planner == RANDOM_MOVES:
         online = RandomMoves(*settings)
     else:
-        online = ONLINE[trial.planner](trial.simulation, settings[0])
-    episode = Episode(simulator, np.random.default_rng([trial.seed, 0]))
+        online = ONLINE[trial.planner](simulation, settings[0])
+    episode = Episode(problem, np.random.default_rng([trial.seed, 0]))
     outcome = play(online, episode)
     return (float(outcome.depth_error[0]), float(outcome.depth_error[-1]),
             float(episode.turn.space_coverage))
@@ -80,9 +81,9 @@ def play_trial(trial: ValidationTrial) -> tuple[float, float, float]:
 
 @lru_cache(maxsize=32)
 def _prepared(rooms: RoomsConfig, room: str, rotation: float, config: SimulationConfig
-              ) -> Simulator:
+              ) -> PlaneProblem | Problem:
     """Keep some engines ready."""
-    return Simulator(make(rooms, room, rotation), config)
+    return make_problem(make(rooms, room, rotation), config)
 
 
 @lru_cache(maxsize=1)

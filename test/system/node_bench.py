@@ -48,6 +48,7 @@ from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.runtime.network import LOCALHOST
 from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.training.training_speed import cpu_of, in_one_process, Speed
@@ -90,7 +91,8 @@ class Answers:
         """Play an episode in a room of so many points."""
         config = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=32))
         simulator = Simulator(generate_room(room, round(points / SEEN)), config)
-        episode, number = Episode(simulator, np.random.default_rng(room)), room * 1000
+        episode = Episode(PlaneProblem(simulator), np.random.default_rng(room))
+        number = room * 1000
         while not episode.turn.truncated:
             number += 1
             header = Header(stamp=ns_to_stamp(number), frame_id='map')

@@ -3,10 +3,9 @@
 
 from dataclasses import dataclass
 
-from ocp_ros.agent.heading_planner import MAX_TURN
 from ocp_ros.util.settings import ConfigurationError, setting
 
-LEARNED, LOOKAHEAD, BOTH = PLANNERS = 'learned', 'lookahead', 'learned+lookahead'
+LEARNED, LOOKAHEAD, BOTH = PLANNERS = 'learned', 'lookahead', 'learned_lookahead'
 
 
 @dataclass(frozen=True)
@@ -15,7 +14,7 @@ class PolicyNodeConfig:
 
     planner: str = setting(
         LOOKAHEAD, 'who chooses the moves: learned, a trained policy; lookahead, planning on what '
-        'has been seen, which needs no weights and takes none that arrive; learned+lookahead, the '
+        'has been seen, which needs no weights and takes none that arrive; learned_lookahead, the '
         'policy first, then lookahead, which refines', choices=PLANNERS)
     model: str = setting(
         'default', 'path to weights, or the name of a model of the package; lookahead does not '
@@ -25,7 +24,7 @@ class PolicyNodeConfig:
     max_step: float = setting(
         0.5, 'farthest a camera moves in one turn, metres', 0.001, 10.0, running=True)
     max_turn: float = setting(
-        MAX_TURN, 'how far a camera of a rig file that does not see all around is turned in one '
+        0.5, 'how far a camera of a rig file that does not see all around is turned in one '
         'turn, radians; 0 leaves cameras turned as they are', 0.0, 3.1416, running=True)
     max_range: float = setting(
         4.0, 'effective range of the cameras, metres', 0.1, 100.0, running=True)

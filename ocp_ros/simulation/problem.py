@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What there is to solve in a room: which cameras, where they may be, what placements are worth.
+
+A :class:`Problem` is that of a rig file; a :class:`PlaneProblem` the simplest one, cameras that
+move freely on a horizontal plane. Whoever plays an episode need not know which of them it is.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ocp_ros.geometry.blocks import Subset
+from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.rig.feasible_region import apart, FeasibleRegion
+from ocp_ros.rig.motion import drawn_near, kept_inside, nearest_place
+from ocp_ros.rig.mounts import first_headings
+from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.rig.rig_file import load_rig, Rig
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.simulation.objective import Objective, RigEvaluation, simulator_of
+from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
+from ocp_ros.simulation.simulator import Evaluation, Simulator, View
+
+#: Metres: farther than this no planner is told that cameras see.
+FARTHEST = 100.0
+#: Metres: who ends this near to where it was sent was not stopped.
+NEAR = 0.01
+#: Poses of each model that starts are drawn of.
+STARTS = 4000
+
+
+def settings_for(config: SimulationConfig) -> SimulationConfig:
+    """
+    Return settings whose ``rig`` holds for what a rig file describes, where one is named.
+
+    :returns: with the number of cameras to be placed and the farthest that one of them sees.
+    :raises ConfigurationError: if the rig file cannot be used.
+    """
+    return replace(config, rig=described(load_rig(config.rig_file))) if config.rig_file else config
+
+
+def described(rig: Rig) -> RigConfig:
+    """Return what planners are told of a rig: how many cameras, and how far one of them sees."""
+    farthest = min(max(camera.model.max_range for camera in rig.cameras), FARTHEST)
+    return RigConfig(cameras=len(rig.cameras), max_range=farthest)
+
+
+def make_problem(scene: Scene, config: SimulationConfig) -> 'PlaneProblem | Problem':
+    """
+    Build the problem that settings describe.
+
+    :raises ConfigurationError: if the rig file cannot be used in this room.
+    :raises SceneError: if the cameras' plane is not inside the room.
+    """
+    if config.rig_file:
+        return Problem.of(scene, load_rig(config.rig_file), config)
+    return PlaneProblem(Simulator(scene, config))
+
+
+class PlaneProblem:
+    """
+    Cameras that move freely on a horizontal plane, within the bounding box of the room.
+
+    :param simulator: the engine, with the settings of rig, episode and reward.
+    :ivar rig: None: there is no rig file.
+    :ivar axes: what an action changes, see :attr:`ocp_ros.rig.rig_file.Rig.axes`.
+    :ivar fixed_poses: (0, 6), no camera is in place.
+    """
+
+    rig: Rig | None = None
+    axes: tuple[str, ...] = ('x', 'y')
+
+    def __init__(self, simulator: Simulator) -> None:
+        self.simulator = simulator
+        self.fixed_poses = np.empty((0, 6))
+
+    @property
+    def models(self) -> tuple[CameraModel, ...]:
+        """Return what each camera sees."""
+        models, count = self.simulator.models, self.simulator.config.rig.cameras
+        return models * (count // len(models))
+
+    def nothing(self) -> Subset:
+        """Return what is seen before the cameras look: no point."""
+        return self.simulator.nothing()
+
+    def start(self, rng: np.random.Generator, config: EpisodeConfig, cameras: int) -> np.ndarray:
+        """
+        Draw where an episode begins, around the centre of the room.
+
+        :param cameras: how many there are, K.
+        :returns: (K, 6) metres, map frame, and radians.
+        """
+        simulator, poses = self.simulator, np.empty((cameras, 6))
+        bounds = simulator.scene.bounds
+        poses[:, :2] = bounds.mean(axis=0)[:2]
+        poses[:, :2] += drawn_near(rng, cameras, config.start_radius)
+        poses[:, 2] = simulator.height
+        poses[:, :3], _ = kept_inside(poses[:, :3], bounds, config.wall_margin)
+        poses[:, 3:] = replace(simulator.config.rig, cameras=cameras).headings
+        return poses
+
+    def reached(self, poses: np.ndarray, targets: np.ndarray, config: EpisodeConfig
+                ) -> tuple[np.ndarray, bool]:
+        """
+        Tell where cameras end that are sent somewhere.
+
+        :param poses: (K, 6) metres, map frame, and radians, where they are.
+        :param targets: (K, 6), no farther than a time step reaches.
+        :returns: (K, 6), and whether one of them was sent to where it must not be.
+        """
+        ended = targets.copy()
+        ended[:, :3], outside = kept_inside(
+            targets[:, :3], self.simulator.scene.bounds, config.wall_margin)
+        return ended, outside
+
+    def look(self, poses: np.ndarray) -> list[View]:
+        """Compute what the cameras see from poses (K, 6), metres, map frame, and radians."""
+        return [self.simulator.look(pose, camera) for camera, pose in enumerate(poses)]
+
+    def judge(self, views: list[View]) -> Evaluation:
+        """Judge cameras by what they see."""
+        return self.simulator.judge(views)
+
+    def error(self, result: Evaluation) -> float:
+        """Return the error that rewards are made of: the depth error, metres."""
+        return result.depth_error
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """
+    A rig in a room.
+
+    :ivar objective: judges placements; its simulator is the engine.
+    :ivar region: where its cameras may be.
+    """
+
+    objective: Objective
+    region: FeasibleRegion
+
+    @classmethod
+    def of(cls, scene: Scene, rig: Rig, config: SimulationConfig | None = None) -> 'Problem':
+        """
+        Put a rig into a room.
+
+        :param config: the settings of engine, episode and reward.
+        :raises ConfigurationError: if the rig does not go with the room.
+        """
+        return cls(Objective(simulator_of(scene, rig, config), rig), FeasibleRegion(scene, rig))
+
+    @property
+    def rig(self) -> Rig:
+        """Return the rig."""
+        return self.objective.rig
+
+    @property
+    def simulator(self) -> Simulator:
+        """Return the engine."""
+        return self.objective.simulator
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Return what an action changes, see :attr:`ocp_ros.rig.rig_file.Rig.axes`."""
+        return self.rig.axes
+
+    @property
+    def models(self) -> tuple[CameraModel, ...]:
+        """Return what each camera sees: K to be placed, then F in place."""
+        return self.rig.models
+
+    @property
+    def fixed_poses(self) -> np.ndarray:
+        """Return the poses of the cameras in place: (F, 6) metres, map frame, and radians."""
+        return self.rig.fixed_poses
+
+    def nothing(self) -> Subset:
+        """Return what is seen before the cameras look: what those in place see."""
+        seen = self.simulator.nothing()
+        for view in self.objective.fixed:
+            seen |= Subset(view.seen, self.simulator.visibility.order)
+        return seen
+
+    @cached_property
+    def _starts(self) -> dict[CameraModel, np.ndarray]:
+        """Return places where a camera of each model may be: (M, 3) metres."""
+        models = dict.fromkeys(camera.model for camera in self.rig.cameras)
+        return {model: np.unique(self.region.candidates(model, STARTS)[:, :3], axis=0)
+                for model in models}
+
+    @cached_property
+    def _middle(self) -> np.ndarray:
+        """Return the middle of the room, as high as cameras hang lowest: (3,) metres."""
+        region, heights = self.region, self.rig.mount.heights
+        level = region.top if heights is None else region.floor + heights[0]
+        return np.array([*self.simulator.scene.bounds.mean(axis=0)[:2], level])
+
+    def start(self, rng: np.random.Generator, config: EpisodeConfig, cameras: int) -> np.ndarray:
+        """
+        Draw where an episode begins, as near to the centre of the room as cameras may be.
+
+        :param cameras: how many there are; all K of the rig.
+        :returns: (K, 6) metres, map frame, and radians.
+        :raises ConfigurationError: if the cameras do not find room.
+        """
+        wanted = self._middle[:2] + drawn_near(rng, cameras, config.start_radius)
+        taken, rig = self.fixed_poses[:, :3], self.rig
+        level = self._middle[2]
+        for camera, place in zip(rig.cameras, wanted):
+            there = self.region.onto_mount(np.array([[*place, level]]))
+            places = there if self.region.allowed(there, camera.model)[0] else np.empty((0, 3))
+            places = np.vstack([places, self._starts[camera.model]])
+            places = places[apart(places, taken, rig.spacing)]
+            if len(places) == 0:
+                raise rig.document.error(
+                    ('spacing',), f'{rig.spacing:g} m, at which not all of the '
+                    f'{len(rig.cameras)} cameras find room in {self.simulator.scene.name}',
+                    'a distance at which all do', 'lower it or hang up fewer')
+            nearest = np.argmin(np.linalg.norm(places[:, :2] - place, axis=1))
+            taken = np.vstack([taken, places[nearest]])
+        positions = taken[len(self.fixed_poses):]
+        return np.hstack([positions, first_headings(rig, positions, self._middle[:2])])
+
+    def reached(self, poses: np.ndarray, targets: np.ndarray, config: EpisodeConfig
+                ) -> tuple[np.ndarray, bool]:
+        """
+        Tell where cameras end that are sent somewhere: as near to it as they may be.
+
+        :param poses: (K, 6) metres, map frame, and radians, where they are.
+        :param targets: (K, 6), no farther than a time step reaches.
+        :returns: (K, 6), and whether one of them was sent to where it must not be.
+        """
+        ended, refused = poses.copy(), False
+        ended[:, 3:] = targets[:, 3:]
+        ended[:, 4] = np.clip(ended[:, 4], *self.rig.pitch)
+        for k, (here, target) in enumerate(zip(poses[:, :3], targets[:, :3])):
+            if (target == here).all():
+                continue
+            others = np.vstack([np.delete(ended, k, axis=0), self.fixed_poses])[:, :3]
+
+            def allowed(places: np.ndarray, k: int = k, others: np.ndarray = others
+                        ) -> np.ndarray:
+                headings = np.broadcast_to(ended[k, 3:], places.shape)
+                return (apart(places, others, self.rig.spacing)
+                        & self.region.allowed(np.hstack([places, headings]),
+                                              self.rig.cameras[k].model))
+
+            place = nearest_place(here, target, config.max_step, self.region.onto_mount, allowed)
+            if place is not None:
+                ended[k, :3] = place
+            wanted = self.region.onto_mount(target[None])[0]
+            refused |= bool(np.linalg.norm(ended[k, :3] - wanted) > NEAR)
+        return ended, refused
+
+    def look(self, poses: np.ndarray) -> list[View]:
+        """Compute what the cameras to be placed see from poses (K, 6), metres and radians."""
+        return self.objective.look(poses)
+
+    def judge(self, views: list[View]) -> RigEvaluation:
+        """Judge cameras by what they see, those in place included."""
+        return self.objective.judge(views)
+
+    def error(self, result: RigEvaluation) -> float:
+        """
+        Return the error that rewards are made of, metres.
+
+        It is the loss in units of the depth error of seeing nothing: the depth error itself where
+        no region matters more than the rest.
+        """
+        return result.loss * self.simulator.depth_error.worst

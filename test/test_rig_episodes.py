@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Episodes of rig files: the environment, ``sim_node``, training, and online planners in them."""
+
+import json
+import warnings
+
+from conftest import MOUNTS, SMALL
+from gymnasium.utils.env_checker import check_env
+import numpy as np
+import pytest
+from test_training import TINY
+
+from ocp_ros.agent.agent_config import AgentConfig
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.planners.registry import ONLINE
+from ocp_ros.planners.rollout import play
+from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.scenes.scene_files import save_scene
+from ocp_ros.simulation.environment import CameraPlacementEnv
+from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.problem import make_problem, settings_for
+from ocp_ros.simulation.reward import potential
+from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
+from ocp_ros.training.encoded_environment import encoded
+from ocp_ros.training.train import train
+from ocp_ros.training.training_config import TrainingConfig
+from ocp_ros.util.settings import ConfigurationError, from_nested
+
+FAST = EngineConfig('fast', 32, 0.5)
+TURNS = 6
+#: In room 8, 7.0 x 7.5 m.
+ANCHORED = """\
+cameras: [{sensor: realsense_d455, count: 2}, {sensor: omnidirectional}]
+fixed: [{sensor: realsense_d455, position: [6.0, 6.0, 1.9], yaw: 225, pitch: 25}]
+pitch: [0, 60]
+spacing: 0.6
+no_go: [{box: [[2.8, 2.8, 0], [4.0, 4.0, 3]]}]
+regions: [{name: corner, box: [[0, 0, 0], [2, 2, 2]], weight: 2.0}]
+"""
+
+
+@pytest.fixture
+def settings(tmp_path):
+    """Return a function that makes settings of a rig file with a given text."""
+    def write(text):
+        path = tmp_path / 'rig.yaml'
+        path.write_text(text)
+        return SimulationConfig(engine=FAST, episode=EpisodeConfig(TURNS), rig_file=str(path))
+    return write
+
+
+def rig_text(sensor='realsense_d455', mount='plane', count=3):
+    """Return a rig file of equal cameras."""
+    return json.dumps({'cameras': [{'sensor': sensor, 'count': count}], 'mount': MOUNTS[mount],
+                       'spacing': 0.5})
+
+
+def poses_of(episode):
+    """Return where the cameras to be placed are: (K, 6)."""
+    return np.hstack([episode.turn.positions, episode.turn.headings])
+
+
+@pytest.mark.parametrize(('sensor', 'mount', 'axes'), [
+    ('omnidirectional', 'plane', ('x', 'y')), ('omnidirectional', 'free', ('x', 'y', 'z')),
+    ('realsense_d455', 'plane', ('x', 'y', 'yaw', 'pitch')),
+    ('realsense_d455', 'ceiling', ('x', 'y', 'yaw', 'pitch')),
+    ('realsense_d455', 'walls', ('x', 'y', 'z', 'yaw', 'pitch'))])
+def test_whatever_is_commanded_every_constraint_holds(room, settings, sensor, mount, axes):
+    env = CameraPlacementEnv([room], settings(rig_text(sensor, mount)))
+    assert env.axes == axes and env.action_space.shape == (3, len(axes))
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        check_env(env, skip_render_check=True)
+    observation, _ = env.reset(seed=3)
+    assert ('camera_headings' in observation) == ('yaw' in axes)
+    rng, region = np.random.default_rng(0), env.episode.problem.region
+    first = poses_of(env.episode)
+    assert region.broken(first) == []
+    before, moved = first, 0.0
+    for _ in range(TURNS):
+        _, reward, _, truncated, info = env.step(rng.uniform(-1.0, 1.0, env.action_space.shape))
+        now = poses_of(env.episode)
+        assert region.broken(now) == []
+        steps = np.linalg.norm((now - before)[:, :3], axis=1)
+        assert steps.max() <= env.config.episode.max_step + 1e-9
+        shares = sum(one.reward for one in env.episode.shares(range(3)))
+        penalty = env.config.reward.penalty * info['penalty']
+        assert shares + penalty == pytest.approx(reward, abs=1e-9)
+        before, moved = now, moved + steps.sum()
+    assert truncated and moved > 0.5
+    assert ('yaw' in axes) == bool(np.abs(now[:, 3:] - first[:, 3:]).max() > 0.05)
+
+
+def test_cameras_in_place_see_and_stay_and_zones_are_kept_out_of(room, settings):
+    env = CameraPlacementEnv([room], settings(ANCHORED))
+    env.reset(seed=0)
+    episode = env.episode
+    alone = episode.simulator.look(episode.problem.fixed_poses[0], 3).seen
+    bits = episode.observed.bits
+    assert alone.any() and (bits & alone == alone).all()
+    # Straight towards the middle of the zone, turn after turn.
+    penalties = 0.0
+    for _ in range(TURNS):
+        way = np.array([3.4, 3.4]) - episode.turn.positions[:, :2]
+        action = np.zeros((3, len(env.axes)))
+        action[:, :2] = np.clip(way, -1.0, 1.0)
+        penalties += env.step(action)[4]['penalty']
+        x, y = episode.turn.positions[:, :2].T
+        assert not ((x > 2.8) & (x < 4.0) & (y > 2.8) & (y < 4.0)).any()
+        np.testing.assert_array_equal(episode.placement[3:], episode.problem.fixed_poses)
+    assert penalties > 0.0
+
+
+def test_rewards_count_what_regions_ask_for(room, settings):
+    config = settings(ANCHORED)
+    episode = Episode(make_problem(room, config), np.random.default_rng(1))
+    simulator, values = episode.simulator, []
+    for turn in range(3):
+        if turn:
+            episode.move(np.full((3, 2), 0.2))
+        result = episode.problem.judge(episode.problem.look(poses_of(episode)))
+        assert 1.5 * result.depth_error < result.loss * simulator.depth_error.worst
+        values.append(potential(result.space_coverage,
+                                result.loss * simulator.depth_error.worst, simulator.volume,
+                                simulator.depth_error.worst))
+        if turn:
+            expected = values[-1] - values[-2] - episode.turn.terms.penalty
+            assert episode.turn.terms.reward == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_rig_file_that_does_not_go_with_an_environment_is_refused(room, settings):
+    with pytest.raises(ConfigurationError, match='fewest: found 2 with a rig file; expected 3'):
+        CameraPlacementEnv([room], settings(ANCHORED), fewest=2)
+    with pytest.raises(ConfigurationError, match=r'rotations: found \(0.0, 30.0\) with .*rig.yaml,'
+                       ' whose fixed, no_go or regions are places in the map; expected 0 alone'):
+        CameraPlacementEnv([room], settings(ANCHORED), rotations=(0.0, 30.0))
+    assert settings_for(settings(rig_text(count=7))).rig.cameras == 7
+    crowded = settings(rig_text().replace('0.5', '50.0'))
+    with pytest.raises(ConfigurationError, match='rig.yaml.*spacing: found 50 m, at which not all '
+                       'of the 3 cameras find room in room-8'):
+        CameraPlacementEnv([room], crowded).reset()
+
+
+@pytest.mark.parametrize('name', ['greedy_step', 'lookahead', 'learned'])
+def test_online_planners_play_a_rig_under_its_constraints(room, settings, name):
+    config = settings(ANCHORED)
+    episode = Episode(make_problem(room, config), np.random.default_rng(2))
+    outcome = play(ONLINE[name](settings_for(config), np.random.default_rng(0)), episode)
+    assert outcome.trajectory.shape == (TURNS + 1, 3, 3)
+    assert episode.problem.region.broken(poses_of(episode)) == []
+    assert len(episode.observed) > 0.3 * len(room)
+
+
+@pytest.mark.parametrize('inputs', ['world', 'cloud'])
+def test_a_policy_learns_where_cameras_are_and_a_planner_turns_them(room, settings, inputs):
+    config = settings(rig_text('realsense_d455', 'free'))
+    env = encoded(CameraPlacementEnv([room], config),
+                  AgentConfig(inputs=inputs, points=64, keys_1=8, group_1=4, keys_2=4, group_2=4))
+    rng, steps, truncated = np.random.default_rng(0), 0, False
+    observation, _ = env.reset(seed=0)
+    first = poses_of(env.unwrapped.episode)
+    while not truncated:
+        assert env.observation_space.contains(observation)
+        action = rng.uniform(-1.0, 1.0, env.action_space.shape).astype(np.float32)
+        observation, _, _, truncated, _ = env.step(action)
+        steps += 1
+    last = poses_of(env.unwrapped.episode)
+    assert steps == TURNS * (3 if inputs == 'world' else 1)
+    assert env.action_space.shape[1] == 2 and (first[:, 2] == last[:, 2]).all()
+    assert np.abs(last[:, 3] - first[:, 3]).min() > 0.05
+
+
+def test_ocp_train_takes_a_rig_file(tmp_path, here, settings):
+    rig = settings(rig_text(count=2)).rig_file
+    simulation = {**TINY['simulation'], 'rig_file': rig}
+    changes = {'simulation': simulation, 'interactions': 24}
+    config = from_nested(TrainingConfig, {**TINY, **changes})
+    assert config.simulation.rig.cameras == config.fewest_cameras == 2
+    trained = train(config, tmp_path / 'run')
+    assert trained.provenance['test']['rooms'] == 1
+    assert np.isfinite(trained.provenance['test']['policy']['depth_error_end'])
+    # The same settings, read anew, are those of the same run.
+    train(from_nested(TrainingConfig, {**TINY, **changes}), tmp_path / 'run')
+    anchored = {**changes, 'simulation': {**simulation, 'rig_file': settings(ANCHORED).rig_file}}
+    with pytest.raises(ConfigurationError, match="rotations: found '0,30' with .*expected '0'"):
+        from_nested(TrainingConfig, {**TINY, **anchored})
+
+
+def test_sim_node_plays_a_rig_file_with_policy_node(graph, probe, room, tmp_path, settings):
+    pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
+    from geometry_msgs.msg import PoseArray
+
+    from ocp_ros.ros.interface import qos, topics
+    from ocp_ros.ros.policy_node import PolicyNode
+    from ocp_ros.ros.sim_node import SimNode
+    rig_file = settings(ANCHORED).rig_file
+    save_scene(room, tmp_path / 'room.ply')
+    probe.listen(PoseArray, topics.CAMERA_POSES, qos.LOOP)
+    sim = graph.add(SimNode, **SMALL, rig_file=rig_file, scene__file=str(tmp_path / 'room.ply'),
+                    episode__turns=TURNS)
+    policy = graph.add(PolicyNode, rig_file=rig_file, turns=TURNS)
+    first = poses_of(sim.episode)
+    graph.until(lambda: sim.episode.turn.truncated)
+    poses = probe.last(topics.CAMERA_POSES).poses
+    last, rig = poses_of(sim.episode), load_rig(rig_file)
+    assert len(poses) == 4 and policy._counts['refused_messages'] == 0
+    assert (poses[3].position.x, poses[3].position.y) == (6.0, 6.0)
+    assert np.linalg.norm((last - first)[:, :3], axis=1).max() > 0.5
+    assert np.abs(last[:2, 3] - first[:2, 3]).max() > 0.05
+    assert sim.problem.region.broken(last) == [] and sim._counts['refused_commands'] == 0
+    assert len(rig.all_cameras) == 4
