@@ -102,7 +102,8 @@ def test_scans_in_other_units_are_read_alike_by_all_who_play_in_them(tmp_path):
     (name,) = room_names(config.rooms, 'training')
     rebuild = _replay(config)['replay_buffer_kwargs']['rebuild']
     (trial,) = trials_of(config, 'validation')
-    scene = _prepared(trial.rooms, trial.room, trial.rotation, trial.simulation).scene
+    scene = _prepared(
+        trial.rooms, trial.room, trial.rotation, trial.simulation).simulator.scene
     for points in (Rooms([name], config.rooms)[0].points, _room(config.rooms, name).points,
                    scene.points, rebuild._points(0)[0]):
         np.testing.assert_allclose(np.ptp(points, axis=0), expected.size, atol=1e-3)
