@@ -30,9 +30,10 @@ test: $(READY)  ## run the tests, on up to four cores; the whole-system drills a
 test-system: $(READY)  ## run the drills of whole systems: soak, training demo, Ray cluster, interrupted nodes
 	$(TEST) -m system
 
-lint: $(READY)  ## check style, as ament_flake8 and ament_pep257 would
+lint: $(READY)  ## check style, as ament_flake8 and ament_pep257 would, and types
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/flake8 ocp_ros test launch setup.py
+	$(VENV)/bin/mypy
 
 format: $(READY)  ## mend what ruff can mend
 	$(VENV)/bin/ruff check --fix .
@@ -61,5 +62,5 @@ colcon: $(READY)  ## build with colcon and start the installed nodes once
 	tools/check_install $(VENV)
 
 clean:  ## remove everything that can be made again
-	rm -rf $(VENV) build install log $(OUT) *.egg-info .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build install log $(OUT) *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +

@@ -322,5 +322,8 @@ def test_planners_are_compared_for_a_rig_file(tmp_path, capsys):
     assert all(least <= row['exact'] + 1e-9 for row in rows if row['planner'] == CONTROL)
     summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
     assert (summary['rig'], summary['cameras']) == ('rig.yaml', 2)
-    assert cli.main([*command, '--report', str(tmp_path / 'report')]) == 2
-    assert '--report: found it with --rig' in capsys.readouterr().err
+    assert cli.main([*command, '--report', str(tmp_path / 'report')]) == 0
+    written = (tmp_path / 'report' / 'README.md').read_text()
+    assert '2 cameras of the rig file `rig.yaml`' in written and '| rig search | ' in written
+    assert 'anytime.png' not in written and (tmp_path / 'report' / 'rooms.png').exists()
+    assert written == page(json.loads((tmp_path / 'report' / 'summary.json').read_text()))

@@ -145,6 +145,7 @@ def test_ctrl_c_ends_quietly_whatever_is_going_on(files, capsys, monkeypatch):
     assert capsys.readouterr() == ('', '')
 
 
+@pytest.mark.system
 def test_bench_measures_every_method_and_writes_a_page(files, capsys, monkeypatch):
     from ocp_ros.evaluation import engine_bench
     monkeypatch.setitem(engine_bench.EXTENTS, 'smoke', engine_bench.Extent((engine_bench.MIDDLE,),

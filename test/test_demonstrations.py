@@ -425,6 +425,7 @@ def occluded():
     return np.concatenate([box_room(5.0, 4.0).points, box.astype(np.float32)])
 
 
+@pytest.mark.system
 def test_the_best_place_of_a_toy_room_is_learned(tmp_path):
     """One camera, one room: imitation leads it near the best place there is."""
     path = str(tmp_path / 'toy.npy')

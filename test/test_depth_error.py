@@ -9,9 +9,9 @@ import pytest
 import twins
 
 from ocp_ros.evaluation.ray_casting import RayCaster
-from ocp_ros.geometry.blocks import no_bits, pack
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.depth_error import DepthError, viewpoints
+from ocp_ros.geometry.packed_bits import no_bits, pack
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.simulation_config import SimulationConfig

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
-from ocp_ros.geometry.blocks import Subset
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.rig.motion import bounded_moves, kept_inside
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.scenes.scene import Scene, SceneError

@@ -50,6 +50,7 @@ def test_planners_with_several_budgets_are_named_by_them():
     assert found['tdsa, 100']['wins'] == 1 and found['tdsa, 100']['p'] is None
 
 
+@pytest.mark.system
 def test_evaluate_plays_scans_with_each_number_of_cameras(tmp_path, capsys):
     scans = []
     for seed in (8, 9):
@@ -67,6 +68,23 @@ def test_evaluate_plays_scans_with_each_number_of_cameras(tmp_path, capsys):
     one, two = (found['cameras'][count]['pairs']['greedy_step']['sum'] for count in '12')
     assert two < one
     assert '1 cameras' in capsys.readouterr().out
+
+
+def test_evaluate_takes_a_rig_file_and_weights(tmp_path, capsys):
+    rig, scan = tmp_path / 'rig.yaml', tmp_path / '8.ply'
+    rig.write_text('cameras: [{sensor: realsense_d455}]\nmount: {on: ceiling}\n')
+    save_scene(generate_room(8, 1500), scan)
+    command = ['evaluate', '--rig', str(rig), '--workers', '1', '--budgets', '5', '--out',
+               str(tmp_path / 'out'), '--rooms', str(scan), '--planners']
+    assert main([*command, 'greedy_step,random']) == 0
+    found = json.loads((tmp_path / 'out' / 'evaluation.json').read_text())
+    assert set(found['cameras']) == {'1'}
+    assert set(found['cameras']['1']['pairs']) == {'greedy_step', 'random'}
+    assert main([*command, 'random', '--cameras', '2']) == 2
+    assert '--cameras: found [2] with --rig; expected one of the two' in capsys.readouterr().err
+    again = [*command, 'learned', '--model', 'nowhere', '--out', str(tmp_path / 'other')]
+    assert main(again) == 2
+    assert 'nowhere' in capsys.readouterr().err
 
 
 def test_bands_stand_on_common_numbers_of_interactions():

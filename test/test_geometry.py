@@ -10,7 +10,11 @@ from scipy.spatial import cKDTree
 import twins
 from twins import MODELS
 
-from ocp_ros.geometry.blocks import (
+from ocp_ros.geometry.cameras import CameraModel, Pose, rotation_matrix
+from ocp_ros.geometry.clouds import fixed_size
+from ocp_ros.geometry.coverage import coverable_cell, coverage_grid, space_coverage
+from ocp_ros.geometry.normals import edge_aware_normals
+from ocp_ros.geometry.packed_bits import (
     BLOCK,
     block_bounds,
     blocks_in_view,
@@ -21,10 +25,6 @@ from ocp_ros.geometry.blocks import (
     Subset,
     unpack,
 )
-from ocp_ros.geometry.cameras import CameraModel, Pose, rotation_matrix
-from ocp_ros.geometry.clouds import fixed_size
-from ocp_ros.geometry.coverage import coverable_cell, coverage_grid, space_coverage
-from ocp_ros.geometry.normals import edge_aware_normals
 from ocp_ros.rig.sensors import SENSORS
 
 seeds = st.integers(0, 2 ** 32 - 1)

@@ -19,9 +19,9 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ocp_ros.geometry.blocks import Subset
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import (

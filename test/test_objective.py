@@ -6,14 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ocp_ros.geometry.blocks import pack
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.geometry.packed_bits import pack
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.scenes.scene import SceneError
-from ocp_ros.simulation.objective import MUST, Objective, simulator_of
+from ocp_ros.simulation.objective import MUST
+from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.settings import ConfigurationError
@@ -30,7 +31,7 @@ POSES = np.array([[2.0, 2.0, 1.9, 0.3, 0.4, 0.0], [5.0, 5.0, 1.9, 3.0, 0.5, 0.0]
 def objective_of(room, **more):
     """Judge three D455 and a Kinect that hangs already."""
     rig = rig_of(3, 'd455', fixed=FIXED, **more)
-    return Objective(simulator_of(room, rig, SETTINGS), rig)
+    return Problem.of(room, rig, SETTINGS).objective
 
 
 def flags_of(objective, poses=POSES):
@@ -105,7 +106,7 @@ def test_one_more_camera_is_judged_as_if_it_hung_there(room, seen_by):
 
 def test_nobody_sees_nothing(room):
     rig = rig_of(2, 'd455', seen_by=2)
-    objective = Objective(simulator_of(room, rig, SETTINGS), rig)
+    objective = Problem.of(room, rig, SETTINGS).objective
     worth = objective.judge([])
     assert worth.depth_error == objective.simulator.depth_error.worst and worth.loss == 1.0
     assert len(worth.seen) == 0 and worth.space_coverage == 0.0
@@ -118,7 +119,7 @@ def test_the_engine_takes_models_of_ones_own(room):
     rig = rig_of(1, 'd455', fixed=FIXED)
     own = replace(rig.cameras[0].model, max_range=4.0, horizontal_fov=0.7)
     rig = replace(rig, cameras=(rig.cameras[0]._replace(model=own), *rig.cameras))
-    simulator = simulator_of(room, rig, SETTINGS)
+    simulator = Simulator(room, SETTINGS, rig.models)
     assert simulator.models == (own, SENSORS['realsense_d455'].model, SENSORS['kinect_v2'].model)
     few, many = (np.unpackbits(simulator.look(POSES[0], k).seen.view(np.uint8)).sum()
                  for k in (0, 1))
@@ -135,8 +136,8 @@ def test_cameras_that_see_alike_share_what_was_seen(room, monkeypatch):
         pose, camera))
     score = Scorer(simulator)
     placement = np.concatenate([POSES, objective_of(room).rig.fixed_poses])
-    one, = score([placement]).depth_error
-    other, = score([placement[[1, 2, 0, 3]]]).depth_error
+    one, = score([placement]).error
+    other, = score([placement[[1, 2, 0, 3]]]).error
     assert one == other and len(looks) == 4
     score([placement[[0, 1, 3, 2]]])
     assert len(looks) == 6

@@ -8,7 +8,7 @@ import pytest
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.partial_map import cells_of_the_air, LookHistory, NO_CELL, PartialMap, thinned
 from ocp_ros.agent.policy import Policy
-from ocp_ros.geometry.blocks import unpack
+from ocp_ros.geometry.packed_bits import unpack
 from ocp_ros.geometry.visibility import FINE
 from ocp_ros.planners.lookahead import Lookahead
 from ocp_ros.planners.online_planner import GreedyStep, Learned, Online, ThenLookahead

@@ -19,8 +19,8 @@ import yaml
 
 from ocp_ros.cli.main import main
 from ocp_ros.evaluation.camera_counts import curves, needed
-from ocp_ros.geometry.blocks import count_bits
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.candidate_pool import best_addition, clear, packed, Pool, random_sites
 from ocp_ros.planners.rig_plan import RigPlanner

@@ -61,8 +61,8 @@ def test_no_planner_exceeds_its_budget_or_leaves_its_space(name, budget):
         assert (placement[:, :2] >= SPACE.low - 1e-9).all()
         assert (placement[:, :2] <= SPACE.high + 1e-9).all()
     # The answer is the best of all that was judged, and the trace tells how it came about.
-    assert result.depth_error == pytest.approx(toy(asked).depth_error.min())
-    assert toy([result.placement]).depth_error[0] == pytest.approx(result.depth_error)
+    assert result.depth_error == pytest.approx(toy(asked).error.min())
+    assert toy([result.placement]).error[0] == pytest.approx(result.depth_error)
     assert (np.diff(result.trace[:, 2]) <= 0).all() and (np.diff(result.trace[:, 0]) > 0).all()
 
 
@@ -136,7 +136,7 @@ def test_a_warm_start_begins_at_the_best_turn_of_what_was_played(room):
 
     def noted(placements):
         scores = score(placements)
-        asked.extend(zip(placements, scores.depth_error))
+        asked.extend(zip(placements, scores.error))
         return scores
 
     planner = WarmCmaEs(online, EpisodeConfig(turns=6), space, np.random.default_rng(0), 60)
@@ -185,8 +185,8 @@ def test_differential_evolution_begins_anew_when_all_are_alike():
     run('differential_evolution', 20000, score=score)
     # Long after the answer was found, far places are tried again.
     late = np.concatenate(asked[len(asked) // 2:])[:, :, :2]
-    assert min(toy([placement]).depth_error[0] for placement in late) < 0.01
-    assert max(toy([placement]).depth_error[0] for placement in late) > 1.0
+    assert min(toy([placement]).error[0] for placement in late) < 0.01
+    assert max(toy([placement]).error[0] for placement in late) > 1.0
 
 
 @pytest.mark.parametrize('seed', range(5))
@@ -297,7 +297,7 @@ def test_each_camera_of_a_mixed_rig_is_scored_with_its_own_model(room):
         engine=EngineConfig(preset='fast', error_rows=32, coverage_cell=0.5), rig=rig))
     one, other = np.random.default_rng(0).uniform(*room.bounds, (2, 3))
     placements = [np.array([one, other]), np.array([other, one])]
-    for placement, error in zip(placements, Scorer(simulator)(placements).depth_error):
+    for placement, error in zip(placements, Scorer(simulator)(placements).error):
         assert error == simulator.evaluate(placement).depth_error
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from ocp_ros.geometry.blocks import no_bits
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.geometry.packed_bits import no_bits
 from ocp_ros.scenes.scene import turned
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig

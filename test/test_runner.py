@@ -103,7 +103,7 @@ def test_an_interrupt_that_a_callback_takes_for_an_error_of_its_own_ends_a_node(
 #: Waits in native code that keeps the interpreter's lock.
 STUCK = """
 import ctypes
-from ocp_ros.ros.runtime.leaving import leaving_within
+from ocp_ros.ros.runtime.exit_timer import leaving_within
 
 print('saved')
 with leaving_within(0.2, 2):

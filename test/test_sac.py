@@ -417,6 +417,7 @@ class Bandit(gym.Env):
         return self.seen, float(action[:, 0].sum()), True, False, {}
 
 
+@pytest.mark.system
 @pytest.mark.parametrize('inputs', ['world', 'cloud'])
 def test_a_trivially_solvable_task_is_learned(small_agent, inputs, monkeypatch):
     """Both heads learn it; choices need critics that know something before they settle."""

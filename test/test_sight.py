@@ -8,8 +8,8 @@ import pytest
 from ocp_ros.agent.move_effects import ERROR, FLOOR, POINTS, ROWS, WorldInputs
 from ocp_ros.agent.partial_map import PartialMap, thinned
 from ocp_ros.agent.rig_state import directions, RigState
-from ocp_ros.geometry.blocks import pack
 from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.geometry.packed_bits import pack
 from ocp_ros.planners.annealing import annealed, between
 from ocp_ros.planners.candidate_sites import (
     ANYWHERE,

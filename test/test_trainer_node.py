@@ -178,6 +178,29 @@ def test_what_is_learned_over_ros_is_what_is_learned_in_one_process(recorded, in
         before = after
 
 
+RIG = """\
+cameras: [{sensor: realsense_d455, count: 2}]
+fixed: [{sensor: realsense_d455, position: [1.0, 1.0, 1.9], yaw: 45, pitch: 25}]
+"""
+
+
+def test_turns_of_a_rig_file_are_learned_from(graph, tmp_path, small_agent):
+    (tmp_path / 'rig.yaml').write_text(RIG)
+    rig_file, model = str(tmp_path / 'rig.yaml'), str(tmp_path / 'm.safetensors')
+    random_checkpoint(AgentConfig(**{**vars(small_agent), 'inputs': 'world'})).save(
+        tmp_path / 'm.safetensors')
+    trainer = graph.add(TrainerNode, folder=str(tmp_path / 'run'), agent__inputs='world',
+                        **AGENT, **SAC)
+    graph.add(PolicyNode, model=model, explore=True, turns=6, rig_file=rig_file)
+    sim = graph.add(SimNode, scene__seed=8, episode__turns=6, rig_file=rig_file, **SIM)
+    graph.until(lambda: sim.episode.turn.truncated)
+    assembler = trainer.sources['/'].assembler
+    graph.until(lambda: assembler.assembled + assembler.inconsistent == 6)
+    # What the room stops, which nobody had seen, is no answer to what was chosen.
+    assert assembler.assembled >= 3
+    graph.until(lambda: trainer.learner.transitions == 2 * assembler.assembled)
+
+
 def test_a_policy_of_other_sizes_is_refused_with_a_reason(loop, probe, capfd):
     other = Loop(probe, AgentConfig(inputs='both'))
     other.experience(1, 0)

@@ -146,6 +146,7 @@ def test_a_process_that_ends_while_it_plays_is_told_of(tmp_path, here, monkeypat
         train(from_nested(TrainingConfig, TINY), tmp_path)
 
 
+@pytest.mark.system
 def test_ocp_train_writes_a_model_that_runs(tmp_path, capsys, room):
     import yaml
     (tmp_path / 'c.yaml').write_text(yaml.safe_dump(TINY))

@@ -13,9 +13,9 @@ from twins import MODELS
 from ocp_ros.evaluation.engine_bench import free_places
 from ocp_ros.evaluation.numpy_twin import Twin
 from ocp_ros.evaluation.ray_casting import RayCaster
-from ocp_ros.geometry.blocks import no_bits, Subset
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose, rotation_matrix
 from ocp_ros.geometry.coverage import coverage_grid
+from ocp_ros.geometry.packed_bits import no_bits, Subset
 from ocp_ros.geometry.shadow_maps import project, Projection, splat, visible
 from ocp_ros.geometry.surfels import (
     distances,

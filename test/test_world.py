@@ -25,7 +25,7 @@ from ocp_ros.agent.move_effects import (
     WorldInputs,
 )
 from ocp_ros.agent.partial_map import KeptModel, LookHistory, PartialMap, smallest_rectangle
-from ocp_ros.geometry.blocks import count_bits
+from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.geometry.visibility import FAST, FINE
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.scenes.scene import turned

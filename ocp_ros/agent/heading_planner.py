@@ -16,8 +16,8 @@ import numpy as np
 from ocp_ros.agent.move_effects import curiosity
 from ocp_ros.agent.partial_map import KeptModel, LookHistory, PartialMap
 from ocp_ros.agent.rig_state import AROUND, directions, RigState
-from ocp_ros.geometry.blocks import count_bits
 from ocp_ros.geometry.cameras import CameraModel, Frustum
+from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.geometry.visibility import FAST
 from ocp_ros.rig.motion import turned_towards, way_between
 from ocp_ros.scenes.scene import SceneError

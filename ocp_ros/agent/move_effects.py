@@ -13,7 +13,7 @@ import numpy as np
 
 from ocp_ros.agent.partial_map import KeptModel, LookHistory, PartialMap
 from ocp_ros.agent.rig_state import fixed_views, remember, RigState, view_from
-from ocp_ros.geometry.blocks import count_bits
+from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.geometry.visibility import FAST, FINE
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.simulation.simulator import View

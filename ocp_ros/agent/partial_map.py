@@ -10,10 +10,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from ocp_ros.agent.room_rectangle import inset, smallest_rectangle, with_corners
-from ocp_ros.geometry.blocks import no_bits, pack, unpack
 from ocp_ros.geometry.cameras import CameraModel, Frustum, OMNIDIRECTIONAL, Pose
 from ocp_ros.geometry.clouds import cell_numbers, cells_numbered, fixed_size
 from ocp_ros.geometry.depth_error import DepthError
+from ocp_ros.geometry.packed_bits import no_bits, pack, unpack
 from ocp_ros.geometry.surfels import SurfelSettings
 from ocp_ros.geometry.visibility import FAST, SurfelVisibility
 from ocp_ros.geometry.voxels import voxel_downsample, voxel_size_for

@@ -57,10 +57,6 @@ def protocol_of(arguments: argparse.Namespace) -> Protocol:
         raise ConfigurationError('--scale and --up: found no --rooms; expected a folder of scans '
                                  'that they are about; generated rooms are in metres, z up')
     if arguments.rig is not None:
-        if arguments.report:
-            raise ConfigurationError('--report: found it with --rig; expected one of the two: the '
-                                     'report draws omnidirectional cameras; leave it out, '
-                                     'summary.json has all figures')
         # Read now: a file that cannot be used is refused before anything runs.
         load_rig(arguments.rig)
         # Zones and cameras in place have coordinates of the room as it is.
@@ -102,12 +98,8 @@ def compare(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     _write(arguments.out, rows, summary)
     if arguments.report:
         write_report(arguments.report, summary, rows)
-        chosen = _shown(protocol, rows)
-        write_page(arguments.report / 'placements.html', 'Planners compared', {
-            name: (simulator, {planner: np.array(row['placement'])
-                               for planner, row in best.items()})
-            for name, (simulator, best) in chosen.items()})
-        _draw(arguments.report / 'placements.png', summary, chosen)
+        if arguments.rig is None:
+            _show_placements(arguments.report, protocol, summary, rows)
         write_atomically(arguments.report / 'summary.json', json.dumps(summary, indent=1) + '\n')
     show(summary)
     print(f'wrote {arguments.out / "summary.json"}'
@@ -121,6 +113,16 @@ def _cameras(protocol: Protocol) -> dict[str, Any]:
         return {'rig': Path(protocol.simulation.rig_file).name,
                 'cameras': len(load_rig(protocol.simulation.rig_file).cameras)}
     return {'cameras': protocol.simulation.rig.cameras}
+
+
+def _show_placements(folder: Path, protocol: Protocol, summary: dict[str, Any], rows: Rows
+                     ) -> None:
+    """Draw the best placements in some rooms, and write a page to turn around."""
+    chosen = _shown(protocol, rows)
+    write_page(folder / 'placements.html', 'Planners compared', {
+        name: (simulator, {planner: np.array(row['placement']) for planner, row in best.items()})
+        for name, (simulator, best) in chosen.items()})
+    _draw(folder / 'placements.png', summary, chosen)
 
 
 def _shown(protocol: Protocol, rows: Rows) -> Shown:

@@ -17,11 +17,15 @@ from ocp_ros.evaluation.paired import pairs
 from ocp_ros.evaluation.protocol import Protocol
 from ocp_ros.evaluation.summary import per_room
 from ocp_ros.evaluation.task_runner import run
+from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.scene_files import check_file
 from ocp_ros.scenes.splits import FRESH, TEST, TRAINING, VALIDATION
 from ocp_ros.util.files import folder_to_write, write_atomically
+from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.yaml_files import timestamp
 
+#: Numbers of cameras, where none is asked for.
+CAMERAS = (4,)
 SETS = {'fresh': FRESH, 'test': TEST, 'training': TRAINING, 'validation': VALIDATION}
 
 
@@ -29,13 +33,19 @@ def protocols_of(arguments: argparse.Namespace) -> dict[int, Protocol]:
     """Return what a command line asks to compare, by the number of cameras."""
     rooms = tuple(str(path.resolve()) for path in arguments.rooms or ()) or tuple(
         str(seed) for seed in SETS[arguments.set])
+    if arguments.rig is not None and arguments.cameras is not None:
+        raise ConfigurationError(f'--cameras: found {list(arguments.cameras)} with --rig; '
+                                 'expected one of the two: the rig file lists its cameras')
     protocol = Protocol(
         rooms=rooms, rotations=tuple(map(float, arguments.rotations)),
         planners=arguments.planners, budgets=arguments.budgets, seeds=arguments.seeds,
         model=arguments.model, scale=arguments.scale, up=arguments.up)
+    if arguments.rig is not None:
+        simulation = replace(protocol.simulation, rig_file=str(arguments.rig))
+        return {len(load_rig(arguments.rig).cameras): replace(protocol, simulation=simulation)}
     return {cameras: replace(protocol, simulation=replace(
         protocol.simulation, rig=replace(protocol.simulation.rig, cameras=cameras)))
-        for cameras in arguments.cameras}
+        for cameras in arguments.cameras or CAMERAS}
 
 
 def evaluate(arguments: argparse.Namespace, command: str) -> dict[str, Any]:

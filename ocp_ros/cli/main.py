@@ -177,8 +177,10 @@ def _add_evaluate(commands: Commands) -> None:
     add_units(judged, 'of the scans')
     judged.add_argument('--rotations', type=whole_numbers, default=(0,),
                         help='degrees, with commas between')
-    judged.add_argument('--cameras', type=camera_counts, default=(4,),
-                        help='how many, with commas between')
+    judged.add_argument('--cameras', type=camera_counts,
+                        help='how many, with commas between; 4 unless told otherwise')
+    judged.add_argument('--rig', type=Path, help='the cameras and their constraints instead: '
+                        'docs/rig.md')
     judged.add_argument('--budgets', type=whole_numbers, default=(1000,),
                         help='evaluations of offline planners, with commas between')
     judged.add_argument('--seeds', type=at_least(1), default=1, help='runs of each')

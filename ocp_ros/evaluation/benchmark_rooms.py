@@ -44,7 +44,7 @@ def difficulty(scene: Scene) -> float:
     score = Scorer(simulator)
     drawn = score([space.placement(space.random(rng)) for _ in range(64)])
     best = solve(OFFLINE['differential_evolution'](space, rng, SEARCHED), score, SEARCHED)
-    return best.depth_error / float(drawn.depth_error.mean())
+    return best.depth_error / float(drawn.error.mean())
 
 
 def space_of(simulator: Simulator) -> FreePlane:

@@ -20,9 +20,9 @@ from rich.progress import track
 
 from ocp_ros.evaluation.numpy_twin import Twin
 from ocp_ros.evaluation.ray_casting import RayCaster
-from ocp_ros.geometry.blocks import Subset
 from ocp_ros.geometry.cameras import CameraModel, Pose
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.geometry.visibility import DISC_SCALE, PRESETS
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.scenes.scene import Scene
@@ -196,7 +196,7 @@ def measure(density: int, rooms: int, positions: int) -> list[dict[str, Any]]:
             times[name].append(median_seconds(partial(method, case), 0.02))
             counts[name] += [(seen & case.truth).sum(), (seen & ~case.truth).sum(),
                              (~seen & case.truth).sum()]
-    rows = []
+    rows: list[dict[str, Any]] = []
     for name, (right, wrong, missed) in counts.items():
         seconds = float(np.median(times[name]))
         rows.append({'density': density, 'method': name, 'precision': right / (right + wrong),

@@ -95,6 +95,12 @@ class Protocol:
             raise ConfigurationError(
                 f'rig.sensors: found {self.simulation.rig.sensors!r}; expected omnidirectional: '
                 'planners choose where cameras are, not where they look')
+        if self.simulation.rig_file and any(self.rotations):
+            rig = load_rig(self.simulation.rig_file)
+            if rig.anchored:
+                raise ConfigurationError(
+                    f'rotations: found {list(self.rotations)} with {rig.document.name}, whose '
+                    'fixed, no_go or regions are places in the map; expected 0 alone')
         if not self.rooms or not self.budgets or min(self.budgets) < 1 or self.seeds < 1:
             raise ConfigurationError(
                 f'protocol: found {len(self.rooms)} rooms, budgets {list(self.budgets)} and '
@@ -281,7 +287,7 @@ def _rig(protocol: Protocol, scene: Scene, rig: Rig, task: BenchmarkTask) -> lis
             began = time.process_time()
             limit = Budget(evaluations=budget or protocol.simulation.episode.turns)
             planner = RigPlanner(scene, rig, replace(protocol.simulation.engine, preset='fast'),
-                                 limit, seed, planner=task.planner)
+                                 limit, seed, planner=task.planner, model=protocol.model)
             plan, seconds = planner.plan(rig), time.process_time() - began
             rows.append({**asdict(task), 'budget': budget, 'seed': seed,
                          **judge(plan.answer.poses), 'searched': plan.answer.loss * plan.worst,

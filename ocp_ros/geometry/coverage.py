@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from ocp_ros.geometry.blocks import count_bits
+from ocp_ros.geometry.packed_bits import count_bits
 
 MOST_CELLS = 20_000_000
 

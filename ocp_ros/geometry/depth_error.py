@@ -15,8 +15,8 @@ from typing import NamedTuple
 from numba import njit
 import numpy as np
 
-from ocp_ros.geometry.blocks import no_bits
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose
+from ocp_ros.geometry.packed_bits import no_bits
 from ocp_ros.geometry.shadow_maps import footprint, project, Projection
 from ocp_ros.util.threads import mapped
 

@@ -15,8 +15,8 @@ from typing import NamedTuple
 from numba import njit
 import numpy as np
 
-from ocp_ros.geometry.blocks import BLOCK, blocks_in_view, WORDS
 from ocp_ros.geometry.cameras import in_view, OMNIDIRECTIONAL
+from ocp_ros.geometry.packed_bits import BLOCK, blocks_in_view, WORDS
 
 f32, i32, u32, u64 = np.float32, np.int32, np.uint32, np.uint64
 #: Nothing here may come out as NaN, and the order of a sum does not matter.
@@ -138,11 +138,11 @@ class Workspace(NamedTuple):
     def of(cls, rows: int, count: int) -> 'Workspace':
         """Allocate for maps of so many rows and so many points."""
         cells, octets = (rows + 2) * (2 * rows + 2), np.zeros(BLOCK // 8, dtype=np.uint64)
-        maps = (np.full(cells, np.inf, dtype=np.float32) for _ in range(2))
-        block = (np.empty(BLOCK, dtype=np.float32) for _ in range(6))
-        return cls(*maps, *block, octets.view(np.uint8), octets,
-                   np.empty(count, dtype=np.float32), np.empty(count, dtype=np.uint32),
-                   np.empty(-(-count // BLOCK), dtype=np.uint32))
+        maps = [np.full(cells, np.inf, dtype=np.float32) for _ in range(2)]
+        block = [np.empty(BLOCK, dtype=np.float32) for _ in range(6)]
+        return cls._make([*maps, *block, octets.view(np.uint8), octets,
+                          np.empty(count, dtype=np.float32), np.empty(count, dtype=np.uint32),
+                          np.empty(-(-count // BLOCK), dtype=np.uint32)])
 
 
 @njit(nogil=True, inline='always', fastmath=FAST)

@@ -7,7 +7,8 @@ What a camera sees of a scene, by presets.
 describes it.
 
 Either class keeps its points in spatial order and answers in packed bits of that order; see
-:mod:`ocp_ros.geometry.blocks`. Threads may share one: what a look writes is borrowed for the look.
+:mod:`ocp_ros.geometry.packed_bits`. Threads may share one: what a look writes is borrowed for the
+look.
 """
 
 from collections import deque
@@ -18,9 +19,9 @@ from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from ocp_ros.geometry.blocks import block_bounds, no_bits, pack, spatial_order
 from ocp_ros.geometry.cameras import Frustum, Pose
 from ocp_ros.geometry.frustum import keep_in_cone
+from ocp_ros.geometry.packed_bits import block_bounds, no_bits, pack, spatial_order
 from ocp_ros.geometry.shadow_maps import CubeSettings, project, Projection, splat, visible
 from ocp_ros.geometry.surfels import (
     distances,

@@ -79,8 +79,8 @@ class FixedAnnealing(Planner):
         count = min(PILOTS, max(self.budget // 5, 2))
         pilots = [self.space.random(self.rng) for _ in range(count)]
         scores = yield pilots
-        placed, error = pilots[np.argmin(scores.depth_error)], scores.depth_error.min()
-        spread = max(float(np.std(scores.depth_error)), 1e-9)
+        placed, error = pilots[np.argmin(scores.error)], scores.error.min()
+        spread = max(float(np.std(scores.error)), 1e-9)
         steps = max(self.budget - len(pilots), 2)
         for step in range(steps):
             share = step / (steps - 1)
@@ -92,9 +92,9 @@ class FixedAnnealing(Planner):
         """Propose one change and accept or refuse it; returns positions and their error."""
         trial, ratio = self.propose(placed, sigma)
         scores: Scores = yield [trial]
-        fall = (error - scores.depth_error[0]) / temperature
+        fall = (error - scores.error[0]) / temperature
         if np.log(max(self.rng.random(), 1e-300)) < fall + np.log(ratio):
-            return trial, scores.depth_error[0]
+            return trial, scores.error[0]
         return placed, error
 
     def propose(self, placed: np.ndarray, sigma: float) -> tuple[np.ndarray, float]:

@@ -27,13 +27,13 @@ class BeeColony(Planner):
         limit = 5 * count * space.cameras
         sources = np.array([space.random(rng) for _ in range(count)])
         scores = yield list(sources)
-        errors, tried = scores.depth_error.copy(), np.zeros(count, dtype=int)
+        errors, tried = scores.error.copy(), np.zeros(count, dtype=int)
         while True:
             fitness = 1.0 / (1.0 + errors)
             for visited in (np.arange(count), rng.choice(count, count, p=fitness / fitness.sum())):
                 trials = np.array([self._neighbour(sources, i) for i in visited])
                 scores = yield list(trials)
-                for i, trial, error in zip(visited, trials, scores.depth_error):
+                for i, trial, error in zip(visited, trials, scores.error):
                     tried[i] += 1
                     if error < errors[i]:
                         sources[i], errors[i], tried[i] = trial, error, 0
@@ -41,7 +41,7 @@ class BeeColony(Planner):
             if tried[worn] > limit:
                 sources[worn] = space.random(rng)
                 scores = yield [sources[worn]]
-                errors[worn], tried[worn] = scores.depth_error[0], 0
+                errors[worn], tried[worn] = scores.error[0], 0
 
     def _neighbour(self, sources: np.ndarray, i: int) -> np.ndarray:
         """Move one camera of a source along its difference to another source."""

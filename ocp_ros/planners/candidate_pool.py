@@ -14,9 +14,9 @@ from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.rig.feasible_region import apart, FeasibleRegion
 from ocp_ros.rig.placement_file import as_written
 from ocp_ros.rig.rig_file import Rig
-from ocp_ros.simulation.objective import Objective, simulator_of
+from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import Problem
-from ocp_ros.simulation.simulator import View
+from ocp_ros.simulation.simulator import Simulator, View
 
 #: Poses that are looked from at a time, and those that are in any case.
 CHUNK, LEAST = 64, 256
@@ -146,7 +146,7 @@ def quick_of(objective: Objective) -> Objective:
     simulator = objective.simulator
     engine = replace(simulator.config.engine, error_rows=QUICK_ROWS)
     quick = replace(simulator.config, engine=engine)
-    return Objective(simulator_of(simulator.scene, objective.rig, quick), objective.rig)
+    return Objective(Simulator(simulator.scene, quick, simulator.models), objective.rig)
 
 
 def clear(poses: np.ndarray, sites: Sequence[Site], spacing: float) -> np.ndarray:

@@ -9,9 +9,9 @@ from scipy.spatial import cKDTree
 
 from ocp_ros.agent.partial_map import PartialMap
 from ocp_ros.agent.rig_state import fixed_views, RigState
-from ocp_ros.geometry.blocks import count_bits
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.depth_error import lost_depth
+from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.planners.annealing import between
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.simulation.simulator import View
@@ -98,7 +98,10 @@ class Candidates:
     :param unseen: packed bits of the model's cells that count as unseen.
     :param weight: what covering one of them is worth, metres of depth error.
     :param fixed: what cameras in place see, whatever is chosen.
+    :ivar kind_of: (K,) the kind of each camera; None where all are alike.
     """
+
+    kind_of: np.ndarray | None = None
 
     def __init__(self, model: PartialMap, places: np.ndarray, space: FreePlane, unseen: np.ndarray,
                  weight: float, fixed: Sequence[View] = ()) -> None:
@@ -115,6 +118,10 @@ class Candidates:
         for view in fixed:
             self._seen |= view.seen
             self._covered |= view.covered & unseen
+
+    def headings(self, chosen: np.ndarray) -> np.ndarray | None:
+        """Return how cameras are turned at a choice, (K, 3) radians; None where it is alike."""
+        return None
 
     def value(self, chosen: list[int]) -> float:
         """Return what a choice is worth, metres; less is better."""
@@ -200,6 +207,10 @@ class Sites(Candidates):
         tree = cKDTree(np.hstack([self.sites[own, :3], PER_RADIAN * forward]))
         _, near = tree.query(tree.data, min(NEIGHBOURS + 1, len(own)))
         return own[near.reshape(len(own), -1)]
+
+    def headings(self, chosen: np.ndarray) -> np.ndarray:
+        """Return how cameras are turned at a choice; see :meth:`Candidates.headings`."""
+        return self.sites[chosen, 3:]
 
     def _kinds(self, cameras: int) -> np.ndarray:
         """Return the kind of site that each camera takes."""

@@ -41,19 +41,19 @@ class DifferentialEvolution(Planner):
         count = int(np.clip(self.budget // 10, 5, POPULATION))
         placed = np.array([space.random(rng) for _ in range(count)])
         scores = yield list(placed)
-        errors = scores.depth_error.copy()
+        errors = scores.error.copy()
         while True:
             trials = np.array([self._trial(placed, errors, i) for i in range(count)])
             scores = yield list(trials)
-            better = scores.depth_error <= errors
-            placed[better], errors[better] = trials[better], scores.depth_error[better]
+            better = scores.error <= errors
+            placed[better], errors[better] = trials[better], scores.error[better]
             if np.ptp([matched(placed[0], other) for other in placed], axis=0).max() < ALIKE:
                 # Nothing differs any more, so all but the best begin anew.
                 best = int(np.argmin(errors))
                 for i in range(count):
                     placed[i] = placed[best] if i == best else space.random(rng)
                 scores = yield list(placed)
-                errors = scores.depth_error.copy()
+                errors = scores.error.copy()
 
     def _trial(self, placed: np.ndarray, errors: np.ndarray, i: int) -> np.ndarray:
         """Cross a placement with its mutant."""
@@ -98,7 +98,7 @@ class CmaEs(Planner):
                 shares = strategy.ask()
                 scores = yield [space.inside(space.low + scale * row.reshape(-1, 2))
                                 for row in shares]
-                strategy.tell(shares, list(scores.depth_error))
+                strategy.tell(shares, list(scores.error))
             restarts += 1
             first, sigma = space.random(self.rng), SIGMA
 
@@ -129,8 +129,8 @@ class WarmCmaEs(CmaEs):
         self.online.reset()
         for turn in range(turns):
             scores = yield [positions]
-            if scores.depth_error[0] < error:
-                best, error = positions, scores.depth_error[0]
+            if scores.error[0] < error:
+                best, error = positions, scores.error[0]
             seen = np.unique(np.concatenate([seen, scores.cloud(0)]), axis=0)
             moves = self.online.move(seen, space.placement(positions), turn, turns)
             positions = space.inside(positions + moves)

@@ -87,7 +87,7 @@ def fill(cameras: int, candidates: np.ndarray, energy: Callable[[Scores], np.nda
     for _ in range(cameras - len(placed)):
         scores = yield [np.vstack([placed, place]) for place in candidates]
         choice = int(np.argmin(energy(scores)))
-        placed, error = np.vstack([placed, candidates[choice]]), scores.depth_error[choice]
+        placed, error = np.vstack([placed, candidates[choice]]), scores.error[choice]
     return placed, error
 
 
@@ -96,14 +96,14 @@ def best_place(placed: np.ndarray, camera: int, places: np.ndarray) -> Answer:
     trials = np.repeat(placed[None], len(places), axis=0)
     trials[:, camera] = places
     scores = yield list(trials)
-    choice = int(np.argmin(scores.depth_error))
-    return trials[choice], scores.depth_error[choice]
+    choice = int(np.argmin(scores.error))
+    return trials[choice], scores.error[choice]
 
 
 def exchange(placed: np.ndarray, candidates: np.ndarray) -> Answer:
     """Exchange one camera for the best candidate until no exchange helps any more."""
     scores = yield [placed]
-    error, unchanged, camera = scores.depth_error[0], 0, 0
+    error, unchanged, camera = scores.error[0], 0, 0
     while unchanged < len(placed):
         trial, trial_error = yield from best_place(placed, camera, candidates)
         unchanged += 1

@@ -120,8 +120,7 @@ class Lookahead(Online):
         self._settle(positions)
 
     def _sites(self, model: PartialMap, space: FreePlane, unseen: np.ndarray, weight: float,
-               count: int
-               ) -> Sites:
+               count: int) -> Sites:
         """List places and directions; the plan so far is among them."""
         sight, plan = self.sight, None
         places = space.placement(space.grid(min(count, most_places(sight))))
@@ -141,12 +140,8 @@ class Lookahead(Online):
     def _settle(self, positions: np.ndarray) -> None:
         """Match the cameras with the chosen places, so that they walk least."""
         candidates, chosen = self._candidates, np.array(self._chosen)
-        if isinstance(candidates, Sites):
-            chosen = chosen[matched(positions, candidates.places[chosen], candidates.kind_of)]
-            self._headings = candidates.sites[chosen, 3:]
-        else:
-            chosen = chosen[matched(positions, candidates.places[chosen])]
-        self._plan = candidates.places[chosen]
+        chosen = chosen[matched(positions, candidates.places[chosen], candidates.kind_of)]
+        self._plan, self._headings = candidates.places[chosen], candidates.headings(chosen)
 
     def _refine(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Anneal the plan, or the placement where there is none, among what can be reached."""

@@ -37,8 +37,8 @@ class BinaryParticleSwarm(Planner):
         best, best_error = bits.copy(), np.full(particles, np.inf)
         while True:
             scores = yield [candidates[row] for row in bits]
-            better = scores.depth_error < best_error
-            best[better], best_error[better] = bits[better], scores.depth_error[better]
+            better = scores.error < best_error
+            best[better], best_error[better] = bits[better], scores.error[better]
             leader = best[np.argmin(best_error)]
             own, social = self.rng.random((2, *velocity.shape))
             velocity = (INERTIA * velocity + OWN * own * (best.astype(float) - bits)

@@ -19,13 +19,13 @@ class Scores(NamedTuple):
     """
     What placements are worth.
 
-    :ivar depth_error: (B,) metres; a planner minimises it.
+    :ivar error: (B,) what a planner minimises: the depth error in metres, or the loss of a rig.
     :ivar space_coverage: (B,) cubic metres.
     :ivar cloud: returns what the placement of a number sees, (M, 3) float32, metres, map frame;
         for the few planners that look rather than count.
     """
 
-    depth_error: np.ndarray
+    error: np.ndarray
     space_coverage: np.ndarray
     cloud: Callable[[int], np.ndarray] = nothing_seen
 
@@ -56,7 +56,7 @@ class Planner(ABC):
 
     def energy(self, scores: Scores) -> np.ndarray:
         """Return what the method minimises: (B,), its answer is the placement of the least."""
-        return scores.depth_error
+        return scores.error
 
     def ask(self) -> Sequence[np.ndarray] | None:
         """Return the placements to be judged next, positions (n, 2) each; None at the end."""

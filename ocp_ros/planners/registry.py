@@ -23,8 +23,8 @@ from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.resources import find_model
 
-#: The weights of ``learned_paper``.
-PAPER = 'paper'
+#: The weights of ``learned``, unless others are named, and of ``learned_paper``.
+DEFAULT, PAPER = 'default', 'paper'
 
 
 def settings_of(config: SimulationConfig, rng: np.random.Generator) -> tuple:
@@ -39,7 +39,7 @@ def _greedy_step(config: SimulationConfig, rng: np.random.Generator, model: str 
     return GreedyStep(*settings_of(config, rng))
 
 
-def _learned(config: SimulationConfig, rng: np.random.Generator, model: str = 'default'
+def _learned(config: SimulationConfig, rng: np.random.Generator, model: str = DEFAULT
              ) -> Learned:
     """Return a policy."""
     # Only here: PyTorch takes longer to start than most searches.
@@ -63,7 +63,7 @@ def _lookahead(config: SimulationConfig, rng: np.random.Generator, model: str = 
 
 
 def _learned_lookahead(config: SimulationConfig, rng: np.random.Generator,
-                       model: str = 'default') -> ThenLookahead:
+                       model: str = DEFAULT) -> ThenLookahead:
     """Return a policy with lookahead in the last turns."""
     return ThenLookahead(_learned(config, rng, model), _lookahead(config, rng))
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.candidate_pool import Pool, Site
-from ocp_ros.planners.registry import OFFLINE, ONLINE
+from ocp_ros.planners.registry import DEFAULT, OFFLINE, ONLINE
 from ocp_ros.planners.rig_offline import search_offline
 from ocp_ros.planners.rig_online import play_online
 from ocp_ros.planners.rig_search import Answer, Progress, search, views_of
@@ -41,7 +41,8 @@ def check_planner(name: str, counting: bool = False) -> None:
 
 
 def find(name: str, problem: Problem, pool: Pool, budget: Budget, seed: int,
-         start: Sequence[Site] = (), progress: Progress | None = None) -> Answer:
+         start: Sequence[Site] = (), progress: Progress | None = None,
+         model: str = DEFAULT) -> Answer:
     """
     Find the best placement of a rig's cameras by a planner.
 
@@ -52,12 +53,15 @@ def find(name: str, problem: Problem, pool: Pool, budget: Budget, seed: int,
     :param seed: of all chance.
     :param start: a placement that the answer is to be no worse than, where there is one.
     :param progress: called several times a second or after each placement or turn.
+    :param model: weights of online planners that have learned: path or name.
     :raises ConfigurationError: if there is no placement.
     """
     if name == RIG_SEARCH:
         return search(problem, pool, budget, seed, start, progress)
-    run = play_online if name in ONLINE else search_offline
-    found = run(name, problem, pool, budget, seed, progress)
+    if name in ONLINE:
+        found = play_online(name, problem, pool, budget, seed, progress, model)
+    else:
+        found = search_offline(name, problem, pool, budget, seed, progress)
     if start and (loss := problem.objective.loss(views_of(start))) < found.loss:
         return Answer(tuple(start), loss, (loss,), found.evaluations)
     return found

@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 
-from ocp_ros.geometry.blocks import Subset
+from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.candidate_pool import check_room, Pool, Site
 from ocp_ros.planners.planner import Scores
@@ -30,8 +30,8 @@ class RigScorer:
     """
     Judge what planners propose by the rig's objective, as long as there is time.
 
-    ``depth_error`` of the scores is the loss of the rig: depth error / depth error of seeing
-    nothing, and what regions cost. ``space_coverage`` is that of the cameras in cubic metres.
+    The error of the scores is the loss of the rig: depth error / depth error of seeing nothing,
+    and what regions cost. ``space_coverage`` is that of the cameras in cubic metres.
 
     :param decoder: hangs up the cameras.
     :param budget: of the search; a batch ends where it does, but one placement is always judged.

@@ -14,7 +14,7 @@ import numpy as np
 from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.candidate_pool import check_room, Pool
 from ocp_ros.planners.pose_decoder import Decoder
-from ocp_ros.planners.registry import ONLINE
+from ocp_ros.planners.registry import DEFAULT, ONLINE
 from ocp_ros.planners.rig_search import Answer, Progress, views_of
 from ocp_ros.planners.rollout import play
 from ocp_ros.simulation.episode import Episode
@@ -23,7 +23,7 @@ from ocp_ros.simulation.simulation_config import SimulationConfig
 
 
 def play_online(name: str, problem: Problem, pool: Pool, budget: Budget, seed: int,
-                progress: Progress | None = None) -> Answer:
+                progress: Progress | None = None, model: str = DEFAULT) -> Answer:
     """
     Find a placement of a rig's cameras by an online planner.
 
@@ -34,11 +34,12 @@ def play_online(name: str, problem: Problem, pool: Pool, budget: Budget, seed: i
         fewer only if it is stopped.
     :param seed: of all chance.
     :param progress: called after each turn.
+    :param model: weights of those that have learned: path or name.
     :raises ConfigurationError: if there is no placement.
     """
     check_room(problem.objective, pool)
     online = ONLINE[name](SimulationConfig(described(problem.rig)),
-                          np.random.default_rng([seed, 1]))
+                          np.random.default_rng([seed, 1]), model)
     episode = Episode(problem, np.random.default_rng([seed, 0]))
     turns = min(episode.config.turns, budget.evaluations or episode.config.turns)
     episode.config = replace(episode.config, turns=turns)

@@ -10,6 +10,7 @@ import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.candidate_pool import best_addition, Pool, random_sites
+from ocp_ros.planners.registry import DEFAULT
 from ocp_ros.planners.rig_methods import check_planner, find, RIG_SEARCH
 from ocp_ros.planners.rig_search import Answer, Progress
 from ocp_ros.rig.rig_file import Rig
@@ -87,14 +88,16 @@ class RigPlanner:
     :param seed: of all chance.
     :param progress: called several times a second.
     :param planner: one of :data:`~ocp_ros.planners.rig_methods.PLANNERS`.
+    :param model: weights of planners that have learned: path or name.
     :raises ConfigurationError: if there is no place for a camera, or too little of a region can
         be seen, or there is no such planner.
     """
 
     def __init__(self, scene: Scene, rig: Rig, engine: EngineConfig, budget: Budget, seed: int = 0,
-                 progress: Progress | None = None, planner: str = RIG_SEARCH) -> None:
+                 progress: Progress | None = None, planner: str = RIG_SEARCH,
+                 model: str = DEFAULT) -> None:
         check_planner(planner)
-        self.planner = planner
+        self.planner, self.model = planner, model
         self.scene, self.engine, self.budget, self.seed = scene, engine, budget, seed
         self._progress, self._problems = progress, {}
         problem = self.problem(rig)
@@ -139,7 +142,7 @@ class RigPlanner:
         objective = problem.objective
         start = () if before is None else self._and_one_more(objective, before)
         answer = find(self.planner, problem, self.pool, self.budget, self.seed, start,
-                      self._progress)
+                      self._progress, self.model)
         self.pool.add(rig, answer.sites)
         rng = np.random.default_rng([self.seed, RANDOM])
         drawn = [random_sites(rig, self.pool, rng) for _ in range(RANDOM)]

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from ocp_ros.geometry.blocks import Subset
+from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.planners.planner import nothing_seen, Scores
 from ocp_ros.simulation.simulator import Simulator, View
 
@@ -66,7 +66,8 @@ class Scorer:
             seen = np.bitwise_or.reduce([view.seen for view in views_of(placements[number])])
             return self.simulator.scene.points[Subset(seen, self.simulator.visibility.order).mask]
 
-        return Scores(*np.array(self._map(judge, placements)).reshape(-1, 2).T, cloud)
+        errors, coverage = np.array(self._map(judge, placements)).reshape(-1, 2).T
+        return Scores(errors, coverage, cloud)
 
     def _key(self, camera: int, pose: np.ndarray) -> tuple[int, bytes]:
         """Return what a view is remembered by."""

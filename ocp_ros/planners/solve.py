@@ -62,13 +62,13 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
             # Of equals, the one with more cameras and more coverage is the safer answer.
             rank = float(energy), -len(batch[k]), -float(scores.space_coverage[k])
             if rank < best:
-                best, found = rank, (batch[k].copy(), float(scores.depth_error[k]),
+                best, found = rank, (batch[k].copy(), float(scores.error[k]),
                                      float(scores.space_coverage[k]))
                 trace.append((count + k + 1, now, found[1]))
-        count += len(scores.depth_error)
+        count += len(scores.error)
         if progress is not None:
             progress(count, found[1])
-        if len(scores.depth_error) < len(planner.ask()):
+        if len(scores.error) < len(planner.ask()):
             break
         planner.tell(scores)
     if found is None:

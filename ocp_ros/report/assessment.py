@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ocp_ros.geometry.blocks import unpack
+from ocp_ros.geometry.packed_bits import unpack
 from ocp_ros.report.installer import ReferenceWall, walls_around, Words, words_for
 from ocp_ros.rig.placement_file import Placement
 from ocp_ros.rig.structure import floor_height

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 import numpy as np
 
 from ocp_ros.planners.registry import KNOWS, OFFLINE, ONLINE
+from ocp_ros.planners.rig_methods import PLANNERS
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 
 #: Told apart with any kind of colour vision, repeated with another line where there are more.
@@ -32,16 +33,17 @@ def style(number: int) -> dict[str, Any]:
 
 def write_report(folder: Path, summary: dict[str, Any], rows: Rows) -> None:
     """
-    Write ``README.md``, ``rooms.png`` and ``anytime.png``.
+    Write ``README.md``, ``rooms.png`` and, where it is known how searches went, ``anytime.png``.
 
     :param folder: where; it is made.
     :param summary: of :func:`ocp_ros.evaluation.summary.summarise`, with ``command``, ``date`` and
-        ``versions`` added.
+        ``versions`` added; ``rig`` is the name of a rig file where one was placed.
     :param rows: the runs.
     """
     folder.mkdir(parents=True, exist_ok=True)
     draw_rooms(folder / 'rooms.png', summary)
-    draw_anytime(folder / 'anytime.png', summary, rows)
+    if 'rig' not in summary:
+        draw_anytime(folder / 'anytime.png', summary, rows)
     (folder / 'README.md').write_text(page(summary))
 
 
@@ -150,7 +152,7 @@ def page(summary: dict[str, Any]) -> str:
         '# Planners compared', '',
         f'Made on {summary["date"]} by', '', f'    {summary["command"]}', '',
         f'{len(summary["rooms"])} rooms, {summary["rotations"]} rotations of each, '
-        f'{summary["cameras"]} cameras on a plane. While it searches, a planner is scored by the '
+        f'{_placed(summary)}. While it searches, a planner is scored by the '
         'preset `fast`; what counts is its final placement alone, judged by `fine` at 128 x 256 '
         'pixels and averaged over eight ways of mounting the cameras 2 cm off. *Sum* is over '
         'rooms, each the mean over rotations and seeds, with a 95 % bootstrap interval over '
@@ -186,9 +188,11 @@ def page(summary: dict[str, Any]) -> str:
                   + ('.' if friedman is None else
                      f'; that all are alike has p = {friedman:.2g} (Friedman).'), '']
     lines += _agreement(summary) + _duels(summary) + _times(summary)
-    lines += ['![Depth error of every planner in every room](rooms.png)', '',
-              '![Depth error during the search](anytime.png)', '',
-              '![Where the best planners put the cameras](placements.png)', '', '## Rooms', '',
+    lines += ['![Depth error of every planner in every room](rooms.png)', '']
+    if 'rig' not in summary:
+        lines += ['![Depth error during the search](anytime.png)', '',
+                  '![Where the best planners put the cameras](placements.png)', '']
+    lines += ['## Rooms', '',
               '| room | best known (m) | random placement (m) | share | from everywhere (m) |',
               '|---|---|---|---|---|']
     for room, known in summary['rooms'].items():
@@ -196,16 +200,29 @@ def page(summary: dict[str, Any]) -> str:
             f'| {Path(room).stem} | {known["best_known"]:.3f} | {known["random_placement"]:.2f} | '
             f'{shown(known["share"], 3)} | '
             f'{known["lower_bound"]:.3f} |')
-    lines += ['', 'The last column is what all places of the plane miss together: no placement '
-              'can do better.', '', 'Versions: ' + ', '.join(
+    rig = 'rig' in summary
+    everywhere = 'candidate poses' if rig else 'places of the plane'
+    lines += ['', f'The last column is what all {everywhere} miss together: no placement '
+              f'{"of these " if rig else ""}can do better.', '',
+              'Versions: ' + ', '.join(
                   f'{name} {version}' for name, version in summary['versions'].items()) + '.', '']
     return '\n'.join(lines)
 
 
+def _placed(summary: dict[str, Any]) -> str:
+    """Say which cameras were placed."""
+    if 'rig' in summary:
+        return (f'{summary["cameras"]} cameras of the rig file `{summary["rig"]}` under all its '
+                'constraints, each turned as well as placed; an error is the objective of the rig '
+                'in units of the depth error of seeing nothing')
+    return f'{summary["cameras"]} cameras on a plane'
+
+
 def compared(summary: dict[str, Any]) -> str:
     """Say how many of all planners are compared, and which are not."""
-    left_out = [spaced(name) for name in (*OFFLINE, *ONLINE) if name not in summary['planners']]
-    text = f'Compared are {len(summary["planners"])} of {len(OFFLINE) + len(ONLINE)} planners'
+    known = PLANNERS if 'rig' in summary else (*OFFLINE, *ONLINE)
+    left_out = [spaced(name) for name in known if name not in summary['planners']]
+    text = f'Compared are {len(summary["planners"])} of {len(known)} planners'
     return text + (f'; left out: {"; ".join(left_out)}.' if left_out else '.')
 
 
@@ -255,8 +272,9 @@ def _times(summary: dict[str, Any]) -> list[str]:
     """Tell how long each planner takes on one core."""
     budgets = budgets_of(summary)
     lines = ['## Time', '', 'Seconds for one placement on one core; the last column is all rooms '
-             'and rotations once, at the most evaluations. Training the policy is not in it: '
-             '[its card](../../models/README.md) says how long that took.', '',
+             'and rotations once, at the most evaluations. Training the policy is not in it'
+             + ('.' if 'rig' in summary else
+                ': [its card](../../models/README.md) says how long that took.'), '',
              '| planner | ' + ' | '.join(
                  f'{int(budget):,}' if int(budget) else 'turns' for budget in budgets)
              + ' | all |', '|---|' + '---|' * (len(budgets) + 1)]

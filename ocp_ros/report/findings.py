@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ocp_ros.geometry.blocks import Subset
+from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.rig.feasible_region import apart, FeasibleRegion
 from ocp_ros.rig.rig_file import Camera
 from ocp_ros.simulation.objective import Objective

@@ -282,7 +282,7 @@ def _made_of(placement: Placement, data: dict[str, Any], lowest: int) -> Documen
 def numbers_of(camera: Camera) -> dict[str, Any]:
     """Return a camera's sensor and numbers as files have them, angles in degrees."""
     model: CameraModel = camera.model
-    numbers = {'sensor': camera.sensor} if camera.sensor else {}
+    numbers: dict[str, Any] = {'sensor': camera.sensor} if camera.sensor else {}
     for key in ('horizontal_fov', 'vertical_fov'):
         numbers[key] = float(f'{np.rad2deg(getattr(model, key)):.12g}')
     numbers |= {'min_range': model.min_range, 'max_range': model.max_range}

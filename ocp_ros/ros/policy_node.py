@@ -83,7 +83,9 @@ class PolicyNode(Node):
         self._experiences = None
         if self.config.explore:
             from ocp_ros.ros.policy.experiences import Experiences
-            self._experiences = Experiences(self, lambda: self.policy, self._go_on)
+            # Who explores has a policy that records what it chooses.
+            self._experiences = Experiences(
+                self, lambda: self.policy, self._go_on)  # type: ignore[return-value]
         if self.config.clouds:
             self._live = LiveTurns(
                 self, self.config, self._commands, self._play, lambda: self._settled,
@@ -173,7 +175,9 @@ class PolicyNode(Node):
         self._finality.moved(np.linalg.norm(target - positions, axis=1).max(),
                              self._decider.widest, self.config)
         if self._experiences:
-            self._experiences.tell(stamp_to_ns(poses.header.stamp), self._step, target)
+            # Cameras in place come last, and nobody chooses for them.
+            moved = target[:self._decider.state(poses).movable]
+            self._experiences.tell(stamp_to_ns(poses.header.stamp), self._step, moved)
         self._counts['turns_answered'] += 1
         self._step += 1
         self._views.turn(cloud, poses)

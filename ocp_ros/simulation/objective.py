@@ -2,19 +2,14 @@
 """What a placement of a rig is worth: the depth error, and what the rig's regions ask for."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from ocp_ros.geometry.blocks import count_bits, no_bits, pack, seen_by, Subset
 from ocp_ros.geometry.coverage import space_coverage
-from ocp_ros.rig.feasible_region import check_heights
-from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.geometry.packed_bits import count_bits, no_bits, pack, seen_by, Subset
 from ocp_ros.rig.rig_file import Region, Rig
 from ocp_ros.rig.structure import floor_height
-from ocp_ros.scenes.scene import Scene
-from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator, View
 from ocp_ros.util.settings import ConfigurationError
 
@@ -55,28 +50,12 @@ class Contribution(NamedTuple):
     only: float
 
 
-def simulator_of(scene: Scene, rig: Rig, config: SimulationConfig | None = None) -> Simulator:
-    """
-    Build the engine of a rig in a room: its cameras are the K to be placed, then the F in place.
-
-    :param config: the settings of all but the cameras.
-    :raises ConfigurationError: if the cameras' height is not inside the room.
-    """
-    check_heights(scene, rig)
-    # The simulator measures from the lowest point; the plane of cameras that hang at several
-    # heights is not theirs.
-    height = 0.5 * float(scene.size[2])
-    if rig.mount.on == 'plane':
-        height = floor_height(scene) + rig.mount.heights[0] - float(scene.bounds[0, 2])
-    described = RigConfig(cameras=len(rig.models), height=height)
-    return Simulator(scene, replace(config or SimulationConfig(), rig=described), rig.models)
-
-
 class Objective:
     """
     Judge placements of a rig in one room; the cameras in place count, and are looked from once.
 
-    :param simulator: from :func:`simulator_of`.
+    :param simulator: the engine; its models are those of the K cameras to be placed, then of the
+        F in place.
     :param rig: the same rig.
     :raises ConfigurationError: if a region holds no points of the room.
     """

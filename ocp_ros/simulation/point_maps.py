@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ocp_ros.geometry.blocks import no_bits, unpack
 from ocp_ros.geometry.cameras import LEVEL, OMNIDIRECTIONAL, Pose
+from ocp_ros.geometry.packed_bits import no_bits, unpack
 from ocp_ros.simulation.simulator import Simulator, View
 
 

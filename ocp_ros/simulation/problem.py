@@ -11,15 +11,15 @@ from functools import cached_property
 
 import numpy as np
 
-from ocp_ros.geometry.blocks import Subset
 from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.rig.feasible_region import apart, FeasibleRegion
 from ocp_ros.rig.motion import drawn_near, kept_inside, nearest_place
 from ocp_ros.rig.mounts import first_headings
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.rig_file import load_rig, Rig
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.simulation.objective import Objective, RigEvaluation, simulator_of
+from ocp_ros.simulation.objective import Objective, RigEvaluation
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Evaluation, Simulator, View
 
@@ -149,7 +149,9 @@ class Problem:
         :param config: the settings of engine, episode and reward.
         :raises ConfigurationError: if the rig does not go with the room.
         """
-        return cls(Objective(simulator_of(scene, rig, config), rig), FeasibleRegion(scene, rig))
+        region = FeasibleRegion(scene, rig)
+        simulator = Simulator(scene, config or SimulationConfig(), rig.models)
+        return cls(Objective(simulator, rig), region)
 
     @property
     def rig(self) -> Rig:

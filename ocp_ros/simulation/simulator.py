@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ocp_ros.geometry.blocks import no_bits, Subset
 from ocp_ros.geometry.cameras import CameraModel, OMNIDIRECTIONAL, Pose
 from ocp_ros.geometry.coverage import coverable_cell, coverage_grid, space_coverage
 from ocp_ros.geometry.depth_error import DepthError
+from ocp_ros.geometry.packed_bits import no_bits, Subset
 from ocp_ros.geometry.visibility import CubeVisibility, PRESETS, SurfelVisibility
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.simulation_config import SimulationConfig
@@ -63,9 +63,10 @@ class Simulator:
 
     :param scene: the room.
     :param config: the rig and the engine's settings.
-    :param models: what each camera sees, or one model for all, in place of what ``config.rig``
-        says, which knows presets alone.
-    :raises SceneError: if the cameras' plane is not inside the room.
+    :param models: what each camera of a rig file sees, in place of what ``config.rig`` says: then
+        nothing of that counts.
+    :ivar height: z of the plane of ``config.rig``, metres, map frame.
+    :raises SceneError: if that plane is not inside the room.
     """
 
     def __init__(self, scene: Scene, config: SimulationConfig,
@@ -73,7 +74,7 @@ class Simulator:
         self.scene, self.config = scene, config
         self.models = tuple(config.rig.models if models is None else models)
         self.height = float(scene.bounds[0, 2] + config.rig.height)
-        if self.height >= scene.bounds[1, 2]:
+        if models is None and self.height >= scene.bounds[1, 2]:
             raise SceneError(
                 f'{scene.name}: found a room {scene.size[2]:.2f} m high; expected more than the '
                 f"cameras' height of {config.rig.height:.2f} m; lower rig.height")

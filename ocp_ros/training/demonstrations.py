@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from stable_baselines3 import SAC
@@ -31,7 +32,7 @@ from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.training.augmentation import random_symmetries, turn, turn_observation
-from ocp_ros.training.encoded_environment import encoded
+from ocp_ros.training.encoded_environment import encoded, unwrapped
 from ocp_ros.training.training_config import DemonstrationsConfig, RoomsConfig, TrainingConfig
 from ocp_ros.training.training_rooms import make
 from ocp_ros.training.validation import policy_of
@@ -118,11 +119,11 @@ def demonstrate(task: DemonstrationTask) -> dict[str, np.ndarray]:
     cameras = int(rng.integers(task.config.fewest_cameras, simulation.rig.cameras + 1))
     rotation = float(rng.choice(task.config.rooms.angles))
     scene = _room(task.config.rooms, task.room)
-    env = encoded(CameraPlacementEnv(
+    env: Any = encoded(CameraPlacementEnv(
         [scene], simulation, fewest=task.config.fewest_cameras, rotations=(rotation,)),
         task.config.agent)
     observation, _ = env.reset(seed=int(rng.integers(1 << 31)), options={'cameras': cameras})
-    episode = env.unwrapped.episode
+    episode = unwrapped(env).episode
     config = replace(simulation, rig=replace(simulation.rig, cameras=cameras))
     expert = Expert(settings, episode.simulator, config, rng)
     policy = policy_of(task.weights) if task.weights else None

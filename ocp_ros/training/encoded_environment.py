@@ -29,7 +29,7 @@ class Known(NamedTuple):
 
     :ivar scene: index into the training scenes.
     :ivar observed: (W,) uint64, packed flags in the engine's spatial order (see
-        :class:`ocp_ros.geometry.blocks.Subset`).
+        :class:`ocp_ros.geometry.packed_bits.Subset`).
     :ivar positions: (K, 3) float64, metres, map frame; float32 when it comes from a replay buffer;
         NaN for cameras that the episode does not have.
     """
@@ -93,6 +93,14 @@ def tell(encoder: Encoder, episode: Episode) -> None:
     encoder.know(None if episode.problem.rig is None else state_of(episode))
 
 
+def unwrapped(env: gym.Env) -> CameraPlacementEnv:
+    """Return the environment inside of its wrappers."""
+    inner = env.unwrapped
+    if not isinstance(inner, CameraPlacementEnv):
+        raise TypeError(f'env: found {type(inner).__name__}; expected CameraPlacementEnv')
+    return inner
+
+
 def encoded(env: CameraPlacementEnv, agent: AgentConfig) -> gym.Env:
     """
     Return an environment as the networks read it, in which an action is a move on the plane.
@@ -126,7 +134,7 @@ class PlaneMoves(gym.Wrapper):
 
     def step(self, action):
         """Play a turn."""
-        env = self.env.unwrapped
+        env = unwrapped(self.env)
         axes = np.zeros((len(action), len(env.axes)))
         axes[:, :2] = action
         if 'yaw' in env.axes:
@@ -156,7 +164,7 @@ class EncodedObservation(gym.Wrapper):
 
     def __init__(self, env: gym.Env, agent: AgentConfig) -> None:
         super().__init__(env)
-        config = env.unwrapped.config
+        config = unwrapped(env).config
         self._cameras = config.rig.cameras
         self._encoder = encoder_of(agent, config)
         self.observation_space = encoded_space(agent, self._cameras)
@@ -175,14 +183,14 @@ class EncodedObservation(gym.Wrapper):
 
     def _encoded(self) -> dict[str, np.ndarray]:
         """Encode the turn."""
-        episode = self.env.unwrapped.episode
+        episode = unwrapped(self.env).episode
         tell(self._encoder, episode)
         return padded(self._encoder(episode.observed_cloud, episode.turn.positions,
                                     episode.turn.step, episode.config.turns), self._cameras)
 
     def _known(self) -> Known:
         """Return what the observation is made from."""
-        env = self.env.unwrapped
+        env = unwrapped(self.env)
         positions = np.full((self._cameras, 3), np.nan)
         positions[:len(env.episode.turn.positions)] = env.episode.turn.positions
         return Known(env.number, env.episode.observed.bits.copy(), positions)
@@ -202,10 +210,12 @@ class CameraByCamera(gym.Wrapper):
 
     def __init__(self, env: gym.Env, agent: AgentConfig) -> None:
         super().__init__(env)
-        config = env.unwrapped.config
+        config = unwrapped(env).config
         self._encoder = encoder_of(agent, config)
         self.observation_space, self.action_space = encoded_space(agent, 1), action_space(1)
         self.encoded: EncodedTurn | None = None
+        #: The cameras that have not chosen yet, and the moves of those that have.
+        self._left, self._moves = np.empty(0, dtype=np.int64), np.empty((0, 2))
 
     def reset(self, **kwargs):
         """Begin an episode."""
@@ -232,7 +242,7 @@ class CameraByCamera(gym.Wrapper):
 
     def _begin(self) -> dict[str, np.ndarray]:
         """Take note of a turn and show it to the first camera."""
-        episode = self.env.unwrapped.episode
+        episode = unwrapped(self.env).episode
         turn = episode.turn
         tell(self._encoder, episode)
         self.encoded = self._encoder.turn(episode.observed_cloud, turn.positions, turn.step,
@@ -249,7 +259,7 @@ class CameraByCamera(gym.Wrapper):
 
     def _judge(self, camera: int) -> RewardTerms:
         """Tell what a camera's move is worth, the others being where they are by now."""
-        episode = self.env.unwrapped.episode
+        episode = unwrapped(self.env).episode
         pose = np.concatenate([self.encoded.positions[camera], episode.turn.headings[camera]])
         self._views[camera] = episode.simulator.look(pose, camera)
         before, self._value = self._value, episode.value_of(self._views)

@@ -20,7 +20,7 @@ import torch
 
 from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.encoder import encode_cloud
-from ocp_ros.geometry.blocks import spatial_order, Subset
+from ocp_ros.geometry.packed_bits import spatial_order, Subset
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.training.augmentation import symmetric
 from ocp_ros.training.encoded_environment import Known, padded
@@ -295,7 +295,8 @@ class TurnReplay(DictReplayBuffer):
         ended = self.dones[at] & ~self.timeouts[at]
         observations, next_observations = (
             {key: self.to_torch(values, copy=False) for key, values in
-             self._normalize_obs(self._observations(of, envs), env).items()}
+             self._normalize_obs(  # type: ignore[union-attr]
+                 self._observations(of, envs), env).items()}
             for of in (slots, (slots + 1) % self.slots))
         return DictReplayBufferSamples(
             observations=observations, actions=self.to_torch(self.actions[at], copy=False),

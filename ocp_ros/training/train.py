@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecMonitor
@@ -28,14 +27,14 @@ import torch
 import yaml
 
 from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.geometry.blocks import no_bits
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.geometry.packed_bits import no_bits
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.training import demonstrations
 from ocp_ros.training.encoded_environment import encoded
 from ocp_ros.training.replay_buffer import Rebuild, TurnReplay
-from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
+from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac, RigSac
 from ocp_ros.training.sac_state import load_state, new_run, save_state
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import make, PARTS, room_names, Rooms
@@ -87,7 +86,7 @@ class Run:
 
     config: TrainingConfig
     folder: Path
-    model: SAC
+    model: RigSac
     pool: WorkerPool
     progress: Progress
     name: str
@@ -331,7 +330,7 @@ def _flat(nested: dict[str, Any], prefix: str = '') -> dict[str, Any]:
     return found
 
 
-def _model(config: TrainingConfig, folder: Path) -> SAC:
+def _model(config: TrainingConfig, folder: Path) -> RigSac:
     """Build SAC; its actor may start from given weights."""
     steps = max(round(config.updates_per_turn * config.environments), 1)
     # Where moves are tried, cameras choose one after the other.

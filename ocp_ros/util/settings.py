@@ -84,7 +84,7 @@ def check_known(names, known, what: str) -> None:
 
 def _checked(name: str, item: Field, value: Any) -> Any:
     """Return a value in the setting's own type, or say why it cannot be."""
-    kind = item.type
+    kind: Any = item.type
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
     if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):

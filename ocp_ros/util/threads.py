@@ -6,7 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 import os
 from typing import TypeVar
 
-T, U = TypeVar('T'), TypeVar('U')
+T = TypeVar('T')
+U = TypeVar('U')
 
 _helpers: ThreadPoolExecutor | None = None
 _count = 1

@@ -11,7 +11,8 @@ from typing import Any, TypeVar
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.threads import cores
 
-T, U = TypeVar('T'), TypeVar('U')
+T = TypeVar('T')
+U = TypeVar('U')
 
 
 class WorkerPool:

@@ -45,7 +45,7 @@ def draw_numbers(axes: Axes, places: np.ndarray, size: float, taken: np.ndarray 
     """
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     box = axes.get_position(original=True)
-    width, height = axes.figure.get_size_inches()
+    width, height = axes.get_figure(root=True).get_size_inches()
     unit = max((right - left) / (box.width * width), (top - bottom) / (box.height * height))
     least = APART * size * unit
     for number, (place, label) in enumerate(zip(places, apart(places, least, taken))):
@@ -54,8 +54,8 @@ def draw_numbers(axes: Axes, places: np.ndarray, size: float, taken: np.ndarray 
             axes.plot(*np.stack([place, label]).T, color=colour, linewidth=1.0, zorder=6)
         axes.plot(*place, 'o', color=colour, markersize=3.5, markeredgecolor='white',
                   markeredgewidth=0.6, zorder=6)
-        axes.text(*label, str(number + 1), fontsize=size, fontweight='bold', color='white',
-                  ha='center', va='center', zorder=7, clip_on=False,
+        axes.text(label[0], label[1], str(number + 1), fontsize=size, fontweight='bold',
+                  color='white', ha='center', va='center', zorder=7, clip_on=False,
                   bbox={'boxstyle': 'circle,pad=0.22', 'facecolor': dark(colour),
                         'edgecolor': 'white', 'linewidth': 0.8})
 

@@ -74,8 +74,9 @@ def draw_table(figure: Figure, box: tuple[float, float, float, float], rows: Seq
                         fontsize=size, fontweight='bold' if bold else 'normal', va='center',
                         color=PALE_INK if n == 0 else colours[n - 1] if k == 0 else INK)
             at += wide + GAP
-        line = figure.add_artist(_line(left, left + width, y - 0.5 * step, figure))
+        line = _line(left, left + width, y - 0.5 * step, figure)
         line.set_linewidth(0.8 if n == 0 else 0.3)
+        figure.add_artist(line)
 
 
 def _squeezed(columns: Sequence[float], room: float) -> list[float]:

@@ -42,8 +42,8 @@ def figure_of(scene: Scene, placement: Placement) -> Figure:
     letters = np.array([(np.mean(x), y[0] + margin), (x[0] + margin, np.mean(y)),
                         (np.mean(x), y[1] - margin), (x[1] - margin, np.mean(y))])
     for wall, at in zip(walls, letters):
-        axes.text(*at, wall.letter, fontsize=LETTERS, fontweight='bold', color=INK, ha='center',
-                  va='center')
+        axes.text(at[0], at[1], wall.letter, fontsize=LETTERS, fontweight='bold', color=INK,
+                  ha='center', va='center')
     places = np.array([frame @ placed.position[:2] for placed in placement.cameras])
     corners = np.concatenate([places, np.column_stack([x, y])])
     low, high = corners.min(axis=0) - 2.0 * margin, corners.max(axis=0) + 2.0 * margin

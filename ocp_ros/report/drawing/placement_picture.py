@@ -158,7 +158,7 @@ def draw_ball(axes: Axes, at: np.ndarray, label: str, colour: str) -> None:
     alpha = np.clip((1.0 - r) * 16.0, 0.0, 1.0)[..., None]
     image = OffsetImage(np.concatenate([np.clip(shaded, 0.0, 1.0), alpha], 2), zoom=0.44)
     axes.add_artist(AnnotationBbox(image, at, frameon=False, pad=0.0, zorder=6))
-    axes.text(*at, label, color='white', fontsize=11, fontweight='bold', ha='center',
+    axes.text(at[0], at[1], label, color='white', fontsize=11, fontweight='bold', ha='center',
               va='center_baseline', zorder=7,
               path_effects=[patheffects.withStroke(linewidth=2.2, foreground=INK)])
 

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 import struct
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ocp_ros.util.settings import ConfigurationError
 
@@ -154,7 +154,8 @@ class Bag:
         :raises BrokenMessage: if it is none.
         """
         try:
-            return self._store.deserialize_cdr(cdr, TRANSFORMS).transforms
+            message: Any = self._store.deserialize_cdr(cdr, TRANSFORMS)
+            return message.transforms
         except Exception as error:
             raise BrokenMessage(f'transforms: found a message that is none ({error}); expected '
                                 'one; it is left out') from error

@@ -21,7 +21,7 @@ from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.camera_info import camera_info
 from ocp_ros.ros.interface.conversions import cloud_with
 from ocp_ros.ros.interface.markers import rig_markers
-from ocp_ros.ros.interface.on_demand import OnDemand
+from ocp_ros.ros.interface.on_demand_publisher import OnDemand
 from ocp_ros.simulation.point_maps import PointMaps
 
 #: Metres that a camera has to move for its way to go on.

@@ -64,7 +64,7 @@ class Experiences:
 
         :param stamp: of the turn, nanoseconds.
         :param turn: turns of the episode before it.
-        :param targets: (K, 3) metres: where the cameras were sent.
+        :param targets: (K, 3) metres: where the cameras were sent, those in place left out.
         """
         choices = self._policy().take()
         whole = sum(len(choice.actions) for choice in choices) == len(targets)

@@ -49,7 +49,7 @@ def follow(node: Node, change: Callable[[T], None]) -> None:
     :param node: one whose ``config`` :func:`declare` has returned.
     :param change: is called with the new configuration, once it is in effect.
     """
-    cls = type(node.config)
+    cls = type(node.config)  # type: ignore[attr-defined]
     settings = leaves(cls)
 
     def apply(parameters: list[Parameter]) -> None:
