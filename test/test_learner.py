@@ -123,7 +123,8 @@ def test_incomplete_turns_are_dropped_and_counted():
 
 
 @pytest.mark.parametrize('change', [
-    {'positions': np.ones((2, 3))}, {'positions': np.zeros((3, 3))}, {'step': 2},
+    {'positions': np.ones((2, 3))}, {'positions': np.zeros((3, 3)), 'shares': (0.0,) * 3},
+    {'positions': np.zeros((1, 3))}, {'step': 2},
     {'shares': (0.1,)}, {'shares': ()}])
 def test_a_turn_that_something_else_made_is_no_transition(change):
     assembler = Assembler()
@@ -133,6 +134,14 @@ def test_a_turn_that_something_else_made_is_no_transition(change):
     assert assembler.add_reward(Reward(
         1, 2, change.get('step', 1), 0.0, change.get('shares', (0.0, 0.0)), False)) == []
     assert (assembler.assembled, assembler.inconsistent) == (0, 1)
+
+
+def test_cameras_in_place_come_behind_those_that_move():
+    assembler = Assembler()
+    for stamp in (1, 2):
+        assembler.add_experience(experience(stamp, stamp - 1))
+    assembler.add_positions(2, np.array([[0.0] * 3, [0.0] * 3, [5.0] * 3]))
+    assert len(assembler.add_reward(Reward(1, 2, 1, 0.0, (0.1, 0.2), False))) == 2
 
 
 def test_a_learner_that_was_killed_loses_only_what_came_since_it_saved(small_agent, tmp_path):

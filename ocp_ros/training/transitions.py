@@ -130,9 +130,10 @@ class Assembler:
     def _turn(self, reward: Reward) -> list[Transition]:
         """Return the transitions of a turn, unless something else than the policy made it."""
         before, after = (self._experiences[at] for at in (reward.previous, reward.stamp))
-        # Behind the cameras that were sent somewhere come those in place.
-        choices, count = before.choices, len(before.targets)
-        positions = self._positions[reward.stamp][:count]
+        choices, positions = before.choices, self._positions[reward.stamp]
+        if len(reward.shares) == len(before.targets):
+            # Those that have a share are the cameras that move; those in place come behind them.
+            positions = positions[:len(reward.shares)]
         shares = reward.shares if len(choices) > 1 else (reward.reward,)
         if (before.targets.shape != positions.shape or before.turn != reward.step - 1
                 or len(shares) != len(choices)
