@@ -95,12 +95,9 @@ class Protocol:
             raise ConfigurationError(
                 f'rig.sensors: found {self.simulation.rig.sensors!r}; expected omnidirectional: '
                 'planners choose where cameras are, not where they look')
-        if self.simulation.rig_file and any(self.rotations):
-            rig = load_rig(self.simulation.rig_file)
-            if rig.anchored:
-                raise ConfigurationError(
-                    f'rotations: found {list(self.rotations)} with {rig.document.name}, whose '
-                    'fixed, no_go or regions are places in the map; expected 0 alone')
+        if self.simulation.rig_file:
+            load_rig(self.simulation.rig_file).check_rotations(
+                self.rotations, f'rotations: found {list(self.rotations)}', '0 alone')
         if not self.rooms or not self.budgets or min(self.budgets) < 1 or self.seeds < 1:
             raise ConfigurationError(
                 f'protocol: found {len(self.rooms)} rooms, budgets {list(self.budgets)} and '

@@ -36,7 +36,8 @@ class Decoder:
     """
 
     def __init__(self, problem: Problem, pool: Pool) -> None:
-        self.objective, self.region, self.pool = problem.objective, problem.region, pool
+        self.problem, self.pool = problem, pool
+        self.objective, self.region = problem.objective, problem.region
         self.rig, simulator = problem.rig, problem.simulator
         self._quick = quick_of(problem.objective)
         nothing = simulator.nothing().bits.nbytes + len(simulator.grid) // 8

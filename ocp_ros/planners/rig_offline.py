@@ -71,9 +71,9 @@ class RigScorer:
 
     def _cloud(self, sites: Sequence[Site]) -> np.ndarray:
         """Return the points that any camera sees: (M, 3) float32, metres, map frame."""
-        objective = self.decoder.objective
-        simulator, seen = objective.simulator, objective.simulator.nothing()
-        for view in (*views_of(sites), *objective.fixed):
+        problem = self.decoder.problem
+        simulator, seen = problem.simulator, problem.nothing()
+        for view in views_of(sites):
             seen |= Subset(view.seen, simulator.visibility.order)
         return simulator.scene.points[seen.mask]
 

@@ -19,7 +19,6 @@ from ocp_ros.planners.rig_search import Answer, Progress, views_of
 from ocp_ros.planners.rollout import play
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import described, Problem
-from ocp_ros.simulation.simulation_config import SimulationConfig
 
 
 def play_online(name: str, problem: Problem, pool: Pool, budget: Budget, seed: int,
@@ -38,8 +37,8 @@ def play_online(name: str, problem: Problem, pool: Pool, budget: Budget, seed: i
     :raises ConfigurationError: if there is no placement.
     """
     check_room(problem.objective, pool)
-    online = ONLINE[name](SimulationConfig(described(problem.rig)),
-                          np.random.default_rng([seed, 1]), model)
+    config = replace(problem.simulator.config, rig=described(problem.rig))
+    online = ONLINE[name](config, np.random.default_rng([seed, 1]), model)
     episode = Episode(problem, np.random.default_rng([seed, 0]))
     turns = min(episode.config.turns, budget.evaluations or episode.config.turns)
     episode.config = replace(episode.config, turns=turns)

@@ -56,9 +56,6 @@ def play(online: Online, episode: Episode, over: Callable[[int], bool] = lambda 
         command = step(cloud, state, episode.turn.step, config.turns)
         seconds.append(clock() - began)
         move = (command.placement - state.placement)[:state.movable, :3]
-        if rig is None:
-            states.append(episode.move(move[:, :2]))
-        else:
-            states.append(episode.move(move, command.placement[:state.movable, 3:]))
+        states.append(episode.move(move, command.placement[:state.movable, 3:]))
     return Outcome(np.array([state.positions for state in states]),
                    np.array([state.depth_error for state in states]), np.array(seconds))

@@ -31,6 +31,14 @@ def drawn_near(rng: np.random.Generator, count: int, radius: float) -> np.ndarra
     return length[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
+def outwards(count: int, pitch: float) -> np.ndarray:
+    """Turn cameras to all sides: (count, 3) yaw, pitch and roll in radians."""
+    headings = np.zeros((count, 3))
+    headings[:, 0] = 2.0 * np.pi * np.arange(count) / count
+    headings[:, 1] = pitch
+    return headings
+
+
 def towards(positions: np.ndarray, targets: np.ndarray, reach: float) -> np.ndarray:
     """
     Go from positions (K, 2) to targets (K, 2), metres, but no farther than some reach, metres.

@@ -7,6 +7,7 @@ import numpy as np
 
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.rig.motion import outwards
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.rig.structure import floor_height, MountSurface, STAND_OFF
 from ocp_ros.scenes.scene import Scene
@@ -135,13 +136,10 @@ def first_headings(rig: Rig, positions: np.ndarray, middle: np.ndarray) -> np.nd
     :param middle: (2,) metres, of the room.
     :returns: (K, 3) yaw, pitch and roll in radians.
     """
-    count = len(positions)
-    headings = np.zeros((count, 3))
-    headings[:, 0] = FULL_TURN * np.arange(count) / count
+    headings = outwards(len(positions), float(np.clip(0.0, *rig.pitch)))
     if rig.mount.on == 'walls':
         way = middle - positions[:, :2]
         headings[:, 0] = np.arctan2(way[:, 1], way[:, 0])
-    headings[:, 1] = np.clip(0.0, *rig.pitch)
     return headings
 
 

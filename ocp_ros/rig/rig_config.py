@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.rig.motion import outwards
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.util.settings import check_known, ConfigurationError, MOST_CAMERAS, setting
 
@@ -62,7 +63,4 @@ class RigConfig:
     @property
     def headings(self) -> np.ndarray:
         """Return how the cameras of an episode are turned, outwards: (K, 3) yaw, pitch, roll."""
-        headings = np.zeros((self.cameras, 3))
-        headings[:, 0] = 2.0 * np.pi * np.arange(self.cameras) / self.cameras
-        headings[:, 1] = self.tilt
-        return headings
+        return outwards(self.cameras, self.tilt)

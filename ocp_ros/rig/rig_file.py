@@ -6,7 +6,7 @@ In files angles are degrees, here they are radians; docs/rig.md explains every k
 """
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -135,10 +135,19 @@ class Rig:
         aimed = any(not camera.model.omnidirectional for camera in self.cameras)
         return ('x', 'y', *upwards, *(('yaw', 'pitch') if aimed else ()))
 
-    @property
-    def anchored(self) -> bool:
-        """Return whether it names places in the map, which do not turn with the room."""
-        return bool(self.fixed or self.no_go or self.regions)
+    def check_rotations(self, degrees: Iterable[float], found: str, expected: str) -> None:
+        """
+        Refuse rooms that are turned where places in the map, which are not, belong to the rig.
+
+        :param degrees: by which rooms are turned.
+        :param found: the setting that says so and its value, as the message begins.
+        :param expected: the value that goes with this rig.
+        :raises ConfigurationError: if there are such places, and rooms are turned.
+        """
+        if any(degrees) and (self.fixed or self.no_go or self.regions):
+            raise ConfigurationError(
+                f'{found} with {self.document.name}, whose fixed, no_go or regions are places in '
+                f'the map; expected {expected}: they do not turn with the room')
 
     @property
     def fixed_poses(self) -> np.ndarray:

@@ -176,7 +176,7 @@ class PolicyNode(Node):
                              self._decider.widest, self.config)
         if self._experiences:
             # Cameras in place come last, and nobody chooses for them.
-            moved = target[:self._decider.state(poses).movable]
+            moved = target[:self._decider.movable(poses)]
             self._experiences.tell(stamp_to_ns(poses.header.stamp), self._step, moved)
         self._counts['turns_answered'] += 1
         self._step += 1

@@ -190,8 +190,7 @@ class SimNode(Node):
             return
         # Cameras in place stay, whatever a command says of them.
         positions = self.episode.turn.positions
-        moves = target[:len(positions)] - positions
-        self.episode.move(moves[:, :2] if self.problem.rig is None else moves, headings)
+        self.episode.move(target[:len(positions)] - positions, headings)
         self._publish_turn()
         if self.episode.turn.truncated and self.config.auto_reset:
             self._begin()

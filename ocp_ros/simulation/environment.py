@@ -86,6 +86,8 @@ class CameraPlacementEnv(gym.Env):
         if self.fewest < cameras and len(self.config.rig.models) > 1:
             raise ValueError(f'fewest: found {self.fewest} with several kinds of camera; expected '
                              f'{cameras}: which of them would be left out?')
+        #: Of the rig file; None where there is none.
+        self.rig = load_rig(self.config.rig_file) if self.config.rig_file else None
         self.axes = self._read_axes()
         shapes = {'cloud': (observation_points, 3), 'camera_positions': (cameras, 3),
                   'bounds': (2, 3), 'present': (cameras,)}
@@ -98,17 +100,13 @@ class CameraPlacementEnv(gym.Env):
 
     def _read_axes(self) -> tuple[str, ...]:
         """Return what an action changes of each camera."""
-        if not self.config.rig_file:
+        if self.rig is None:
             return PlaneProblem.axes
-        rig, cameras = load_rig(self.config.rig_file), self.config.rig.cameras
+        rig, cameras = self.rig, self.config.rig.cameras
         if self.fewest < cameras:
             raise ConfigurationError(f'fewest: found {self.fewest} with a rig file; expected '
                                      f'{cameras}, all cameras that {rig.document.name} lists')
-        if rig.anchored and any(self.rotations):
-            raise ConfigurationError(
-                f'rotations: found {self.rotations} with {rig.document.name}, whose fixed, no_go '
-                'or regions are places in the map; expected 0 alone: they do not turn with the '
-                'room')
+        rig.check_rotations(self.rotations, f'rotations: found {self.rotations}', '0 alone')
         return rig.axes
 
     def _make_problem(self, index: int, rotation: float) -> PlaneProblem | Problem:

@@ -42,20 +42,20 @@ class Episode:
     :param problem: the rig in the scene.
     :param rng: where the cameras start is drawn from it.
     :param cameras: how many there are; those of the problem unless told otherwise.
+    :ivar views: what each camera that is to be placed sees now.
+    :ivar value: space coverage, cubic metres, and the error of rewards, metres, now; see
+        :meth:`value_of`.
     """
 
     def __init__(self, problem: PlaneProblem | Problem, rng: np.random.Generator,
                  cameras: int | None = None) -> None:
         self.problem, self.config = problem, problem.simulator.config.episode
         self.observed = problem.nothing()
-        self._views: list[View] = []
-        #: Space coverage and the error that rewards are made of, of the current placement.
-        self._value = 0.0, 0.0
         count = len(problem.models) - len(problem.fixed_poses)
         start = problem.start(rng, self.config, count if cameras is None else cameras)
         self.turn = self._look(0, start)
         #: The value before the turn, and what each camera saw then.
-        self._before = self._value, self._views
+        self._before = self.value, self.views
 
     @property
     def simulator(self) -> Simulator:
@@ -77,13 +77,13 @@ class Episode:
         """
         Play one turn.
 
-        :param moves: (K, 2) metres on the plane, or (K, 3); a longer one than ``max_step`` is
-            shortened.
+        :param moves: (K, 2) metres on the plane, or (K, 3), of which a plane leaves out the
+            height; a longer one than ``max_step`` is shortened.
         :param headings: (K, 3) yaw, pitch and roll in radians; None for cameras that stay turned
             as they are.
         :returns: the new state, also kept as ``turn``.
         """
-        moves = np.asarray(moves, dtype=np.float64)
+        moves = np.asarray(moves, dtype=np.float64)[:, :self.problem.dimensions]
         length = np.linalg.norm(moves, axis=1, keepdims=True)
         poses = np.hstack([self.turn.positions, self.turn.headings])
         target = poses.copy()
@@ -92,9 +92,9 @@ class Episode:
         if headings is not None:
             target[:, 3:] = headings
         target, outside = self.problem.reached(poses, target, self.config)
-        self._before = before, _ = self._value, self._views
+        self._before = before, _ = self.value, self.views
         turn = self._look(self.turn.step + 1, target)
-        self.turn = replace(turn, terms=self.reward(before, self._value, outside))
+        self.turn = replace(turn, terms=self.reward(before, self.value, outside))
         return self.turn
 
     def shares(self, order: Sequence[int]) -> list[RewardTerms]:
@@ -109,7 +109,7 @@ class Episode:
         before, views = self._before
         views, found = list(views), []
         for camera in order:
-            views[camera] = self._views[camera]
+            views[camera] = self.views[camera]
             after = self.value_of(views)
             found.append(self.reward(before, after))
             before = after
@@ -129,9 +129,9 @@ class Episode:
 
     def _look(self, step: int, poses: np.ndarray) -> Turn:
         """Judge the placement (K, 6) and remember what it sees."""
-        self._views = self.problem.look(poses)
-        result = self.problem.judge(self._views)
-        self._value = result.space_coverage, self.problem.error(result)
+        self.views = self.problem.look(poses)
+        result = self.problem.judge(self.views)
+        self.value = result.space_coverage, self.problem.error(result)
         self.observed |= result.seen
         return Turn(step, poses[:, :3].copy(), poses[:, 3:].copy(), result.space_coverage,
                     result.depth_error, NO_REWARD, truncated=step >= self.config.turns)

@@ -8,6 +8,7 @@ move freely on a horizontal plane. Whoever plays an episode need not know which 
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -66,11 +67,13 @@ class PlaneProblem:
     :param simulator: the engine, with the settings of rig, episode and reward.
     :ivar rig: None: there is no rig file.
     :ivar axes: what an action changes, see :attr:`ocp_ros.rig.rig_file.Rig.axes`.
+    :ivar dimensions: in which cameras move.
     :ivar fixed_poses: (0, 6), no camera is in place.
     """
 
     rig: Rig | None = None
     axes: tuple[str, ...] = ('x', 'y')
+    dimensions = 2
 
     def __init__(self, simulator: Simulator) -> None:
         self.simulator = simulator
@@ -136,8 +139,10 @@ class Problem:
 
     :ivar objective: judges placements; its simulator is the engine.
     :ivar region: where its cameras may be.
+    :ivar dimensions: in which cameras move.
     """
 
+    dimensions: ClassVar[int] = 3
     objective: Objective
     region: FeasibleRegion
 

@@ -13,7 +13,6 @@ from ocp_ros.agent.encoder import EncodedTurn, Encoder, order_of, PER_CAMERA
 from ocp_ros.agent.heading_planner import HeadingPlanner
 from ocp_ros.planners.rollout import state_of
 from ocp_ros.rig.motion import bounded_moves, way_between
-from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
@@ -122,7 +121,7 @@ class PlaneMoves(gym.Wrapper):
 
     def __init__(self, env: CameraPlacementEnv) -> None:
         super().__init__(env)
-        config, rig = env.config, load_rig(env.config.rig_file)
+        config, rig = env.config, env.rig
         self.action_space = action_space(config.rig.cameras)
         self._aim = HeadingPlanner(rig.models, len(rig.cameras), rig.pitch,
                                    config.episode.wall_margin)
@@ -249,8 +248,7 @@ class CameraByCamera(gym.Wrapper):
                                           episode.config.turns)
         self._left = order_of(turn.step, len(turn.positions))
         self._moves = np.zeros((len(turn.positions), 2))
-        self._views = episode.problem.look(np.hstack([turn.positions, turn.headings]))
-        self._value = episode.value_of(self._views)
+        self._views, self._value = list(episode.views), episode.value
         return self._observation()
 
     def _observation(self) -> dict[str, np.ndarray]:

@@ -165,11 +165,8 @@ class TrainingConfig:
         rig = load_rig(self.simulation.rig_file)
         object.__setattr__(self, 'simulation', settings_for(self.simulation))
         object.__setattr__(self, 'fewest_cameras', len(rig.cameras))
-        if rig.anchored and any(self.rooms.angles):
-            raise ConfigurationError(
-                f'rooms.rotations: found {self.rooms.rotations!r} with {rig.document.name}, whose '
-                "fixed, no_go or regions are places in the map; expected '0': they do not turn "
-                'with the rooms')
+        rig.check_rotations(self.rooms.angles,
+                            f'rooms.rotations: found {self.rooms.rotations!r}', "'0'")
         if self.demonstrations.rounds and self.demonstrations.expert in OFFLINE:
             raise ConfigurationError(
                 f'demonstrations.expert: found {self.demonstrations.expert!r} with a rig file; '

@@ -87,6 +87,10 @@ class Decider:
         """Return whether a policy plays without lookahead, which refines to the end."""
         return self.planner is self.learned
 
+    def movable(self, poses: PoseArray) -> int:
+        """Return how many cameras are to be placed; they come first, then those in place."""
+        return len(poses.poses) if self.rig is None else len(self.rig.cameras)
+
     def check(self, cloud: np.ndarray, poses: PoseArray) -> None:
         """
         Refuse what is no turn.
@@ -113,9 +117,9 @@ class Decider:
             is missing.
         """
         count = len(poses.poses)
-        models, movable, pitch = self.models * count, count, (0.0, 0.5 * np.pi)
+        models, movable, pitch = self.models * count, self.movable(poses), (0.0, 0.5 * np.pi)
         if self.rig is not None:
-            models, movable, pitch = self.rig.models, len(self.rig.cameras), self.rig.pitch
+            models, pitch = self.rig.models, self.rig.pitch
             if count not in (movable, movable + len(self.rig.fixed)):
                 others = f', or {movable + len(self.rig.fixed)} with those in place' \
                     if self.rig.fixed else ''
