@@ -101,6 +101,7 @@ class Loop:
         graph.remove(self.policy)
 
 
+@pytest.mark.system
 def test_a_simulated_rig_that_is_turned_ends_better_and_within_the_limits(graph, probe, rig_file):
     still, turned = (Loop(graph, probe, rig_file, max_turn=most) for most in (0.0, 0.4))
     assert turned.first.depth_error == still.first.depth_error

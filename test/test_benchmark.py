@@ -201,6 +201,7 @@ def test_intervals_and_ranks_tell_planners_apart():
     assert ranks({'a': base[:2], 'b': base[:2]})['friedman_p'] is None
 
 
+@pytest.mark.system
 def test_the_command_compares_and_reports(tmp_path, capsys):
     np.save(tmp_path / 'small.npy', generate_room(1, 2500).points)
     arguments = ['benchmark', '--rooms', str(tmp_path), '--planners',
@@ -305,6 +306,7 @@ mount: {on: walls, height: [1.6, 2.2]}
 """
 
 
+@pytest.mark.system
 def test_planners_are_compared_for_a_rig_file(tmp_path, capsys):
     (tmp_path / 'rig.yaml').write_text(D455)
     save_scene(generate_room(3, 2500), tmp_path / 'rooms' / 'room.ply')

@@ -34,6 +34,7 @@ def check(out, turns, cameras):
     return result
 
 
+@pytest.mark.system
 def test_the_demo_places_cameras_in_the_default_room(tmp_path, capsys):
     assert demo.main(['--out', str(tmp_path)]) == 0
     result = check(tmp_path, 30, 4)

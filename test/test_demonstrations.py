@@ -218,6 +218,7 @@ def test_an_expert_that_knows_the_room_goes_straight_to_its_placement(room):
     assert np.allclose(steps[:, unfinished], 0.5)
 
 
+@pytest.mark.system
 def test_an_expert_that_plans_leads_to_a_better_end(small_agent):
     ends = {name: np.mean([
         demonstrate(task_of(small_agent, number, 1.0, expert=name, stray=stray,
@@ -350,6 +351,7 @@ def moves_shown(folder, rounds):
     return turns_played(load_rounds(folder / 'demonstrations', rounds))
 
 
+@pytest.mark.system
 def test_a_run_of_demonstrations_alone_goes_on_where_it_stopped(tmp_path, here):
     first = train(from_nested(TrainingConfig, SHOWN), tmp_path)
     lines = lines_of(tmp_path)
@@ -401,6 +403,7 @@ def test_a_run_that_was_killed_between_play_and_fit_plays_nothing_twice(
     assert again.updates == lines[-1]['updates']
 
 
+@pytest.mark.system
 def test_a_run_imitates_first_and_then_learns_by_itself(tmp_path, here):
     config = from_nested(TrainingConfig, {
         **SHOWN, 'interactions': 24, 'sac': {**TINY['sac'], 'burn_in': 6}})

@@ -160,6 +160,7 @@ def commands():
 CHEAP = {('score',), ('view',), ('rooms', 'list'), ('rooms', 'make'), ('rooms', 'preview')}
 
 
+@pytest.mark.system
 @pytest.mark.parametrize('command', commands(), ids=' '.join)
 def test_every_command_in_the_documentation_can_be_run(command, tmp_path, monkeypatch, capsys):
     from ocp_ros.cli import main as cli

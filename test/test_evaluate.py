@@ -70,6 +70,7 @@ def test_evaluate_plays_scans_with_each_number_of_cameras(tmp_path, capsys):
     assert '1 cameras' in capsys.readouterr().out
 
 
+@pytest.mark.system
 def test_evaluate_takes_a_rig_file_and_weights(tmp_path, capsys):
     rig, scan = tmp_path / 'rig.yaml', tmp_path / '8.ply'
     rig.write_text('cameras: [{sensor: realsense_d455}]\nmount: {on: ceiling}\n')

@@ -182,8 +182,13 @@ def test_a_change_in_one_place_alone_is_found(tmp_path, page, old, new, says):
     root = tree(tmp_path)
     change(root / page, old, new)
     assert any(says in fault for fault in published_figures.faults(root))
+
+
+def test_the_tool_says_what_changed_and_fails(tmp_path):
+    root = tree(tmp_path)
+    change(root / 'docs/training.md', '<!--=sampling.all_100000_ms-->', '')
     done = tool('figures', '--root', str(root), 'check')
-    assert done.returncode == 1 and says in done.stdout
+    assert done.returncode == 1 and 'found on no page' in done.stdout
 
 
 @given(value=st.floats(-1e7, 1e7), digits=st.integers(0, 6))

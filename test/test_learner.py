@@ -144,6 +144,7 @@ def test_cameras_in_place_come_behind_those_that_move():
     assert len(assembler.add_reward(Reward(1, 2, 1, 0.0, (0.1, 0.2), False))) == 2
 
 
+@pytest.mark.system
 def test_a_learner_that_was_killed_loses_only_what_came_since_it_saved(small_agent, tmp_path):
     """What a killed process leaves is what is in its folder, copied while it works."""
     config = LearnerConfig(folder=str(tmp_path / 'a'), publish_every=4, save_every=8)

@@ -153,6 +153,7 @@ def off(points, others):
     return cKDTree(others).query(points)[0].max()
 
 
+@pytest.mark.system
 def test_a_live_rig_comes_to_its_final_placement(live, room):
     rig, policy = live.start(turns=6)
     first = rig.episode.turn

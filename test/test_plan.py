@@ -237,6 +237,7 @@ def test_more_cameras_are_worth_no_less(furnished):
         assert plan.everywhere.loss <= plan.worth.loss
 
 
+@pytest.mark.system
 def test_counting_up_needs_as_many_as_planning_each_number_anew():
     up, anew = curves('8', 'omnidirectional', 1000, 3, 2000, 0)
     for target in (0.4, 0.75, 0.93):
@@ -425,6 +426,7 @@ def test_ctrl_c_while_drawing_leaves_the_placement(files, capsys, monkeypatch):
         assert load_placement(files / f'out/plan/placement.{suffix}').poses.shape == (2, 6)
 
 
+@pytest.mark.system
 def test_ctrl_c_writes_the_best_so_far(files):
     process = subprocess.Popen(
         [sys.executable, '-c', INTERRUPTED, 'plan', 'room.ply', '--rig', 'rig.yaml', '--seconds',

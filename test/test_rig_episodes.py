@@ -170,6 +170,7 @@ def test_a_policy_learns_where_cameras_are_and_a_planner_turns_them(room, settin
     assert np.abs(last[:, 3] - first[:, 3]).min() > 0.05
 
 
+@pytest.mark.system
 def test_ocp_train_takes_a_rig_file(tmp_path, here, settings):
     rig = settings(rig_text(count=2)).rig_file
     simulation = {**TINY['simulation'], 'rig_file': rig}
@@ -187,7 +188,6 @@ def test_ocp_train_takes_a_rig_file(tmp_path, here, settings):
 
 
 def test_sim_node_plays_a_rig_file_with_policy_node(graph, probe, room, tmp_path, settings):
-    pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
     from geometry_msgs.msg import PoseArray
 
     from ocp_ros.ros.interface import qos, topics

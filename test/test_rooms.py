@@ -190,6 +190,7 @@ def test_rooms_are_listed_made_and_drawn(tmp_path, capsys):
     assert 'found no such file' in capsys.readouterr().err
 
 
+@pytest.mark.system
 def test_generated_rooms_are_as_full_as_real_ones():
     """The figures of the sheet, on a few rooms: walls, furniture and clutter all have a share."""
     shares = dict(zip(KINDS, shares_of_kinds(range(12), 3000)))

@@ -134,6 +134,7 @@ sys.stdin.read()
 """
 
 
+@pytest.mark.system
 @pytest.mark.parametrize('early', [True, False])
 def test_a_node_ends_with_its_parent_and_keeps_its_domain_until_then(tmp_path, early):
     log = tmp_path / 'log'

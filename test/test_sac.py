@@ -245,6 +245,7 @@ print('the same without')
 """
 
 
+@pytest.mark.system
 def test_weights_run_without_what_trained_them(room, small_agent, tmp_path):
     names = []
     for inputs in ('world', 'cloud', 'both'):
@@ -358,6 +359,7 @@ def test_weights_go_into_sac_and_come_out(agent):
         load_actor(model, other)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize('inputs', ['world', 'cloud'])
 def test_the_same_seed_is_the_same_training(room, small_agent, inputs):
     """The same seed, the same training: the replay is filled, and learned from in ten episodes."""
@@ -376,6 +378,7 @@ def test_the_same_seed_is_the_same_training(room, small_agent, inputs):
     assert not any(torch.equal(one[name], value) for name, value in before.items())
 
 
+@pytest.mark.system
 def test_training_resumes_where_it_stopped(env, agent, tmp_path):
     model = make_sac(SAC, agent, 4, env, seed=1)
     model.learn(30)

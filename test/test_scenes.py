@@ -143,11 +143,11 @@ def test_nearest_points_are_those_of_a_tree(seed, kind, count, neighbours):
 
 
 def test_no_generated_room_warns():
-    assert {likely_up_axis(room(seed).points) for seed in range(41)} == {'z'}
+    assert {likely_up_axis(room(seed).points) for seed in range(20)} == {'z'}
 
 
 def test_most_generated_rooms_lying_down_are_noticed():
-    rooms = [room(seed).points for seed in range(41)]
+    rooms = [room(seed).points for seed in range(20)]
     for up, turn in (('y', TO_Y_UP), ('x', TO_X_UP)):
         guesses = [likely_up_axis(turned(points, turn)) for points in rooms]
         assert guesses.count(up) > 0.75 * len(rooms) and set(guesses) <= {up, 'z'}

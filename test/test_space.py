@@ -3,7 +3,7 @@
 
 from dataclasses import replace
 
-from conftest import l_shaped
+from conftest import l_shaped, made_room
 from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
@@ -15,7 +15,6 @@ from ocp_ros.planners.registry import OFFLINE
 from ocp_ros.planners.solve import solve
 from ocp_ros.rig.free_plane import EDGE, floor_of, FreePlane
 from ocp_ros.scenes.scene import turned
-from ocp_ros.scenes.synthetic.generator import generate_room
 
 #: Metres by which the floor may reach round an inner corner: two cells.
 CORNER = 2.0 * EDGE
@@ -172,7 +171,7 @@ def test_a_courtyard_is_no_floor():
 @pytest.mark.parametrize('count', [1000, 1500, 2000, 3000])
 def test_few_points_still_make_a_floor(count):
     """Where points are sparse, gaps between them are no gaps of the floor."""
-    full, few = (FreePlane.of(generate_room(3001, n).points, 1.9, 4, 0.1) for n in (15000, count))
+    full, few = (FreePlane.of(made_room(3001, n).points, 1.9, 4, 0.1) for n in (15000, count))
     assert few.area > 0.6 * full.area
     ends = few.random(np.random.default_rng(0), 200)
     assert full.contains(ends).mean() > 0.95

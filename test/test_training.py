@@ -80,6 +80,7 @@ TINY = {'interactions': 48, 'environments': 2, 'evaluate_every': 24, 'workers': 
         'sac': {'learning_starts': 12, 'batch_size': 8, 'buffer_size': 400, 'device': 'cpu'}}
 
 
+@pytest.mark.system
 def test_a_run_reports_on_rooms_it_never_saw_and_goes_on_when_it_is_started_again(
         tmp_path, here):
     config = from_nested(TrainingConfig, TINY)
