@@ -18,9 +18,12 @@ import yaml
 
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.report.assessment import Assessment
+from ocp_ros.report.camera_words import words_for
 from ocp_ros.report.exports import launch_of, rviz_of, table_of, xacro_of
 from ocp_ros.report.findings import scores_of
-from ocp_ros.report.installer import instructions, walls_around, words_for
+from ocp_ros.report.installer import instructions
+from ocp_ros.report.wall_references import WallReferences, walls_around
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import load_placement, placement_of, save_placement
 from ocp_ros.rig.rig_file import load_rig, rig_of
@@ -285,6 +288,19 @@ def test_the_table_has_a_row_for_each_camera(mixed):
     assert float(rows[1]['horizontal_fov']) == 91.3 and rows[1]['sensor'] == ''
 
 
+def told(room, placed, floor):
+    """Return what an installer is told of one camera."""
+    references = WallReferences(room, np.array([placed.position]))
+    return words_for(placed, references.distances[0], references.sides, floor, room.source)
+
+
+def page_of(room, placement, **more):
+    """Return the installer's page of a placement."""
+    engine = EngineConfig(preset='fast', error_rows=32)
+    problem = Problem.of(room, placement.rig_in(room), SimulationConfig(engine=engine))
+    return instructions(Assessment(problem.objective, placement, {}, **more), 'plan.png')
+
+
 @pytest.mark.parametrize('angle', [0.0, 17.0, -40.0])
 def test_the_rectangle_is_that_of_the_walls_however_the_room_stands(angle):
     room = generate_room(3, 8000)
@@ -311,7 +327,7 @@ def test_a_side_without_a_wall_is_said_to_be_none():
     assert [wall.stands for wall in walls_around(room)] == [True, False, True, True]
     assert [wall.length for wall in walls_around(room)] == pytest.approx([6, 4, 6, 4], abs=0.02)
     placement = placement_of(rig_of(1), np.array([[3.0, 2.0, 1.9]]))
-    assert 'B 4.00 m (no wall stands there' in instructions(room, placement, 'plan.png')
+    assert 'B 4.00 m (no wall stands there' in page_of(room, placement)
 
 
 def test_the_rectangle_lies_along_the_walls_and_not_along_the_scan():
@@ -339,27 +355,26 @@ def test_the_rectangle_lies_along_the_walls_and_not_along_the_scan():
     ('d455', [2.9, 1.0, 0.3, 90, -90, 0], ('100 cm from wall C, 290 cm from wall D',
                                            '30 cm above the floor', 'top of the picture to wall '
                                            'C', '90 degrees up')),
-    ('omni', [2.9, -0.5, 1.9, 0, 0, 0], ('50 cm beyond wall C, 290 cm from wall D',
+    ('omni', [2.9, -0.2, 1.9, 0, 0, 0], ('20 cm beyond wall C, 290 cm from wall D',
                                          '190 cm above the floor', 'any way round', 'upright')),
     ('omni', [2.9, 1.0, 1.9, 90, 10, 0], ('100 cm from wall C, 290 cm from wall D',
                                           '190 cm above the floor', 'any way round', 'upright'))])
 def test_an_installer_is_told_in_words(sensor, pose, words):
     pose = np.array([*pose[:3], *np.deg2rad(pose[3:])])
     placed, = placement_of(rig_of(1, sensor), pose[None]).cameras
-    walls = walls_around(box_room())
-    assert words_for(placed, walls, 0.0)[2:] == words
+    assert told(box_room(), placed, 0.0)[2:6] == words
     # A room that stands elsewhere and otherwise on the map is hung up alike.
     angle = np.deg2rad(20.0)
     position = rotation_matrix(angle) @ pose[:3] + [5, 7, 2]
     moved = np.array([*position, pose[3] + angle, *pose[4:]])
     placed, = placement_of(rig_of(1, sensor), moved[None]).cameras
     room = Scene(turned(box_room(), 20.0).points + np.array([5, 7, 2], dtype='f4'), 'moved')
-    assert words_for(placed, walls_around(room), 2.0)[2:] == words
+    assert told(room, placed, 2.0)[2:6] == words
 
 
 def test_the_installers_page_names_walls_and_cameras(mixed):
     room = Scene(box_room().points - np.array([0.0, 0.0, 1.0], dtype='f4'), 'hall')
-    text = instructions(room, placement_of(mixed, POSES), 'plan.png')
+    text = page_of(room, placement_of(mixed, POSES))
     assert 'A 6.00 m, B 4.00 m, C 6.00 m, D 4.00 m' in text and '](plan.png)' in text
     assert '| 4 | x (in place) | realsense_d455 |' in text and '290 cm above the floor' in text
 

@@ -78,11 +78,11 @@ def test_numbers_in_the_plan_hide_neither_each_other_nor_the_walls(rooms, number
     poses = np.zeros((7, 6))
     poses[:, :3] = scene.bounds.mean(axis=0)
     poses[4:, :2] = scene.bounds[1, :2]
-    figure = floor_plan.figure_of(scene, placement_of(rig_of(7, 'd455'), poses))
+    figure = floor_plan.figure_of(judged_in(rooms[number], rig_of(7, 'd455'), poses))
     renderer = FigureCanvasAgg(figure).get_renderer()
     figure.draw(renderer)
     texts = [text for text in figure.axes[0].texts if text.get_text()]
-    assert sorted(text.get_text() for text in texts) == [*'1234567ABCD']
+    assert {*'1234567ABCD'} <= {text.get_text() for text in texts}
     for one, other in combinations([text.get_window_extent(renderer) for text in texts], 2):
         assert (min(one.x1, other.x1) - max(one.x0, other.x0) <= 1.5
                 or min(one.y1, other.y1) - max(one.y0, other.y0) <= 1.5)

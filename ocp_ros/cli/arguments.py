@@ -87,6 +87,14 @@ def add_units(command: argparse.ArgumentParser, what: str) -> None:
     command.add_argument('--up', choices=('x', 'y', 'z'), help=f'axis {what} that points up')
 
 
+def add_frame(command: argparse.ArgumentParser) -> None:
+    """Add which frame files are written in."""
+    command.add_argument('--frame', choices=('map', 'source'),
+                         help='of what is written: map (metres, z up) or source (axes '
+                         'and units of the scan); unless named, pages for installers are in that '
+                         'of the scan and files for programs in that of the map')
+
+
 def add_reading(command: argparse.ArgumentParser) -> None:
     """Add how a scan is to be read."""
     add_units(command, 'of the scan')

@@ -7,6 +7,7 @@ from pathlib import Path
 import sys
 
 from ocp_ros.cli.arguments import (
+    add_frame,
     add_reading,
     add_units,
     at_least,
@@ -203,6 +204,7 @@ def _add_score(commands: Commands) -> None:
                         help='what is asked for, in place of what the placement says: docs/rig.md')
     judged.add_argument('--out', '--export', type=Path, metavar='DIR',
                         help='write report, placement, CSV, launch file, xacro and more here')
+    add_frame(judged)
     add_reading(judged)
     judged.set_defaults(run=_score, show=_show_score)
 

@@ -30,7 +30,7 @@ from ocp_ros.planners.rig_plan import RigPlan, RigPlanner
 from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.count_report import draw_curve, rows_of_curve, show_curve
 from ocp_ros.report.findings import verdict
-from ocp_ros.report.installer import COLUMNS, rows_of, walls_around
+from ocp_ros.report.installer import COLUMNS, rows_of
 from ocp_ros.report.key_figures import percent
 from ocp_ros.rig.placement_file import (
     created_by,
@@ -40,7 +40,6 @@ from ocp_ros.rig.placement_file import (
     save_placement,
 )
 from ocp_ros.rig.rig_file import load_rig, Rig, rig_of, with_count
-from ocp_ros.rig.structure import floor_height
 from ocp_ros.util.files import folder_to_write
 
 #: Cameras where nobody says how many, and seconds of search for each number of cameras where one
@@ -74,16 +73,16 @@ def plan(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     with _kept(folder, placement):
         problem = planner.problem(best.rig)
         found = {'room': room, 'cameras': data_of(placement)['cameras'],
-                 **verdict(problem, placement.poses), 'notes': [],
-                 'search': _search_of(best, budget, arguments.seed),
-                 'installer': [dict(zip(['number', *COLUMNS], row)) for row in rows_of(
-                     placement, walls_around(scene), floor_height(scene))]}
+                 **verdict(problem, placement.poses),
+                 'search': _search_of(best, budget, arguments.seed)}
         if counting:
             found['curve'] = rows_of_curve(plans)
             found['count'] = {'cameras': len(best.rig.cameras), 'by': arguments.by,
                               'target': arguments.target,
                               'reached': best.reaches(arguments.by, arguments.target)}
-        judged = Assessment(problem.objective, replace(placement, scores=found['scores']), found)
+        judged = Assessment(problem.objective, replace(placement, scores=found['scores']), found,
+                            arguments.frame)
+        found['installer'] = [dict(zip(['number', *COLUMNS], row)) for row in rows_of(judged)]
         return {**found, **written_to(folder, judged, lambda: [draw_curve(
             folder / 'curve.png', found['curve'], found['count'])] if counting else [])}
 

@@ -54,17 +54,21 @@ def room_named(name: str, points: int = POINTS, **reading: Any) -> tuple[Scene, 
         return scene, {'seed': int(name), 'points': points,
                        'sha256': hashlib.sha256(scene.points.tobytes()).hexdigest()}
     content = hashlib.sha256(Path(name).read_bytes()).hexdigest()
-    return scene, {'file': name, 'sha256': content, 'points': points, 'scale': 1.0, 'up': 'z',
-                   **reading}
+    room = {'file': name, 'sha256': content, 'points': points, 'scale': 1.0, 'up': 'z', **reading}
+    if not scene.source.is_map:
+        room['source_from_map'] = scene.source.matrix.tolist()
+    return scene, room
 
 
-def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str) -> Assessment:
+def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str,
+          frame: str | None = None) -> Assessment:
     """
     Judge a placement in a room.
 
     :param placement: it need not say what was asked for.
     :param room: which room it is, from :func:`room_named`.
     :param command: the command line, for the record.
+    :param frame: that files are asked for in, ``'map'`` or ``'source'``.
     :raises ConfigurationError: if the placement's rig cannot be used in this room.
     """
     rig = placement.rig_in(scene)
@@ -72,10 +76,10 @@ def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str
     found = {'room': room, 'cameras': data_of(placement)['cameras'],
              **verdict(problem, placement.poses)}
     scores = found['scores']
-    found['notes'] = _notes(placement, room, scores)
+    found['notes'] += _notes(placement, room, scores)
     created = created_by(command, placement.created.get('planner', ''))
     return Assessment(problem.objective, replace(
-        placement, rig=rig, room=room, scores=scores, created=created), found)
+        placement, rig=rig, room=room, scores=scores, created=created), found, frame)
 
 
 def score(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
@@ -88,7 +92,7 @@ def score(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     """
     scene, placement, room = room_and_placement(arguments)
     folder = arguments.out and folder_to_write(arguments.out)
-    judged = judge(scene, placement, room, command)
+    judged = judge(scene, placement, room, command, arguments.frame)
     if folder is None:
         return dict(judged.found)
     return {**judged.found, **written_to(folder, judged)}
@@ -104,7 +108,7 @@ def written_to(folder: Path, judged: Assessment, more: Callable[[], list[Path]] 
     """
     paths: list[Path] = []
     try:
-        paths += export(folder, judged.scene, judged.placement)
+        paths += export(folder, judged)
         paths += [*reports(folder, judged), *more()]
     except OSError as error:
         return {'written': [str(path) for path in paths], 'error': (
@@ -226,7 +230,7 @@ def _show_rest(console: Console, found: dict[str, Any]) -> None:
                       f'pitch {more["pitch"]:.0f}: depth error {more["depth_error"]:.3f} m, '
                       f'{more["gain"]:.3f} m less')
     for note in found['notes']:
-        console.print(f'note: {note}', markup=False)
+        console.print(f'note: {note}', style='yellow', markup=False, highlight=False)
 
 
 def show_written(found: dict[str, Any]) -> None:

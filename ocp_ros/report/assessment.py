@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from ocp_ros.geometry.packed_bits import unpack
-from ocp_ros.report.installer import ReferenceWall, walls_around, Words, words_for
+from ocp_ros.report.camera_words import Words, words_for
+from ocp_ros.report.wall_references import ReferenceWall, WallReferences
 from ocp_ros.rig.placement_file import Placement
 from ocp_ros.rig.structure import floor_height
 from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.source_frame import SourceFrame
 from ocp_ros.simulation.objective import Objective
 
 
@@ -24,11 +26,24 @@ class Assessment:
     :ivar objective: the engine in the room, and the rig.
     :ivar placement: where the cameras hang.
     :ivar found: what ``ocp score --json`` prints: scores, broken, missed, one_more, notes.
+    :ivar frame_asked: which frame files and pages are written in, ``'map'`` or ``'source'``; where
+        nobody asked, data is in that of the map and pages for people in that of the scan.
     """
 
     objective: Objective
     placement: Placement
     found: Mapping[str, Any]
+    frame_asked: str | None = None
+
+    @property
+    def frame(self) -> SourceFrame:
+        """Return the frame of coordinates on pages for people."""
+        return SourceFrame() if self.frame_asked == 'map' else self.scene.source
+
+    @property
+    def data_frame(self) -> SourceFrame:
+        """Return the frame of tables and files for programs."""
+        return self.scene.source if self.frame_asked == 'source' else SourceFrame()
 
     @property
     def scene(self) -> Scene:
@@ -63,9 +78,15 @@ class Assessment:
         return self.objective.simulator.visibility.order
 
     @cached_property
+    def references(self) -> WallReferences:
+        """Return the walls that the cameras are measured from."""
+        return WallReferences(self.scene, np.array(
+            [placed.position for placed in self.placement.cameras]))
+
+    @property
     def walls(self) -> list[ReferenceWall]:
         """Return the sides of the rectangle around the room, A to D."""
-        return walls_around(self.scene)
+        return self.references.sides
 
     @cached_property
     def floor(self) -> float:
@@ -75,7 +96,8 @@ class Assessment:
     @cached_property
     def words(self) -> list[Words]:
         """Return how to hang up each camera."""
-        return [words_for(placed, self.walls, self.floor) for placed in self.placement.cameras]
+        return [words_for(placed, distances, self.walls, self.floor, self.frame)
+                for placed, distances in zip(self.placement.cameras, self.references.distances)]
 
     @property
     def upright(self) -> np.ndarray:

@@ -1,23 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
 """A placement for those who carry it out: files for people, spreadsheets and ROS 2."""
 
+from collections.abc import Sequence
 import csv
+from dataclasses import replace
 import io
 from pathlib import Path
+from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import yaml
 
+from ocp_ros.geometry.cameras import heading_of, rotation_matrix
+from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.drawing.floor_plan import draw_plan
 from ocp_ros.report.installer import instructions
-from ocp_ros.rig.placement_file import numbers_of, Placed, Placement, save_placement
-from ocp_ros.scenes.scene import Scene
+from ocp_ros.rig.placement_file import FRAME, numbers_of, Placed, Placement, save_placement
+from ocp_ros.scenes.source_frame import SourceFrame
 from ocp_ros.util.files import write_atomically
 
 #: From a camera's body (x forward, y left, z up) to its picture (z forward, x right, y down):
 #: roll, pitch, yaw in radians, REP-103.
 OPTICAL = (-0.5 * np.pi, 0.0, -0.5 * np.pi)
+#: The frame of the scan that the room was read from, in metres.
+SCAN = 'scan'
 COLUMNS = ('number', 'name', 'sensor', 'frame', 'link', 'x', 'y', 'z', 'yaw', 'pitch', 'roll',
            'mount', 'horizontal_fov', 'vertical_fov', 'min_range', 'max_range')
 LAUNCH = '''"""Where the cameras hang, as static transforms: ros2 launch ./cameras.launch.py."""
@@ -54,24 +61,73 @@ JOINT = """    <link name="%s"/>
 """
 
 
-def export(folder: Path, scene: Scene, placement: Placement) -> list[Path]:
+def export(folder: Path, judged: Assessment) -> list[Path]:
     """
     Write a placement in all forms.
+
+    Placement files are in the map frame, which scores are found in, and have the transform to that
+    of the scan; see :attr:`~ocp_ros.report.assessment.Assessment.data_frame` for the others.
 
     :param folder: it is made where it is not there.
     :returns: the files.
     :raises OSError: if one cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    texts = {'cameras.csv': table_of(placement), 'cameras.launch.py': launch_of(placement),
-             'cameras.urdf.xacro': xacro_of(placement), 'cameras.rviz': rviz_of(placement),
-             'installer.md': instructions(scene, placement, 'plan.png')}
+    placement, source = judged.placement, judged.scene.source
+    shown, link = placement, map_to_scan(source)
+    if not judged.data_frame.is_map:
+        shown, link = placement_in(placement, source), scan_to_map(source)
+    links = [] if source.is_map else [link]
+    texts = {'cameras.csv': table_of(shown, judged.data_frame.scale),
+             'cameras.launch.py': launch_of(shown, links),
+             'cameras.urdf.xacro': xacro_of(shown, links), 'cameras.rviz': rviz_of(shown),
+             'installer.md': instructions(judged, 'plan.png')}
     for name in ('placement.yaml', 'placement.json'):
         save_placement(folder / name, placement)
     for name, text in texts.items():
         write_atomically(folder / name, text)
-    draw_plan(folder / 'plan.png', scene, placement)
+    draw_plan(folder / 'plan.png', judged)
     return [folder / name for name in ('placement.yaml', 'placement.json', *texts, 'plan.png')]
+
+
+class Link(NamedTuple):
+    """
+    A transform between frames of a placement.
+
+    :ivar parent: frame that it is given in.
+    :ivar child: frame that it places.
+    :ivar position: metres.
+    :ivar angles: roll, pitch, yaw in radians.
+    """
+
+    parent: str
+    child: str
+    position: tuple[float, float, float]
+    angles: tuple[float, float, float]
+
+
+def map_to_scan(source: SourceFrame) -> Link:
+    """Return where the frame of a scan, in metres, is on the map."""
+    yaw, pitch, roll = heading_of(source.rotation)
+    return Link(FRAME, SCAN, tuple((-source.shift).tolist()), (roll, pitch, yaw))
+
+
+def scan_to_map(source: SourceFrame) -> Link:
+    """Return where the map is in the frame of a scan, in metres."""
+    yaw, pitch, roll = heading_of(source.rotation.T)
+    return Link(SCAN, FRAME, tuple((source.rotation.T @ source.shift).tolist()),
+                (roll, pitch, yaw))
+
+
+def placement_in(placement: Placement, source: SourceFrame) -> Placement:
+    """Return a placement in the axes of a scan, in metres."""
+    cameras = []
+    for placed in placement.cameras:
+        angles = heading_of(source.rotation.T @ rotation_matrix(*np.deg2rad(placed.angles)))
+        cameras.append(placed._replace(
+            position=tuple((source.scale * source.to_source(placed.position)).tolist()),
+            angles=tuple(np.round(np.rad2deg(angles), 6).tolist())))
+    return replace(placement, cameras=tuple(cameras), frame=SCAN)
 
 
 def link_of(number: int) -> str:
@@ -79,8 +135,12 @@ def link_of(number: int) -> str:
     return f'camera_{number}'
 
 
-def table_of(placement: Placement) -> str:
-    """Return the cameras as CSV: metres, degrees, one row each."""
+def table_of(placement: Placement, scale: float = 1.0) -> str:
+    """
+    Return the cameras as CSV: degrees, one row each.
+
+    :param scale: metres per unit of the positions.
+    """
     file = io.StringIO()
     rows = csv.DictWriter(file, COLUMNS, extrasaction='ignore', lineterminator='\n')
     rows.writeheader()
@@ -88,7 +148,7 @@ def table_of(placement: Placement) -> str:
         rows.writerow({
             'number': number, 'name': placed.camera.name, 'frame': placement.frame,
             'link': link_of(number - 1), 'mount': placed.mount, **numbers_of(placed.camera),
-            **dict(zip('xyz', placed.position)),
+            **dict(zip('xyz', (value / scale for value in placed.position))),
             **dict(zip(('yaw', 'pitch', 'roll'), placed.angles))})
     return file.getvalue()
 
@@ -99,9 +159,14 @@ def _angles(placed: Placed) -> tuple[float, float, float]:
     return float(roll), float(pitch), float(yaw)
 
 
-def launch_of(placement: Placement) -> str:
-    """Return a ROS 2 launch file that publishes camera_<i> and camera_<i>_optical, i from 0."""
-    lines = []
+def launch_of(placement: Placement, links: Sequence[Link] = ()) -> str:
+    """
+    Return a ROS 2 launch file that publishes camera_<i> and camera_<i>_optical, i from 0.
+
+    :param links: other transforms to publish.
+    """
+    lines = [(link.parent, link.child, *link.position, *(round(angle, 9) for angle in link.angles))
+             for link in links]
     for number, placed in enumerate(placement.cameras):
         body = link_of(number)
         position, angles = map(float, placed.position), _angles(placed)
@@ -111,18 +176,22 @@ def launch_of(placement: Placement) -> str:
     return LAUNCH % ''.join(f'    {line!r},\n' for line in lines)
 
 
-def xacro_of(placement: Placement) -> str:
+def xacro_of(placement: Placement, links: Sequence[Link] = ()) -> str:
     """Return a xacro macro with links and joints for the same frames as :func:`launch_of`."""
-    joints = []
+    joints = [_joint('${parent}', link.child, link.position, link.angles) for link in links]
     for number, placed in enumerate(placement.cameras):
         body = link_of(number)
         for parent, child, position, angles in (
                 ('${parent}', body, placed.position, _angles(placed)),
                 (body, f'{body}_optical', (0.0, 0.0, 0.0), OPTICAL)):
-            xyz, rpy = (' '.join(f'{value:.9g}' for value in values)
-                        for values in (position, angles))
-            joints.append(JOINT % (child, child, quoteattr(parent), child, xyz, rpy))
+            joints.append(_joint(parent, child, position, angles))
     return XACRO % (quoteattr(placement.frame), ''.join(joints))
+
+
+def _joint(parent: str, child: str, position: Sequence[float], angles: Sequence[float]) -> str:
+    """Return a link and the fixed joint that places it."""
+    xyz, rpy = (' '.join(f'{value:.12g}' for value in values) for values in (position, angles))
+    return JOINT % (child, child, quoteattr(parent), child, xyz, rpy)
 
 
 def rviz_of(placement: Placement) -> str:

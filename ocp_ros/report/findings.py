@@ -8,6 +8,7 @@ import numpy as np
 
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.rig.feasible_region import apart, FeasibleRegion
+from ocp_ros.rig.plausibility import room_notes
 from ocp_ros.rig.rig_file import Camera
 from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import Problem
@@ -18,6 +19,8 @@ from ocp_ros.util.settings import ConfigurationError
 CANDIDATES = 480
 #: Metres: edge of the cells that what is missed is gathered in, and how many parts are named.
 CELL, NAMED = 1.0, 3
+#: Shares of the points that are too many to be missed: by all candidates, and by the cameras.
+HOPELESS, MISSED = 0.3, 0.9
 
 
 def verdict(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
@@ -26,12 +29,27 @@ def verdict(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
 
     :param problem: the rig in the room.
     :param poses: (K, 6) metres, map frame, and radians.
-    :returns: ``scores``, ``broken``, ``missed`` and ``one_more``.
+    :returns: ``scores``, ``broken``, ``missed`` and ``one_more``, and ``notes``: what makes the
+        room or the answer doubtful.
     """
     views = problem.look(poses)
     scores = scores_of(problem.objective, views)
-    return {'scores': scores, 'broken': broken_by(problem.region, poses, scores),
-            **improvements(problem, poses, views)}
+    better = improvements(problem, poses, views)
+    scene = problem.objective.simulator.scene
+    return {'scores': scores, 'broken': broken_by(problem.region, poses, scores), **better,
+            'notes': [*scene.notes, *room_notes(scene), *_share_notes(better['missed'])]}
+
+
+def _share_notes(missed: dict[str, Any]) -> list[str]:
+    """Say so where most of a room is out of sight."""
+    if missed['hopeless'] > HOPELESS:
+        return [f'found {100.0 * missed["hopeless"]:.0f} % of the points out of sight from '
+                'everywhere that cameras may be; expected one room that they are in; the scan may '
+                'have several, or cameras may be kept out of most of it']
+    if missed['share'] > MISSED:
+        return [f'found {100.0 * missed["share"]:.0f} % of the points seen by too few cameras; '
+                'expected most of them seen; use more cameras, or of longer range']
+    return []
 
 
 def scores_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:

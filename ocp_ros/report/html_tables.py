@@ -5,7 +5,8 @@ from collections.abc import Iterator, Sequence
 from html import escape
 
 from ocp_ros.report.assessment import Assessment
-from ocp_ros.report.installer import Words
+from ocp_ros.report.camera_words import Words
+from ocp_ros.report.installer import frame_named
 from ocp_ros.report.key_figures import figures_of, percent
 
 
@@ -15,16 +16,20 @@ def tables_of(judged: Assessment) -> Iterator[str]:
     yield f'<p class="{"good" if figures.kept else "bad"}">{escape(figures.verdict)}</p>'
     if found['broken']:
         yield '<ul>' + ''.join(f'<li>{escape(line)}</li>' for line in found['broken']) + '</ul>'
+    if figures.doubts:
+        yield '<p class="bad">Check first:</p><ul>' + ''.join(
+            f'<li>{escape(line)}</li>' for line in figures.doubts) + '</ul>'
     yield _table(('', '', ''), figures.cards)
     yield '<h2>How to hang up the cameras</h2>'
     rows = [(str(number), f'{_named(words)}: {words.place}; {words.height}; '
-             f'{words.pan}; {words.tilt}', f'{added["depth_error"]:.3f} m',
+             f'{words.pan}; {words.tilt}', words.coordinates, f'{added["depth_error"]:.3f} m',
              percent(added['only'])) for number, (words, added) in enumerate(zip(
                  judged.words, found['scores']['cameras']), start=1)]
-    yield _table(('', 'camera', 'takes from the error', 'only it sees'), rows)
+    yield _table(('', 'camera', 'x, y, z', 'takes from the error', 'only it sees'), rows)
     yield '<p>' + escape('Walls: ' + ', '.join(
         f'{wall.letter} {wall.length:.2f} m' + ('' if wall.stands else ' (no wall stands there)')
-        for wall in judged.walls) + '; A looks most along y, then clockwise.') + '</p>'
+        for wall in judged.walls) + '; A looks most along y, then clockwise. x, y and z are '
+        + frame_named(judged) + '.') + '</p>'
     if found['scores']['regions']:
         yield '<h2>Regions</h2>' + _table(('region', 'seen', 'asked for', 'met'), [
             (region['name'], percent(region['seen']), percent(region['must_see']),

@@ -13,8 +13,9 @@ class Figures(NamedTuple):
 
     :ivar title: which room and how many cameras.
     :ivar subtitle: sizes and sensors.
-    :ivar verdict: whether every constraint is kept.
-    :ivar kept: the same.
+    :ivar verdict: whether every constraint is kept, and whether the room is to be checked.
+    :ivar kept: whether nothing is wrong: every constraint is kept, and there are no doubts.
+    :ivar doubts: what may be wrong with the room or the file, a sentence each.
     :ivar cards: label, value and a remark of each key figure.
     :ivar foot: by which planner, by what command and when.
     """
@@ -23,6 +24,7 @@ class Figures(NamedTuple):
     subtitle: str
     verdict: str
     kept: bool
+    doubts: tuple[str, ...]
     cards: list[tuple[str, str, str]]
     foot: str
 
@@ -44,7 +46,11 @@ def figures_of(judged: Assessment) -> Figures:
         f'made by {made["command"]}' if 'command' in made else '', made.get('date', ''),
         f'ocp_ros {made["version"]}' if 'version' in made else '',
         'distances are at right angles to the walls, to the middle of the front of a camera']))
-    return Figures(title, subtitle, verdict, not broken, _cards(judged, scores), foot)
+    doubts = tuple(judged.found.get('notes', ()))
+    if doubts:
+        verdict += ', with doubts'
+    return Figures(title, subtitle, verdict, not (broken or doubts), doubts,
+                   _cards(judged, scores), foot)
 
 
 def _cards(judged: Assessment, scores: dict) -> list[tuple[str, str, str]]:

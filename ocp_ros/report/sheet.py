@@ -24,6 +24,8 @@ MOST, ROW, LOW_ROW, FEW = 20, 0.175, 0.135, 9
 #: Inches: left edge of the maps.
 MAPS = 4.42
 GOOD, BAD = '#00664d', '#b04a00'
+#: Doubts about the room that there is space for.
+DOUBTS = 2
 #: Where the viewer stands: before the corners C and D, B and C, A and B, D and A.
 CORNERS = {'C and D': -125.0, 'B and C': -55.0, 'A and B': 55.0, 'D and A': 125.0}
 
@@ -96,13 +98,19 @@ def _few_ticks(most: float) -> np.ndarray:
 def _draw_head(figure: Figure, judged: Assessment) -> None:
     """Write the room's name, what stands in it, and the key figures."""
     found: Figures = figures_of(judged)
-    figure.text(MARGIN / WIDTH, 7.92 / HEIGHT, shortened(found.title, 7.4, 15, True), fontsize=15,
+    figure.text(MARGIN / WIDTH, 7.92 / HEIGHT, shortened(found.title, 7.0, 15, True), fontsize=15,
                 fontweight='bold', color=INK, va='center')
-    figure.text(MARGIN / WIDTH, 7.66 / HEIGHT, shortened(found.subtitle, 10.8, 8), fontsize=8,
+    figure.text(MARGIN / WIDTH, 7.66 / HEIGHT,
+                shortened(found.subtitle, 4.6 if found.doubts else 10.8, 8), fontsize=8,
                 color=PALE_INK, va='center')
-    figure.text((WIDTH - MARGIN) / WIDTH, 7.92 / HEIGHT, shortened(found.verdict, 3.2, 9.5, True),
+    figure.text((WIDTH - MARGIN) / WIDTH, 7.92 / HEIGHT, shortened(found.verdict, 3.6, 9.5, True),
                 fontsize=9.5, fontweight='bold', va='center', ha='right',
                 color=GOOD if found.kept else BAD)
+    for number, doubt in enumerate(found.doubts[:DOUBTS]):
+        more = len(found.doubts) - DOUBTS
+        text = f'{doubt} (and {more} more)' if more > 0 and number == DOUBTS - 1 else doubt
+        figure.text((WIDTH - MARGIN) / WIDTH, (7.72 - 0.13 * number) / HEIGHT,
+                    shortened(text, 6.0, 6.2), fontsize=6.2, va='center', ha='right', color=BAD)
     gap = 0.12
     wide = (WIDTH - 2.0 * MARGIN - gap * (len(found.cards) - 1)) / len(found.cards)
     for number, (label, value, more) in enumerate(found.cards):
@@ -151,14 +159,15 @@ def _draw_legend(figure: Figure, y: float, judged: Assessment) -> None:
 def _draw_cameras(figure: Figure, judged: Assessment) -> float:
     """Draw the installer's table; return how high it reaches, inches."""
     placed, left_out = judged.placement.cameras, len(judged.placement.cameras) - MOST
-    rows = [['', 'camera', 'sensor', 'place', 'height', 'pan', 'tilt', 'takes from the error']]
+    rows = [['', 'camera', 'sensor', 'place', 'height', 'pan', 'tilt', 'x, y, z',
+             'takes from the error']]
     for number, (one, words, added) in enumerate(zip(
             placed[:MOST], judged.words, judged.found['scores']['cameras']), start=1):
         name = f'{words.name} (in place)' if one.mount == 'fixed' else words.name
         sensor = '' if words.name.startswith(words.sensor) else words.sensor
         rows.append([str(number), name, sensor, words.place,
                      words.height.replace(' above the floor', ''), words.pan, words.tilt,
-                     f'{added["depth_error"]:.3f} m'])
+                     words.coordinates, f'{added["depth_error"]:.3f} m'])
     if not any(row[2] for row in rows[1:]):
         rows = [[*row[:2], *row[3:]] for row in rows]
     step = ROW if len(rows) - 1 <= FEW else LOW_ROW

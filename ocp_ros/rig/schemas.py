@@ -135,7 +135,12 @@ ROOM = mapping(
             'type': 'integer', 'minimum': 1000, 'maximum': 5_000_000, 'examples': [25000]},
     scale=number('metres per unit of the file, above 0', 1.0, exclusiveMinimum=0),
     up={'description': 'x, y or z', 'enum': ['x', 'y', 'z'], 'examples': ['z']},
-    drop_nonfinite={'description': 'true or false', 'type': 'boolean', 'examples': [True]})
+    drop_nonfinite={'description': 'true or false', 'type': 'boolean', 'examples': [True]},
+    source_from_map={
+        'description': 'four rows of four numbers: map coordinates to those of the scan',
+        'type': 'array', 'minItems': 4, 'maxItems': 4,
+        'items': {'type': 'array', 'minItems': 4, 'maxItems': 4, 'items': {'type': 'number'}},
+        'examples': [[[1, 0, 0, 500], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]]})
 ENGINE = mapping(
     'settings of the engine', {'preset': 'fine'}, (),
     preset={'description': f'one of {", ".join(PRESETS)}', 'enum': list(PRESETS),

@@ -10,6 +10,7 @@ from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.geometry.normals import edge_aware_normals
 from ocp_ros.scenes.neighbours import nearest
+from ocp_ros.scenes.source_frame import SourceFrame
 from ocp_ros.util.settings import UserError
 
 MIN_POINTS = 100
@@ -51,6 +52,8 @@ class Scene:
     :ivar name: what tables and file names call it.
     :ivar normals: (N, 3) float32 unit vectors, or None.
     :ivar mesh: the surfaces behind the points where they are known.
+    :ivar source: the frame of the file that the points were read from.
+    :ivar notes: what reading it found that may not be as meant, a sentence each.
     :raises SceneError: if the points are not a room (see :func:`check_points`).
     """
 
@@ -58,6 +61,8 @@ class Scene:
     name: str = 'scene'
     normals: np.ndarray | None = None
     mesh: Mesh | None = field(default=None, repr=False)
+    source: SourceFrame = field(default_factory=SourceFrame, repr=False)
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Hold the points as float32 in C order and refuse what is not a room."""
@@ -125,7 +130,8 @@ def turned(scene: Scene, degrees: float) -> Scene:
     if mesh is not None:
         mesh = Mesh((mesh.vertices @ rotation.T).astype(np.float32), mesh.triangles)
     normals = None if scene.normals is None else scene.normals @ rotation.T
-    return Scene(scene.points @ rotation.T, f'{scene.name}@{degrees:g}', normals, mesh)
+    return Scene(scene.points @ rotation.T, f'{scene.name}@{degrees:g}', normals, mesh,
+                 scene.source.rotated(rotation), scene.notes)
 
 
 def check_points(points: np.ndarray, name: str, up: str = 'z') -> None:
@@ -137,6 +143,20 @@ def check_points(points: np.ndarray, name: str, up: str = 'z') -> None:
     :param up: the axis that points up, ``'x'``, ``'y'`` or ``'z'``.
     :raises SceneError: for a wrong shape, fewer than 100 points, NaN or inf, a flat cloud, or a
         size that no room in metres has.
+    """
+    check_numbers(points, name)
+    # Coordinates of 1e308 are far apart, and need no warning.
+    with np.errstate(over='ignore', invalid='ignore'):
+        _check_size(np.asarray(points, dtype=np.float64), name, 'xyz'.index(up))
+
+
+def check_numbers(points: np.ndarray, name: str) -> None:
+    """
+    Refuse what is no list of points.
+
+    :param points: (N, 3) array.
+    :param name: what the message calls them.
+    :raises SceneError: for a wrong shape, fewer than 100 points, NaN or inf.
     """
     points = np.asarray(points)
     if points.ndim != 2 or points.shape[1] != 3:
@@ -153,9 +173,6 @@ def check_points(points: np.ndarray, name: str, up: str = 'z') -> None:
     if len(points) < MIN_POINTS:
         raise SceneError(f'{name}: found {len(points)} points; expected at least {MIN_POINTS} to '
                          'describe a room; use a denser scan')
-    # Coordinates of 1e308 are far apart, and need no warning.
-    with np.errstate(over='ignore', invalid='ignore'):
-        _check_size(points.astype(np.float64), name, 'xyz'.index(up))
 
 
 def _check_size(points: np.ndarray, name: str, up: int) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from ocp_ros import __version__
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_files import load_scene
+from ocp_ros.scenes.source_frame import SourceFrame
 
 #: Bytes of a file from which it is worth keeping what was read.
 LARGE = 4_000_000
@@ -30,7 +31,7 @@ def load_cached(path: str | Path, **options) -> Scene:
     What is read is what :func:`~ocp_ros.scenes.scene_files.load_scene` returns.
 
     A file that has changed, other options and another version of the package are read anew. What
-    is to be warned of is only said the first time.
+    is to be warned of is only said the first time; it stands in the notes of the scene.
 
     :param options: of ``load_scene``.
     :raises SceneError: if the file or an option cannot be used.
@@ -47,8 +48,9 @@ def load_cached(path: str | Path, **options) -> Scene:
     kept = cache_folder() / f'{hashlib.sha256(str(known).encode()).hexdigest()[:24]}.npz'
     try:
         with kept.open('rb') as file, np.load(file, allow_pickle=False) as arrays:
-            normals = arrays.get('normals')
-            return Scene(arrays['points'], str(arrays['name']), normals)
+            source = SourceFrame(float(arrays['scale']), arrays['rotation'], arrays['shift'])
+            return Scene(arrays['points'], str(arrays['name']), arrays.get('normals'),
+                         source=source, notes=tuple(map(str, arrays['notes'])))
     except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile):
         # Not there, or not whole.
         scene = load_scene(path, **options)
@@ -58,7 +60,10 @@ def load_cached(path: str | Path, **options) -> Scene:
 
 def _keep(path: Path, scene: Scene) -> None:
     """Write a scene whole or not at all; a full disk or a folder of others does not matter."""
-    arrays = {'points': scene.points, 'name': np.array(scene.name)}
+    source = scene.source
+    arrays = {'points': scene.points, 'name': np.array(scene.name),
+              'notes': np.array(scene.notes, dtype=str), 'scale': np.array(source.scale),
+              'rotation': source.rotation, 'shift': source.shift}
     if scene.normals is not None:
         arrays['normals'] = scene.normals
     try:

@@ -12,7 +12,16 @@ from plyfile import PlyData, PlyElement
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.geometry.voxels import SMALLEST, voxel_downsample, voxel_size_for
 from ocp_ros.scenes.pcd_files import read_pcd_fields
-from ocp_ros.scenes.scene import check_points, likely_up_axis, MIN_POINTS, Scene, SceneError
+from ocp_ros.scenes.scene import (
+    check_numbers,
+    check_points,
+    likely_up_axis,
+    MIN_POINTS,
+    Scene,
+    SceneError,
+)
+from ocp_ros.scenes.source_frame import SourceFrame
+from ocp_ros.scenes.stray_points import stray_points
 from ocp_ros.scenes.text_tables import read_table
 
 FAR = 1000.0
@@ -33,8 +42,11 @@ def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: flo
     """
     Read a room from a file.
 
-    Exact duplicates are removed. Coordinates farther than 1 km from the origin, such as UTM, are
-    moved near it by whole hundreds of metres, since float32 would round them. Both are logged.
+    Exact duplicates are removed, and stray points (see
+    :func:`~ocp_ros.scenes.stray_points.stray_points`). Coordinates farther than 1 km from the
+    origin, such as UTM, are moved near it by whole hundreds of metres, since float32 would round
+    them. All are logged; ``source`` leads back to the file's coordinates, and ``notes`` say what
+    may not be as meant.
     Normals are kept where the file has them and no point is merged with another.
 
     :param path: a .ply, .pcd, .las, .laz, .npy, .xyz or .txt file; the room is called by its stem,
@@ -54,16 +66,22 @@ def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: flo
         points, normals = _without_nonfinite(points, normals, path.name)
     with np.errstate(over='ignore'):
         points = points * scale
+    check_numbers(points, path.name)
+    points, normals, notes = _without_strays(points, normals, path.name)
     check_points(points, path.name, up)
-    _warn_if_small(points, path.name, up)
+    notes += _size_notes(points, up)
     axes, signs = UP_AXES[up]
-    points = _near_origin(points[:, axes] * signs, path.name)
+    rotation = np.eye(3)[axes] * np.array(signs)[:, None]
+    points, shift = _near_origin(points[:, axes] * signs, path.name)
     normals = None if normals is None else _unit(normals[:, axes] * signs)
     points, normals = _without_duplicates(points.astype(np.float32), normals, path.name)
     if up == 'z':
-        _warn_if_not_z_up(points, path.name)
+        notes += _up_notes(points)
+    for note in notes:
+        warnings.warn(f'{path.name}: {note}', SceneWarning, stacklevel=2)
     merged = _merge(points, voxel_size, max_points, path.name)
-    return Scene(merged, _scene_name(path), normals if merged is points else None)
+    return Scene(merged, _scene_name(path), normals if merged is points else None,
+                 source=SourceFrame(scale, rotation, shift), notes=tuple(notes))
 
 
 def save_scene(scene: Scene, path: str | Path) -> None:
@@ -182,16 +200,32 @@ def _without_nonfinite(points: np.ndarray, normals: np.ndarray | None, name: str
     return points[keep], None if normals is None else normals[keep]
 
 
-def _near_origin(points: np.ndarray, name: str) -> np.ndarray:
-    """Move coordinates that float32 would round to the neighbourhood of the origin."""
+def _without_strays(points: np.ndarray, normals: np.ndarray | None, name: str
+                    ) -> tuple[np.ndarray, np.ndarray | None, list[str]]:
+    """Leave out points that are no part of the room, and their normals; say which these were."""
+    stray = stray_points(points)
+    if not stray.any():
+        return points, normals, []
+    _log.info('%s: %d of %d points kept, the others are stray', name, (~stray).sum(), len(stray))
+    low, high = corners_of(points[~stray])
+    found = points[stray]
+    away = np.linalg.norm(np.maximum(np.maximum(low - found, found - high), 0.0), axis=1).max()
+    several = len(found) > 1
+    return (points[~stray], None if normals is None else normals[~stray], [
+        f'found {len(found):,} stray point{"s" * several}, up to {away:.3g} m outside of the '
+        f'rest; left {"them" if several else "it"} out'])
+
+
+def _near_origin(points: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Move coordinates that float32 would round near the origin; say by how much: (3,) metres."""
     low, high = corners_of(points)
     if np.linalg.norm(np.maximum(abs(low), abs(high))) <= FAR:
-        return points
+        return points, np.zeros(3)
     offset = np.round(low, -2)
     # A warning, since every placement found will be in the moved coordinates.
     _log.warning('%s: found coordinates far from the origin; subtracted (%.0f, %.0f, %.0f) m',
                  name, *offset)
-    return points - offset
+    return points - offset, offset
 
 
 def _unit(normals: np.ndarray) -> np.ndarray | None:
@@ -211,23 +245,22 @@ def _without_duplicates(points: np.ndarray, normals: np.ndarray | None, name: st
     return points[first], None if normals is None else normals[first]
 
 
-def _warn_if_small(points: np.ndarray, name: str, up: str) -> None:
-    """Warn where a room is lower and shorter than any, as one is whose scale is wrong."""
+def _size_notes(points: np.ndarray, up: str) -> list[str]:
+    """Say so where a room is lower and shorter than any, as one is whose scale is wrong."""
     size = np.ptp(corners_of(points), axis=0)
-    if size['xyz'.index(up)] < SMALL[0] and size.max() < SMALL[1]:
-        warnings.warn(
-            f'{name}: found a room of {" x ".join(f"{edge:.3g}" for edge in size)} m; expected '
-            f'one that is {SMALL[0]:g} m high or {SMALL[1]:g} m long; correct the scale (--scale) '
-            'unless it is so small', SceneWarning, stacklevel=3)
+    if size['xyz'.index(up)] >= SMALL[0] or size.max() >= SMALL[1]:
+        return []
+    return [f'found a room of {" x ".join(f"{edge:.3g}" for edge in size)} m; expected one that '
+            f'is {SMALL[0]:g} m high or {SMALL[1]:g} m long; correct the scale (--scale) unless '
+            'it is so small']
 
 
-def _warn_if_not_z_up(points: np.ndarray, name: str) -> None:
-    """Warn where floor and ceiling seem to lie across another axis than z."""
+def _up_notes(points: np.ndarray) -> list[str]:
+    """Say so where floor and ceiling seem to lie across another axis than z."""
     axis = likely_up_axis(points)
-    if axis != 'z':
-        warnings.warn(
-            f'{name}: found the two fullest layers, floor and ceiling, across {axis}; expected z '
-            f'up; turn it (--up {axis}) unless z is up', SceneWarning, stacklevel=3)
+    return [] if axis == 'z' else [
+        f'found the two fullest layers, floor and ceiling, across {axis}; expected z up; turn it '
+        f'(--up {axis}) unless z is up']
 
 
 def _merge(points: np.ndarray, voxel_size: float, max_points: int, name: str) -> np.ndarray:

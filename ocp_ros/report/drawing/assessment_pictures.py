@@ -130,7 +130,7 @@ def _draw_walls(axes: Axes, judged: Assessment) -> np.ndarray:
     """
     Draw the rectangle around the room and its letters; dashed where no wall stands.
 
-    :returns: where the letters are: (4, 2).
+    :returns: where the letters are: (M, 2), those of walls inside the room as well.
     """
     (left, bottom), (right, top) = _corner(judged), _corner(judged, far=True)
     sides = [((left, right), (top, top)), ((right, right), (top, bottom)),
@@ -143,6 +143,11 @@ def _draw_walls(axes: Axes, judged: Assessment) -> np.ndarray:
         axes.text(*letters[-1], wall.letter, fontsize=10, fontweight='bold', color=INK,
                   ha='center', va='center', zorder=5,
                   path_effects=[patheffects.withStroke(linewidth=2.5, foreground='white')])
+    for inner in judged.references.inner:
+        letters.append(judged.upright[:2, :2] @ (inner.at + 0.5 * away * inner.outward))
+        axes.text(*letters[-1], inner.letter, fontsize=7, fontweight='bold', color=INK,
+                  ha='center', va='center', zorder=5,
+                  path_effects=[patheffects.withStroke(linewidth=2.0, foreground='white')])
     return np.array(letters)
 
 

@@ -7,26 +7,25 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 
-from ocp_ros.report.drawing.camera_labels import camera_colour, draw_numbers
+from ocp_ros.report.assessment import Assessment
+from ocp_ros.report.drawing.camera_labels import apart, camera_colour, draw_numbers
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
-from ocp_ros.report.installer import walls_around
 from ocp_ros.rig.placement_file import Placement
-from ocp_ros.scenes.scene import Scene
 
 #: Metres above the floor and below the ceiling that a plan leaves out, and points that it shows.
 LOW, HIGH, SHOWN = 0.15, 0.4, 12000
-#: Points: size of the cameras' numbers and of the walls' letters.
-NUMBERS, LETTERS = 12.0, 20.0
+#: Points: size of the cameras' numbers, of the letters of sides, and of walls inside the room.
+NUMBERS, LETTERS, INNER = 12.0, 20.0, 13.0
 
 
-def draw_plan(path: Path, scene: Scene, placement: Placement) -> None:
+def draw_plan(path: Path, judged: Assessment) -> None:
     """Write the plan as PNG."""
-    figure_of(scene, placement).savefig(path, format='png', dpi=100)
+    figure_of(judged).savefig(path, format='png', dpi=100)
 
 
-def figure_of(scene: Scene, placement: Placement) -> Figure:
-    """Draw the room from above, wall A at the top, with its cameras and where they look."""
-    walls = walls_around(scene)
+def figure_of(judged: Assessment) -> Figure:
+    """Draw the room from above, wall A at the top, its cameras and what they are measured from."""
+    scene, placement, walls = judged.scene, judged.placement, judged.walls
     frame = np.stack([walls[1].outward, walls[0].outward])
     low, high = scene.bounds[:, 2]
     points = scene.points[(scene.points[:, 2] > low + LOW) & (scene.points[:, 2] < high - HIGH)]
@@ -45,12 +44,28 @@ def figure_of(scene: Scene, placement: Placement) -> Figure:
         axes.text(at[0], at[1], wall.letter, fontsize=LETTERS, fontweight='bold', color=INK,
                   ha='center', va='center')
     places = np.array([frame @ placed.position[:2] for placed in placement.cameras])
+    letters = np.concatenate([letters, _draw_distances(axes, judged, places, frame, margin)])
     corners = np.concatenate([places, np.column_stack([x, y])])
     low, high = corners.min(axis=0) - 2.0 * margin, corners.max(axis=0) + 2.0 * margin
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     _draw_arrows(axes, placement, places, 2.0 * margin * frame)
     draw_numbers(axes, places, NUMBERS, letters)
     return figure
+
+
+def _draw_distances(axes: Axes, judged: Assessment, places: np.ndarray, frame: np.ndarray,
+                    margin: float) -> np.ndarray:
+    """Draw what is measured, and the letters of walls inside the room; return where: (M, 2)."""
+    for place, distances in zip(places, judged.references.distances):
+        for distance in distances:
+            axes.plot(*np.stack([place, frame @ distance.at]).T, color=INK, lw=0.8, ls=(0, (2, 2)))
+    inner = judged.references.inner
+    letters = apart(np.array([frame @ (wall.at + 0.4 * margin * wall.outward)
+                              for wall in inner]).reshape(-1, 2), 0.6 * margin, places)
+    for wall, at in zip(inner, letters):
+        axes.text(at[0], at[1], wall.letter, fontsize=INNER, fontweight='bold', color=INK,
+                  ha='center', va='center')
+    return letters
 
 
 def _draw_arrows(axes: Axes, placement: Placement, places: np.ndarray, frame: np.ndarray) -> None:

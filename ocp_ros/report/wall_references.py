@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The walls that an installer measures from: those that the scan shows near a camera.
+
+Walls A to D are the sides of the rectangle around the room, lettered clockwise; E, F and so on are
+other walls that a camera is near, such as those of a niche, a partition or another room.
+"""
+
+from collections.abc import Sequence
+from string import ascii_uppercase
+from typing import NamedTuple
+
+import numpy as np
+
+from ocp_ros.rig.structure import STEEP, walls_of
+from ocp_ros.scenes.scene import Scene
+
+#: Per cent of the points that may lie outside the room, seen through doors and windows; metres
+#: that a wall's points are thick, and that a wall may be inside of what the scan shows.
+STRAY, SHEET, INSIDE = 0.3, 0.1, 1.5
+#: Parts of a quarter turn that directions are counted in, and degrees that a wall's points may be
+#: turned from each other.
+BINS, TURNED = 90, 5.0
+#: Metres: parts of a side that are looked at, and the share of them that makes it a wall.
+PART, STANDS = 0.25, 0.3
+#: Metres: how far a wall may be to be measured from, half the width of the strip in which it is
+#: looked for, and how far a camera's front may be behind it by the noise of the scan.
+FAR, STRIP, BEHIND = 5.0, 0.5, 0.03
+#: Square metres that a wall has at least in that strip, and its fewest points.
+PIECE, FEWEST = 0.15, 3
+#: Least cosine between the normals of a wall and the way to it, and of two walls that are one;
+#: metres that one wall may be uneven.
+FACING, ALIKE, UNEVEN = 0.94, 0.98, 0.15
+
+
+class ReferenceWall(NamedTuple):
+    """
+    A side of the rectangle around a room.
+
+    :ivar letter: A to D, clockwise seen from above; A looks most along y of the map.
+    :ivar outward: (2,) unit vector out of the room.
+    :ivar offset: metres: where outward . (x, y) is this, there is the wall.
+    :ivar length: metres.
+    :ivar stands: whether there is a wall; else the scan ends there.
+    """
+
+    letter: str
+    outward: np.ndarray
+    offset: float
+    length: float
+    stands: bool
+
+    def away(self, position: Sequence[float]) -> float:
+        """Return how far a position is from the wall, metres, at right angles."""
+        return float(self.offset - self.outward @ np.asarray(position[:2]))
+
+
+def walls_around(scene: Scene) -> list[ReferenceWall]:
+    """
+    Lay a rectangle around a room, along its walls.
+
+    :returns: its four sides, A to D.
+    """
+    upright = np.abs(scene.normals_or_estimate[:, 2]) <= STEEP
+    normals, areas = scene.normals_or_estimate[upright], scene.pitch[upright] ** 2
+    turn = np.deg2rad(_direction(normals, areas))
+    ahead, right = (np.array([-np.sin(turn), np.cos(turn)]),
+                    np.array([np.cos(turn), np.sin(turn)]))
+    flat = scene.points[:, :2].astype(np.float64)
+    outwards = [ahead, right, -ahead, -right]
+    edges = [np.percentile(flat @ outward, 100.0 - STRAY) for outward in outwards]
+    spans = [edges[1] + edges[3], edges[0] + edges[2]] * 2
+    sides = [_side(flat[upright], outward, edge, span)
+             for outward, edge, span in zip(outwards, edges, spans)]
+    offsets = [offset for offset, _ in sides]
+    lengths = [offsets[1] + offsets[3], offsets[0] + offsets[2]] * 2
+    return [ReferenceWall(letter, outward, offset, length, stands) for letter, outward, length,
+            (offset, stands) in zip('ABCD', outwards, lengths, sides)]
+
+
+def _direction(normals: np.ndarray, areas: np.ndarray) -> float:
+    """Return how far walls with normals (M, 3) are turned: degrees from -45 to 45."""
+    angles = np.rad2deg(np.arctan2(normals[:, 1], normals[:, 0])) % 90.0
+    counts, _ = np.histogram(angles, BINS, (0.0, 90.0), weights=areas)
+    found = (np.argmax(counts + np.roll(counts, 1) + np.roll(counts, -1)) + 0.5) * 90.0 / BINS
+    off = (angles - found + 45.0) % 90.0 - 45.0
+    near = np.abs(off) <= TURNED
+    if near.any():
+        found += np.average(off[near], weights=areas[near])
+    return float((found + 45.0) % 90.0 - 45.0)
+
+
+def _side(upright: np.ndarray, outward: np.ndarray, edge: float, span: float
+          ) -> tuple[float, bool]:
+    """
+    Find the outermost wall of a side.
+
+    :param upright: (M, 2) metres, points of walls and furniture.
+    :param edge: how far out the scan goes, metres.
+    :param span: how long the side is, metres.
+    :returns: where the wall is, metres outwards, and whether there is one; else the edge.
+    """
+    out = upright @ outward
+    parts = np.floor(upright @ [-outward[1], outward[0]] / PART)
+    for offset in np.arange(edge + SHEET, edge - INSIDE, -0.5 * SHEET):
+        near = np.abs(out - offset) <= 0.5 * SHEET
+        if len(np.unique(parts[near])) >= STANDS * span / PART:
+            # The sheet may reach further in than the step in which it was met.
+            return float(np.median(out[np.abs(out - np.median(out[near])) <= 0.5 * SHEET])), True
+    return float(edge), False
+
+
+class InnerWall(NamedTuple):
+    """
+    A wall that is no side of the rectangle around the room.
+
+    :ivar letter: E, F and so on.
+    :ivar outward: (2,) unit vector from the camera that is near it.
+    :ivar offset: metres: where outward . (x, y) is this, there is the wall.
+    :ivar at: (2,) metres, a place on it.
+    """
+
+    letter: str
+    outward: np.ndarray
+    offset: float
+    at: np.ndarray
+
+
+class Distance(NamedTuple):
+    """
+    How far a camera is from a wall.
+
+    :ivar letter: of the wall.
+    :ivar away: metres, at right angles.
+    :ivar at: (2,) metres, the foot of the perpendicular.
+    :ivar beyond: whether the camera is on the far side of a side of the room.
+    """
+
+    letter: str
+    away: float
+    at: np.ndarray
+    beyond: bool = False
+
+
+class WallReferences:
+    """
+    The walls that cameras are measured from.
+
+    :param scene: the room.
+    :param positions: (K, 3) metres, map frame, of the cameras.
+    :ivar sides: of the rectangle around the room, A to D.
+    :ivar inner: other walls, E and so on.
+    :ivar distances: of each camera, the nearest first: at most two, of walls at right angles.
+    """
+
+    def __init__(self, scene: Scene, positions: np.ndarray) -> None:
+        self.sides = walls_around(scene)
+        self.inner: list[InnerWall] = []
+        self._surface = walls_of(scene)
+        self._least = max(FEWEST, int(PIECE / float(np.median(scene.pitch)) ** 2))
+        self.distances = [self._around(np.asarray(position)) for position in positions]
+
+    def _around(self, position: np.ndarray) -> list[Distance]:
+        """Measure from the wall that a camera hangs on, or is near, and from one across it."""
+        contact = self._surface.at(position[None])
+        ahead, hung = self.sides[0].outward, []
+        if contact.on[0]:
+            ahead = -contact.normals[0, :2]
+            hung = [(float(contact.distances[0]), ahead)]
+        found = [hung or self._either(position, ahead),
+                 self._either(position, np.array([ahead[1], -ahead[0]]))]
+        return [self._distance(position, *min(pair, key=lambda one: one[0]))
+                for pair in sorted(filter(None, found), key=min_away)]
+
+    def _either(self, position: np.ndarray, way: np.ndarray) -> list[tuple[float, np.ndarray]]:
+        """Return how far walls are one way and the other, where there are any."""
+        return [(away, outward) for outward in (way, -way)
+                if (away := self._away(position[:2], outward)) is not None]
+
+    def _distance(self, position: np.ndarray, away: float, outward: np.ndarray) -> Distance:
+        """Name the wall that is so far that way."""
+        at = position[:2] + away * outward
+        wall = self._wall(outward, at)
+        beyond = isinstance(wall, ReferenceWall) and float(wall.outward @ outward) < 0.0
+        return Distance(wall.letter, max(away, 0.0), at, beyond)
+
+    def _away(self, place: np.ndarray, outward: np.ndarray) -> float | None:
+        """Return how far the first wall is that way, metres; None where none is near."""
+        ways = self._surface.points[:, :2] - place
+        facing = np.abs(self._surface.normals[:, :2] @ outward) >= FACING
+        strip = facing & (np.abs(ways @ [-outward[1], outward[0]]) <= STRIP)
+        away = np.sort(ways[strip] @ outward)
+        away = away[(away >= -BEHIND) & (away <= FAR + SHEET)]
+        ends = np.searchsorted(away, away + SHEET, side='right')
+        first = np.flatnonzero(ends - np.arange(len(away)) >= self._least)
+        if len(first) == 0:
+            return None
+        found = float(np.median(away[first[0]:ends[first[0]]]))
+        return found if found <= FAR else None
+
+    def _wall(self, outward: np.ndarray, at: np.ndarray) -> ReferenceWall | InnerWall:
+        """Return a wall by a place on it; one that is not known yet gets the next letter."""
+        known: list[ReferenceWall | InnerWall] = [*self.sides, *self.inner]
+        for wall in known:
+            if (abs(float(wall.outward @ outward)) >= ALIKE
+                    and abs(wall.offset - wall.outward @ at) <= UNEVEN):
+                return wall
+        letter = letter_of(len(self.sides) + len(self.inner))
+        self.inner.append(InnerWall(letter, outward, float(outward @ at), at))
+        return self.inner[-1]
+
+
+def min_away(found: list[tuple[float, np.ndarray]]) -> float:
+    """Return how far the nearest of some walls is, metres."""
+    return min(away for away, _ in found)
+
+
+def letter_of(number: int) -> str:
+    """Return the letter of a wall, counted from 0: A to Z, then AA, AB and so on."""
+    more, last = divmod(number, len(ascii_uppercase))
+    return (letter_of(more - 1) if more else '') + ascii_uppercase[last]

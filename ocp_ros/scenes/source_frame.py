@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From the frame of the map to that of the file that a room was read from, and back."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class SourceFrame:
+    """
+    How coordinates of a file became those of the map: ``map = scale * rotation @ file - shift``.
+
+    :ivar scale: metres per unit of the file.
+    :ivar rotation: (3, 3), axes of the file to axes of the map, z up.
+    :ivar shift: (3,) metres, what was subtracted after that.
+    """
+
+    scale: float = 1.0
+    rotation: np.ndarray = field(default_factory=lambda: np.eye(3))
+    shift: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def is_map(self) -> bool:
+        """Tell whether the file has the coordinates of the map."""
+        return bool(self.scale == 1.0 and np.array_equal(self.rotation, np.eye(3))
+                    and not np.any(self.shift))
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """Return the transform of homogeneous coordinates from the map to the file: (4, 4)."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = self.rotation.T / self.scale
+        matrix[:3, 3] = self.rotation.T @ self.shift / self.scale
+        return matrix
+
+    def to_source(self, positions: np.ndarray) -> np.ndarray:
+        """Return positions (..., 3) of the map, metres, in the axes and units of the file."""
+        return (np.asarray(positions, dtype=np.float64) + self.shift) @ self.rotation / self.scale
+
+    def to_map(self, positions: np.ndarray) -> np.ndarray:
+        """Return positions (..., 3) of the file in the map, metres."""
+        positions = np.asarray(positions, dtype=np.float64)
+        return self.scale * (positions @ self.rotation.T) - self.shift
+
+    def rotated(self, rotation: np.ndarray) -> 'SourceFrame':
+        """Return the frame after the map was rotated about its origin by (3, 3)."""
+        return SourceFrame(self.scale, rotation @ self.rotation, rotation @ self.shift)

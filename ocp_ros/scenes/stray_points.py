@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Points of a scan that are no part of the room: reflections, dust, what windows show."""
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from ocp_ros.geometry.clouds import cell_numbers, cells_numbered, corners_of, REACH
+
+#: Edge of the cells that hang together: metres at least, and in multiples of the points' spacing.
+EDGE, SPACINGS = 0.25, 4.0
+#: Per cent of the points at either end that say nothing about how large a room is.
+ENDS = 2.0
+#: Metres that a stray group is away from the bounds of the room, and its largest share of the
+#: points: the second where it is farther from the room than the room is large.
+AWAY, SHARE, FAR_SHARE = 1.0, 0.002, 0.05
+
+
+def stray_points(points: np.ndarray) -> np.ndarray:
+    """
+    Find the points that would make the bounds of a room larger than it is.
+
+    Points hang together that lie in neighbouring cells of a grid. The largest group is the room;
+    a stray group has few points and lies outside the room's bounds. What hangs in the air inside
+    of them, such as a lamp, stays.
+
+    :param points: (N, 3), finite, in any unit.
+    :returns: (N,) bool.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    core = np.subtract(*np.percentile(points, [100.0 - ENDS, ENDS], axis=0))
+    with np.errstate(over='ignore'):
+        area = 2.0 * (core[0] * core[1] + core[1] * core[2] + core[2] * core[0])
+        edge = max(EDGE, SPACINGS * np.sqrt(area / len(points)))
+        if not np.isfinite(edge):
+            return np.zeros(len(points), dtype=bool)
+        cells = (points - np.median(points, axis=0)) / edge
+    cells = np.clip(np.floor(cells), 1 - REACH, REACH - 1).astype(np.int64)
+    numbers, cell = np.unique(cell_numbers(cells), return_inverse=True)
+    group = _groups(cells_numbered(numbers))[cell]
+    sizes = np.bincount(group)
+    low, high = corners_of(points[group == np.argmax(sizes)])
+    away = np.full(len(sizes), np.inf)
+    with np.errstate(over='ignore'):
+        np.minimum.at(away, group, np.linalg.norm(
+            np.maximum(np.maximum(low - points, points - high), 0.0), axis=1))
+    share = np.where(away > np.linalg.norm(high - low), FAR_SHARE, SHARE)
+    return ((away > max(AWAY, edge)) & (sizes <= share * len(points)))[group]
+
+
+def _groups(cells: np.ndarray) -> np.ndarray:
+    """Number the groups of cells (M, 3) that touch each other, if only at a corner: (M,)."""
+    pairs = cKDTree(cells).query_pairs(1.5, p=np.inf, output_type='ndarray')
+    joined = coo_array((np.ones(len(pairs), dtype=bool), (pairs[:, 0], pairs[:, 1])),
+                       shape=(len(cells), len(cells)))
+    return connected_components(joined, directed=False)[1]

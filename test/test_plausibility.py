@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rooms that are not what they seem: stray points, lying down, tilted, in feet, of two storeys."""
+
+from conftest import box_room, box_sides, made_room
+import numpy as np
+import pytest
+
+from ocp_ros.geometry.cameras import rotation_matrix
+from ocp_ros.rig.plausibility import room_notes
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.scene_files import load_scene, SceneWarning
+from ocp_ros.scenes.stray_points import stray_points
+from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
+
+
+def scene_of(*parts):
+    return Scene(np.concatenate(parts).astype(np.float32), 'room')
+
+
+def of_kind(notes, words):
+    """Return the notes that say something."""
+    return [note for note in notes if words in note]
+
+
+@pytest.mark.parametrize('away', [3.0, 20.0, 300.0, 1e4])
+def test_a_stray_point_changes_nothing(tmp_path, away):
+    points = made_room(8, 2000).points
+    np.save(tmp_path / 'room.npy', points)
+    np.save(tmp_path / 'stray.npy', np.vstack([points, points.max(axis=0) + [away, 0, 0]]))
+    scene = load_scene(tmp_path / 'room.npy')
+    with pytest.warns(SceneWarning, match='stray.npy: found 1 stray point, up to .* left it out'):
+        stray = load_scene(tmp_path / 'stray.npy')
+    assert np.array_equal(stray.points, scene.points) and len(stray.notes) == 1
+    assert scene.notes == ()
+    placement = np.array([[2.0, 2.0, 1.9], [4.0, 4.0, 1.9]])
+    errors = [Simulator(one, SimulationConfig()).evaluate(placement).depth_error
+              for one in (scene, stray)]
+    assert errors[0] == errors[1]
+
+
+def test_groups_of_stray_points_are_found_and_rooms_are_whole():
+    room = made_room(8, 2500).points
+    rng = np.random.default_rng(0)
+    far = room.max(axis=0) + [60.0, 5.0, 0.0] + rng.uniform(size=(100, 3))
+    assert stray_points(np.vstack([room, far]))[-100:].all()
+    assert not stray_points(np.vstack([room, far]))[:-100].any()
+    # A lamp in the air, and another room of the same size across a gap, are no strays.
+    lamp = room.mean(axis=0) + 0.1 * rng.uniform(size=(3, 3))
+    assert not stray_points(np.vstack([room, lamp])).any()
+    other = room + np.array([np.ptp(room[:, 0]) + 3.0, 0.0, 0.0], dtype=np.float32)
+    assert not stray_points(np.vstack([room, other])).any()
+
+
+@pytest.mark.parametrize('unit', [1.0, 1000.0, 1 / 0.3048])
+def test_generated_rooms_have_no_strays_in_any_unit(unit):
+    for seed in range(4):
+        assert not stray_points(unit * made_room(seed, 3000).points).any()
+
+
+def test_the_files_frame_is_found_again(tmp_path):
+    source = 1000.0 * made_room(8, 2000).points.astype(np.float64)[:, [0, 2, 1]] * [1, 1, -1]
+    source += [512_345_678.0, 1000.0, 5_400_000_000.0]
+    np.save(tmp_path / 'utm.npy', source)
+    scene = load_scene(tmp_path / 'utm.npy', scale=0.001, up='y')
+    assert abs(scene.points).max() < 1000.0 and not scene.source.is_map
+    back = scene.source.to_source(scene.points)
+    np.testing.assert_allclose(back, source, atol=0.1)
+    np.testing.assert_allclose(scene.source.to_map(back), scene.points, atol=1e-6)
+    homogeneous = np.column_stack([scene.points, np.ones(len(scene))])
+    np.testing.assert_allclose((homogeneous @ scene.source.matrix.T)[:, :3], back, rtol=1e-12)
+
+
+def test_generated_rooms_are_plausible():
+    doubtful = {seed: notes for seed in range(7000, 7012)
+                if (notes := room_notes(made_room(seed, 4000)))}
+    assert doubtful == {}
+
+
+@pytest.mark.parametrize('degrees', [5.0, 12.0, 25.0])
+def test_a_tilted_room_is_noticed(degrees):
+    points = made_room(8, 3000).points @ rotation_matrix(roll=np.deg2rad(degrees)).T
+    note, = of_kind(room_notes(scene_of(points)), 'tilted')
+    assert f'tilted by {degrees:.0f} degrees' in note
+
+
+@pytest.mark.parametrize('factor, words', [(1 / 0.3048, 'feet'), (10.0, 'ten times smaller')])
+def test_a_room_in_other_units_is_noticed_and_the_unit_is_named(factor, words):
+    note, = of_kind(room_notes(scene_of(factor * made_room(8, 3000).points)), 'm high')
+    assert words in note and f'{1 / factor:.3g}'[:4] in note
+
+
+def test_many_rooms_upside_down_are_noticed():
+    turned = [room_notes(scene_of(made_room(seed, 4000).points * np.array([1, 1, -1], 'f4')))
+              for seed in range(7000, 7012)]
+    assert sum(bool(of_kind(notes, 'upside down')) for notes in turned) >= 4
+
+
+def test_two_storeys_are_noticed():
+    lower = box_room().points
+    upper = lower + np.array([0.0, 0.0, 3.1], dtype=np.float32)
+    assert of_kind(room_notes(scene_of(lower, upper)), 'several storeys')
+    assert not of_kind(room_notes(box_room()), 'storeys')
+
+
+@pytest.mark.parametrize('keep, words', [
+    (lambda points: points[:, 2] < 2.7, 'no ceiling'),
+    (lambda points: points[:, 2] > 0.1, 'no floor')])
+def test_a_missing_floor_or_ceiling_is_noticed(keep, words):
+    points = box_sides(np.array([6.0, 4.0, 2.8]), np.array([3.0, 2.0, 1.4]))
+    assert of_kind(room_notes(scene_of(points[keep(points)])), words)
+
+
+def test_a_field_is_no_room():
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 40, 0.4), np.arange(0, 30, 0.4)))
+    field = np.column_stack([x, y, 0.1 * np.sin(x)])
+    trees = box_sides(np.array([0.5, 0.5, 4.0]), np.array([20.0, 15.0, 2.0]))
+    assert of_kind(room_notes(scene_of(field, trees)), 'outdoors')
