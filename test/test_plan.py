@@ -317,7 +317,7 @@ def test_what_is_printed_names_all_of_it(files, capsys, undrawn):
     out, err = capsys.readouterr()
     out = ' '.join(out.split())
     for words in ('every constraint is kept', 'How to hang them up', 'face wall',
-                  'random allowed placements', 'what limits it', 'next best of 4 searches',
+                  'random allowed placements', 'out of sight wherever', 'next best of 4 searches',
                   'wrote here/placement.yaml', 'helps most at ('):
         assert words in out, words
     assert err == ''

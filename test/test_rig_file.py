@@ -66,7 +66,7 @@ def test_what_is_left_out_has_defaults(tmp_path):
     assert [camera.name for camera in rig.cameras] == ['omnidirectional']
     assert rig.models == (CameraModel(),) and len(rig.fixed_poses) == 0
     assert rig.mount == ('plane', (1.9, 1.9)) and rig.seen_by == 1
-    assert (rig.keep_clear, rig.spacing) == (0.2, 0.0)
+    assert (rig.keep_clear, rig.spacing) == (0.2, 0.2)
     assert rig.pitch == pytest.approx((0.0, np.pi / 2))
     assert rig_in(tmp_path, 'cameras: [{sensor: kinect_v2}]\nmount: {on: ceiling}').mount == (
         'ceiling', None)

@@ -205,8 +205,8 @@ def quality(search: dict[str, Any]) -> Iterator[str]:
     yield (f'no choice among the {search["candidates"]:,} candidates is below {everywhere:.4f}, '
            'the loss with cameras at all of them at once')
     share = everywhere / loss if loss > 0.0 else 1.0
-    yield (f'what limits it: {percent(min(share, 1.0))} of the loss is out of sight wherever '
-           'cameras may hang, the rest is for want of cameras')
+    yield (f'{percent(min(share, 1.0))} of the loss is out of sight wherever cameras may hang; '
+           'whether the rest is for want of cameras or of time, this search does not tell')
 
 
 def _others(losses: Sequence[float]) -> str:

@@ -20,6 +20,8 @@ from ocp_ros.geometry.packed_bits import no_bits
 from ocp_ros.geometry.shadow_maps import footprint, project, Projection
 from ocp_ros.util.threads import mapped
 
+#: Viewpoints of the paper, and rows that a map has at least.
+FIVE, FEWEST_ROWS = 5, 16
 #: Pixels are sorted by this many of their nearest points, so that those with the same meet.
 SORTED_BY = 6
 
@@ -161,17 +163,21 @@ class DepthError:
     :param bounds: (2, 3), lowest and highest corner, metres.
     :param rows: rows of the depth maps; they have twice as many columns.
     :param cube_scale: half the side of a point's cube in multiples of its spacing.
+    :param places: (V, 3) metres, the viewpoints; the five of the paper unless given. With more of
+        them maps are coarser, so that there are as many pixels, and the error is that of five.
     :ivar trees: for kernels that ask :func:`lost_depth` many times.
-    :ivar pixels: of a map.
+    :ivar pixels: what the sum over all pixels is divided by: those of one map of five.
     """
 
     def __init__(self, points: np.ndarray, spacing: np.ndarray, bounds: np.ndarray, rows: int,
-                 cube_scale: float) -> None:
+                 cube_scale: float, places: np.ndarray | None = None) -> None:
         self.far = float(np.linalg.norm(bounds[1] - bounds[0]))
-        self.shape = (rows, 2 * rows)
-        self.pixels = rows * 2 * rows
         self._count = len(points)
-        self.viewpoints = viewpoints(bounds)
+        self.viewpoints = viewpoints(bounds) if places is None else places
+        more = len(self.viewpoints) / FIVE
+        rows = rows if more == 1.0 else max(FEWEST_ROWS, round(rows / np.sqrt(more)))
+        self.shape = (rows, 2 * rows)
+        self.pixels = rows * 2 * rows if more == 1.0 else rows * 2 * rows * more
         half_sides = (cube_scale * spacing).astype(np.float32)
         self._maps, grown = [], []
         for trees, depth_map in mapped(
@@ -214,7 +220,7 @@ class DepthError:
         """
         Return the depth map of the whole scene.
 
-        :param viewpoint: 0 to 4.
+        :param viewpoint: its number, from 0.
         :returns: (H, W) float32, metres; an empty pixel reads the bounding box's diagonal.
         """
         return self._maps[viewpoint]
@@ -224,7 +230,8 @@ class DepthError:
         Return the depth observation error of the visible points.
 
         :param seen: (W,) uint64, packed bits of the points.
-        :returns: metres: the sum over the viewpoints of the mean over the pixels.
+        :returns: metres: the sum over five viewpoints of the mean over the pixels; of more
+            viewpoints, five times their mean.
         """
         return lost_depth(self.trees, seen) / self.pixels
 

@@ -13,6 +13,9 @@ from ocp_ros.planners.rig_plan import RigPlan
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 from ocp_ros.report.key_figures import percent
 
+#: What each share is called above its column: none is a share of all points.
+HEADS = {'seen': 'of visible points', 'coverage': 'of reachable space',
+         'error': 'of removable error'}
 #: What each share is a share of.
 SHARES = {'seen': 'points that can be seen', 'coverage': 'space that can be covered',
           'error': 'depth error that can be taken away'}
@@ -28,7 +31,7 @@ def rows_of_curve(plans: Sequence[RigPlan]) -> list[dict[str, Any]]:
 
 def show_curve(console: Console, rows: Sequence[dict[str, Any]], count: dict[str, Any]) -> None:
     """Print how many cameras are needed."""
-    table = Table('cameras', 'loss', 'depth error', *SHARES, title='How many are needed')
+    table = Table('cameras', 'loss', 'depth error', *HEADS.values(), title='How many are needed')
     for row in rows:
         table.add_row(str(row['cameras']), f'{row["loss"]:.4f}', f'{row["depth_error"]:.3f} m',
                       *(percent(row[f'share_{name}']) for name in SHARES))

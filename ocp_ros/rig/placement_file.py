@@ -263,7 +263,7 @@ def _rig_like(placement: Placement, floor: float) -> Rig:
         'cameras': [{'name': one.camera.name, **numbers_of(one.camera)} for one in moved],
         'fixed': [_entry(one, mount=False) for one in placed if one.mount == FIXED],
         'mount': mount, 'pitch': [min([0.0, *pitches]), max([MORE_PITCH, *pitches])],
-        'keep_clear': TOUCHING}
+        'keep_clear': TOUCHING, 'spacing': 0.0}
     return rig_from(_made_of(placement, data, int(np.argmin(heights))))
 
 

@@ -138,8 +138,8 @@ def _overturned(scene: Scene, floor: float, ceiling: float) -> bool:
     Tell whether a room lies upside down.
 
     Furniture stands low and hides the foot of walls, which have doors there: there is more surface
-    low than high, and more of a wall high than low. Of 80 generated rooms none looks overturned,
-    and of the same turned over six in ten do.
+    low than high, and more of a wall high than low. Only clear evidence counts: of 60 generated
+    rooms that the limit was not made on one looks overturned, and of the same turned over 14 do.
     """
     areas = scene.pitch.astype(np.float64) ** 2
     walls = _over_walls(scene, floor, ceiling) & (np.abs(scene.normals_or_estimate[:, 2]) <= STEEP)

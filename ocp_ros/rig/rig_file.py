@@ -24,6 +24,8 @@ from ocp_ros.util.yaml_files import check, describe, Document, nearest, read_doc
 #: Share of a region's points that has to be seen where it says ``must_see: true``: some are
 #: noise, and some lie behind others wherever the cameras hang.
 MUST_SEE = 0.95
+#: Metres between two cameras where a file does not say: the body of most.
+SPACING = 0.2
 #: Metres above the floor where a file names none; on the ceiling it is the ceiling's own.
 HEIGHTS = {'plane': (1.9, 1.9), 'ceiling': None, 'walls': (1.5, 2.5), 'free': (1.5, 2.5)}
 
@@ -269,7 +271,7 @@ def rig_from(document: Document) -> Rig:
                              'as many as there are cameras', 'lower it or add cameras')
     low, high = _range(document, ('pitch',), data.get('pitch', [0.0, 90.0]))
     return Rig(cameras, fixed, _mount(document), (float(np.deg2rad(low)), float(np.deg2rad(high))),
-               float(data.get('keep_clear', 0.2)), float(data.get('spacing', 0.0)),
+               float(data.get('keep_clear', 0.2)), float(data.get('spacing', SPACING)),
                tuple(zone_of(document, ('no_go', k)) for k in range(len(data.get('no_go', ())))),
                regions, seen_by, document)
 

@@ -236,6 +236,23 @@ class Air:
         cells = np.floor((positions - self.low) / self.edge).astype(int)
         return np.clip(cells, 0, np.array(shape) - 1).T
 
+    def places(self, height: float, most: int) -> np.ndarray:
+        """
+        Return a square lattice of at most so many places in the air: (M, 3), metres.
+
+        :param height: z of all of them.
+        """
+        if self._away.shape[2] == 0:
+            return np.empty((0, 3))
+        level = int(np.clip((height - self.low[2]) / self.edge, 0, self._away.shape[2] - 1))
+        cells = np.argwhere(self._away[:, :, level] == 0.0)
+        step, lattice = 1, cells
+        while len(lattice) > most:
+            step += 1
+            lattice = cells[(cells % step == 0).all(axis=1)]
+        flat = self.low[:2] + self.edge * (lattice + 0.5)
+        return np.column_stack([flat, np.full(len(flat), height)])
+
     def closed(self, positions: np.ndarray) -> np.ndarray:
         """Tell which positions (M, 3), metres, the ball does not come near: (M,) bool."""
         away = self._away[tuple(self._cells(positions, self._away.shape))]

@@ -155,7 +155,7 @@ class Problem:
         :raises ConfigurationError: if the rig does not go with the room.
         """
         region = FeasibleRegion(scene, rig)
-        simulator = Simulator(scene, config or SimulationConfig(), rig.models)
+        simulator = Simulator(scene, config or SimulationConfig(), rig.models, region.air)
         return cls(Objective(simulator, rig), region)
 
     @property

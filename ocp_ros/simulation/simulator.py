@@ -13,7 +13,9 @@ from ocp_ros.geometry.coverage import coverable_cell, coverage_grid, space_cover
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.packed_bits import no_bits, Subset
 from ocp_ros.geometry.visibility import CubeVisibility, PRESETS, SurfelVisibility
+from ocp_ros.rig.structure import Air
 from ocp_ros.scenes.scene import Scene, SceneError
+from ocp_ros.simulation.room_viewpoints import viewpoints_in
 from ocp_ros.simulation.simulation_config import SimulationConfig
 
 _log = logging.getLogger(__name__)
@@ -65,12 +67,14 @@ class Simulator:
     :param config: the rig and the engine's settings.
     :param models: what each camera of a rig file sees, in place of what ``config.rig`` says: then
         nothing of that counts.
+    :param air: of the room, where several rooms are to have viewpoints of their own; see
+        :mod:`ocp_ros.simulation.room_viewpoints`.
     :ivar height: z of the plane of ``config.rig``, metres, map frame.
     :raises SceneError: if that plane is not inside the room.
     """
 
     def __init__(self, scene: Scene, config: SimulationConfig,
-                 models: Sequence[CameraModel] | None = None) -> None:
+                 models: Sequence[CameraModel] | None = None, air: Air | None = None) -> None:
         self.scene, self.config = scene, config
         self.models = tuple(config.rig.models if models is None else models)
         self.height = float(scene.bounds[0, 2] + config.rig.height)
@@ -88,8 +92,9 @@ class Simulator:
         self.grid, self.cell_volume = coverage_grid(scene.bounds, cell)
         self.visibility = self._make_visibility()
         order = self.visibility.order
-        self.depth_error = DepthError(scene.points[order], scene.spacing[order], scene.bounds,
-                                      config.engine.error_rows, ERROR_CUBE)
+        self.depth_error = DepthError(
+            scene.points[order], scene.spacing[order], scene.bounds, config.engine.error_rows,
+            ERROR_CUBE, None if air is None else viewpoints_in(scene, air, self._seen_from))
 
     def _make_visibility(self) -> SurfelVisibility | CubeVisibility:
         """Build what the preset asks for."""
@@ -98,6 +103,13 @@ class Simulator:
             return CubeVisibility(scene.points, scene.spacing, self.grid, PRESETS[preset])
         return SurfelVisibility(scene.points, scene.normals_or_estimate, scene.pitch, self.grid,
                                 PRESETS[preset])
+
+    def _seen_from(self, position: np.ndarray) -> np.ndarray:
+        """Return the packed bits (W,) of all points in sight of a position, however far."""
+        view = View(no_bits(len(self.scene)), no_bits(len(self.grid)))
+        lens = CameraModel(max_range=2.0 * float(np.linalg.norm(self.scene.size))).lens
+        self.visibility.look(Pose.of(position), lens, *view)
+        return view.seen
 
     @property
     def volume(self) -> float:
