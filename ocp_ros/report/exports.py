@@ -108,13 +108,13 @@ class Link(NamedTuple):
 
 def map_to_scan(source: SourceFrame) -> Link:
     """Return where the frame of a scan, in metres, is on the map."""
-    yaw, pitch, roll = heading_of(source.rotation)
+    yaw, pitch, roll = heading_of(source.rotation).tolist()
     return Link(FRAME, SCAN, tuple((-source.shift).tolist()), (roll, pitch, yaw))
 
 
 def scan_to_map(source: SourceFrame) -> Link:
     """Return where the map is in the frame of a scan, in metres."""
-    yaw, pitch, roll = heading_of(source.rotation.T)
+    yaw, pitch, roll = heading_of(source.rotation.T).tolist()
     return Link(SCAN, FRAME, tuple((source.rotation.T @ source.shift).tolist()),
                 (roll, pitch, yaw))
 

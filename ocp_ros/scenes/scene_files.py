@@ -221,7 +221,7 @@ def _near_origin(points: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]
     low, high = corners_of(points)
     if np.linalg.norm(np.maximum(abs(low), abs(high))) <= FAR:
         return points, np.zeros(3)
-    offset = np.round(low, -2)
+    offset = np.round(low, -2) + 0.0
     # A warning, since every placement found will be in the moved coordinates.
     _log.warning('%s: found coordinates far from the origin; subtracted (%.0f, %.0f, %.0f) m',
                  name, *offset)
