@@ -188,6 +188,13 @@ def test_the_summary_is_what_its_words_say():
     assert good['interval'][0] <= 6.0 <= good['interval'][1] and good['seeds'] == 2
 
 
+def test_a_room_of_which_nothing_is_missed_is_noted():
+    summary = summarise(rows_of({'one': {('easy', 0): [0.07], ('b', 0): [4.0]},
+                                 'other': {('easy', 0): [2.5], ('b', 0): [4.0]}}))
+    note, = summary['notes']
+    assert note.startswith('easy: found that the best known leaves 0.070 m')
+
+
 def test_intervals_and_ranks_tell_planners_apart():
     rng = np.random.default_rng(0)
     low, high = interval(np.full(10, 2.0))

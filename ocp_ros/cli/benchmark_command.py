@@ -189,4 +189,7 @@ def show(summary: dict[str, Any]) -> None:
     for name, run_ in sorted(last_runs(summary).items(), key=lambda item: item[1]['sum']):
         table.add_row(name, f'{run_["sum"]:.2f}', shown(run_['ratio_to_best_known'], 2),
                       shown(run_['gap_closed'], 4), str(run_['wins']), f'{run_["seconds"]:.2f}')
-    Console(width=100).print(table)
+    console = Console(width=100)
+    console.print(table)
+    for note in summary['notes']:
+        console.print(f'note: {note}', style='yellow', markup=False, highlight=False)

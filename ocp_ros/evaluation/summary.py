@@ -8,6 +8,7 @@ over rooms: rooms differ more than seeds do.
 """
 
 from collections import defaultdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from ocp_ros.evaluation.protocol import CONTROL
 Rows = list[dict[str, Any]]
 #: Resamples of the bootstrap.
 RESAMPLES = 2000
+#: Share of a random placement's error below which the best known leaves nothing to be compared.
+SATURATED = 0.01
 
 
 def best_known(rows: Rows) -> dict[tuple[str, float], float]:
@@ -58,7 +61,7 @@ def summarise(rows: Rows) -> dict[str, Any]:
         ``ratio_to_best_known`` and ``gap_closed`` (None where nothing is ever missed),
         ``seconds``, ``seeds``, ``off_5_cm``, ``off_10_cm`` and, of online planners, whose budget
         is 0, ``seconds_per_turn`` (median) and ``seconds_at_most``; the rank test of each budget;
-        and what is known of each room.
+        what is known of each room; and ``notes`` on rooms that tell planners apart no more.
     """
     best = best_known(rows)
     rooms = list(dict.fromkeys(row['room'] for row in rows))
@@ -73,6 +76,11 @@ def summarise(rows: Rows) -> dict[str, Any]:
         room: {'best_known': known[room], 'random_placement': control[room],
                'share': _share(known[room], control[room]),
                'lower_bound': least[room]} for room in rooms}, 'planners': {}, 'rank_tests': {}}
+    summary['notes'] = [
+        f'{Path(room).stem}: found that the best known leaves {known[room]:.3f} m, less than '
+        f'{100.0 * SATURATED:g} % of what a random placement leaves; expected more to be missed; '
+        'ratios to so little say nothing: use fewer cameras or a larger room'
+        for room in rooms if control[room] > 0.0 and known[room] < SATURATED * control[room]]
     total, chance = sum(known.values()), sum(control.values())
     for planner, budget in runs:
         values = np.array([errors[planner, budget][room] for room in rooms])

@@ -159,7 +159,7 @@ def page(summary: dict[str, Any]) -> str:
         'rooms. *Ratio* is to the best known of all methods, seeds and budgets; *gap closed* is '
         '(random - method) / (random - best known), random being a placement drawn at random. '
         '*Wins* are rooms in which no other planner of the same budget was better.', '',
-        compared(summary), '']
+        compared(summary), '', *(f'**Note:** {note}.\n' for note in summary.get('notes', ()))]
     for budget in budgets_of(summary):
         heading = f'{int(budget):,} evaluations' if int(budget) else \
             'Online: turn by turn, knowing only what was seen'
