@@ -10,7 +10,7 @@ import sys
 from types import ModuleType
 import xml.etree.ElementTree as ElementTree
 
-from conftest import box_room, refused_in_one_sentence
+from conftest import box_room, l_shaped, refused_in_one_sentence
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -370,6 +370,26 @@ def test_an_installer_is_told_in_words(sensor, pose, words):
     placed, = placement_of(rig_of(1, sensor), moved[None]).cameras
     room = Scene(turned(box_room(), 20.0).points + np.array([5, 7, 2], dtype='f4'), 'moved')
     assert told(room, placed, 2.0)[2:6] == words
+
+
+@pytest.mark.parametrize(('room', 'place', 'words'), [
+    # A wall of a niche is no side of the rectangle around the room.
+    (l_shaped(), [2.9, 2.8, 1.9], '10 cm from wall E, 120 cm from wall A'),
+    (l_shaped(), [2.9, 1.0, 1.9], '100 cm from wall C, 290 cm from wall D'),
+    (box_room(14.0, 4.0), [7.0, 0.1, 1.9], '10 cm from wall C, no other wall within 5 m: use x, y'
+                                           ', z'),
+    (box_room(14.0, 12.0), [7.0, 6.0, 1.9], 'no wall within 5 m: use x, y, z')])
+def test_cameras_are_measured_from_walls_that_are_near(room, place, words):
+    placed, = placement_of(rig_of(1), np.array([place])).cameras
+    assert told(room, placed, 0.0).place == words
+
+
+def test_two_cameras_at_one_inner_wall_are_told_the_same_letter():
+    references = WallReferences(l_shaped(), np.array([[2.9, 2.8, 1.9], [2.8, 2.6, 1.9]]))
+    assert [[one.letter for one in distances] for distances in references.distances] == [
+        ['E', 'A'], ['E', 'A']]
+    wall, = references.inner
+    assert wall.letter == 'E' and wall.at[0] == pytest.approx(3.0, abs=0.03)
 
 
 def test_the_installers_page_names_walls_and_cameras(mixed):

@@ -24,8 +24,9 @@ BINS, TURNED = 90, 5.0
 #: Metres: parts of a side that are looked at, and the share of them that makes it a wall.
 PART, STANDS = 0.25, 0.3
 #: Metres: how far a wall may be to be measured from, half the width of the strip in which it is
-#: looked for, and how far a camera's front may be behind it by the noise of the scan.
-FAR, STRIP, BEHIND = 5.0, 0.5, 0.03
+#: looked for, how far it may end beside the way, and how far a camera's front may be behind it by
+#: the noise of the scan.
+FAR, STRIP, BESIDE, BEHIND = 5.0, 0.5, 0.05, 0.03
 #: Square metres that a wall has at least in that strip, and its fewest points.
 PIECE, FEWEST = 0.15, 3
 #: Least cosine between the normals of a wall and the way to it, and of two walls that are one;
@@ -188,15 +189,19 @@ class WallReferences:
         """Return how far the first wall is that way, metres; None where none is near."""
         ways = self._surface.points[:, :2] - place
         facing = np.abs(self._surface.normals[:, :2] @ outward) >= FACING
-        strip = facing & (np.abs(ways @ [-outward[1], outward[0]]) <= STRIP)
-        away = np.sort(ways[strip] @ outward)
-        away = away[(away >= -BEHIND) & (away <= FAR + SHEET)]
+        aside, away = ways @ [-outward[1], outward[0]], ways @ outward
+        strip = np.flatnonzero(facing & (np.abs(aside) <= STRIP) & (away >= -BEHIND)
+                               & (away <= FAR + SHEET))
+        strip = strip[np.argsort(away[strip], kind='stable')]
+        aside, away = aside[strip], away[strip]
         ends = np.searchsorted(away, away + SHEET, side='right')
-        first = np.flatnonzero(ends - np.arange(len(away)) >= self._least)
-        if len(first) == 0:
-            return None
-        found = float(np.median(away[first[0]:ends[first[0]]]))
-        return found if found <= FAR else None
+        for first in np.flatnonzero(ends - np.arange(len(away)) >= self._least):
+            sheet = slice(first, ends[first])
+            # A wall that ends beside the way is passed by.
+            if aside[sheet].min() <= BESIDE and aside[sheet].max() >= -BESIDE:
+                found = float(np.median(away[sheet]))
+                return found if found <= FAR else None
+        return None
 
     def _wall(self, outward: np.ndarray, at: np.ndarray) -> ReferenceWall | InnerWall:
         """Return a wall by a place on it; one that is not known yet gets the next letter."""
