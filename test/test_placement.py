@@ -355,7 +355,8 @@ def test_the_rectangle_lies_along_the_walls_and_not_along_the_scan():
     ('d455', [2.9, 1.0, 0.3, 90, -90, 0], ('100 cm from wall C, 290 cm from wall D',
                                            '30 cm above the floor', 'top of the picture to wall '
                                            'C', '90 degrees up')),
-    ('omni', [2.9, -0.2, 1.9, 0, 0, 0], ('20 cm beyond wall C, 290 cm from wall D',
+    ('omni', [2.9, -0.2, 1.9, 0, 0, 0], ('20 cm beyond wall C, no other wall within '
+                                         '5 m: use x, y, z',
                                          '190 cm above the floor', 'any way round', 'upright')),
     ('omni', [2.9, 1.0, 1.9, 90, 10, 0], ('100 cm from wall C, 290 cm from wall D',
                                           '190 cm above the floor', 'any way round', 'upright'))])
