@@ -10,7 +10,9 @@ import numpy as np
 
 from ocp_ros.planners.registry import KNOWS, OFFLINE, ONLINE
 from ocp_ros.planners.rig_methods import PLANNERS
+from ocp_ros.report.drawing.figure_files import save_figure
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
+from ocp_ros.util.files import write_atomically
 
 #: Told apart with any kind of colour vision, repeated with another line where there are more.
 COLOURS = ('#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '#d55e00', '#8c6d31')
@@ -40,11 +42,10 @@ def write_report(folder: Path, summary: dict[str, Any], rows: Rows) -> None:
         ``versions`` added; ``rig`` is the name of a rig file where one was placed.
     :param rows: the runs.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     draw_rooms(folder / 'rooms.png', summary)
     if 'rig' not in summary:
         draw_anytime(folder / 'anytime.png', summary, rows)
-    (folder / 'README.md').write_text(page(summary))
+    write_atomically(folder / 'README.md', page(summary))
 
 
 def budgets_of(summary: dict[str, Any]) -> list[str]:
@@ -90,7 +91,7 @@ def draw_rooms(path: Path, summary: dict[str, Any]) -> None:
                 fontsize=14, fontweight='bold', color=INK, va='center')
     figure.legend(loc='upper left', bbox_to_anchor=(0.06, 0.92), ncols=6, frameon=False,
                   fontsize=9)
-    figure.savefig(path)
+    save_figure(figure, path)
 
 
 def draw_anytime(path: Path, summary: dict[str, Any], rows: Rows) -> None:
@@ -120,7 +121,7 @@ def draw_anytime(path: Path, summary: dict[str, Any], rows: Rows) -> None:
                 color=INK, va='center')
     figure.legend(*figure.axes[0].get_legend_handles_labels(), loc='upper left',
                   bbox_to_anchor=(0.05, 0.92), ncols=6, frameon=False, fontsize=9)
-    figure.savefig(path)
+    save_figure(figure, path)
 
 
 def _quiet(axes: Axes) -> None:

@@ -11,6 +11,7 @@ import plotly.graph_objects as go
 from ocp_ros.report.drawing.placement_picture import CAMERA_COLOURS, UNOBSERVED
 from ocp_ros.report.drawing.room_drawing import HEIGHTS, heights_of, room_of
 from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.util.files import write_atomically
 
 #: Points that are drawn of a room, and of what a placement misses.
 MOST = 6000
@@ -55,8 +56,7 @@ def write_page(path: Path, title: str,
                       'yanchor': 'top'}],
         scene={'aspectmode': 'data', 'xaxis_title': 'x (m)', 'yaxis_title': 'y (m)',
                'zaxis_title': 'z (m)'})
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.write_html(path, include_plotlyjs=True, full_html=True)
+    write_atomically(path, figure.to_html(include_plotlyjs=True, full_html=True))
 
 
 def _some(count: int) -> np.ndarray:

@@ -22,6 +22,7 @@ from ocp_ros.evaluation.room_likeness import (
     shares_of_kinds,
     summary,
 )
+from ocp_ros.report.drawing.figure_files import save_figure
 from ocp_ros.report.drawing.room_drawing import (
     draw_discs,
     HEIGHTS,
@@ -64,8 +65,7 @@ def draw_sheet(path: Path, scenes: Sequence[tuple[str, Scene]], columns: int = 4
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect='equal')
         axes.set_axis_off()
         axes.set_title(title, fontsize=12, color=INK)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, format='png', dpi=75)
+    save_figure(figure, path, dpi=75)
 
 
 def titled(seed: int, points: int) -> tuple[str, Scene]:

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 import numpy as np
 
 from ocp_ros.report.drawing.camera_labels import camera_colour, draw_numbers
+from ocp_ros.report.drawing.figure_files import save_figure
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 from ocp_ros.report.installer import walls_around
 from ocp_ros.rig.placement_file import Placement
@@ -21,7 +22,7 @@ NUMBERS, LETTERS = 12.0, 20.0
 
 def draw_plan(path: Path, scene: Scene, placement: Placement) -> None:
     """Write the plan as PNG."""
-    figure_of(scene, placement).savefig(path, format='png', dpi=100)
+    save_figure(figure_of(scene, placement), path, dpi=100)
 
 
 def figure_of(scene: Scene, placement: Placement) -> Figure:

@@ -15,6 +15,7 @@ from matplotlib.offsetbox import AnnotationBbox, OffsetImage
 from matplotlib.patches import Circle, Patch, Polygon
 import numpy as np
 
+from ocp_ros.report.drawing.figure_files import save_figure
 from ocp_ros.report.drawing.room_drawing import (
     draw_discs,
     HEIGHTS,
@@ -56,8 +57,7 @@ def draw_placement(path: str | Path, points: np.ndarray, observed: np.ndarray | 
     _draw_cutaway(figure.add_axes((0.505, 0.1, 0.485, 0.77)), room, paths, max_range)
     unseen = None if observed is None else f' ({100.0 * np.mean(~observed):.1f} % of the points)'
     _draw_legend(figure, max_range, len(paths) > 1, unseen)
-    Path(path).parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, format='png', dpi=100)
+    save_figure(figure, path, dpi=100)
 
 
 class Example(NamedTuple):
@@ -100,7 +100,7 @@ def draw_examples(path: Path, examples: Sequence[Sequence[Example]], max_range: 
             _draw_plan(axes, room, example.trajectories, max_range)
             axes.set_title(example.title, fontsize=13, color=INK, loc='left')
     _draw_legend(figure, max_range, True, '')
-    figure.savefig(path, dpi=75)
+    save_figure(figure, path, dpi=75)
 
 
 def _checked(points, observed, trajectories, max_range: float):
