@@ -120,7 +120,7 @@ class Checkpoint:
         """
         write_atomically(path, self.to_bytes())
         card = json.dumps(self.card(), indent=2) + '\n'
-        write_atomically(Path(path).with_suffix('.json'), card.encode())
+        write_atomically(card_of(path), card)
 
     @classmethod
     def load(cls, path: Path) -> 'Checkpoint':
@@ -135,6 +135,11 @@ class Checkpoint:
             raise CheckpointError(f'{path}: found no file that can be read ({error.strerror}); '
                                   'expected weights ending in .safetensors') from error
         return cls.from_bytes(blob, str(path))
+
+
+def card_of(path: Path) -> Path:
+    """Return where the card of some weights stands."""
+    return Path(path).with_suffix('.json')
 
 
 def read_metadata(blob: bytes) -> dict[str, str]:

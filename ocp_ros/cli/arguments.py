@@ -87,6 +87,12 @@ def add_units(command: argparse.ArgumentParser, what: str) -> None:
     command.add_argument('--up', choices=('x', 'y', 'z'), help=f'axis {what} that points up')
 
 
+def add_overwrite(command: argparse.ArgumentParser) -> None:
+    """Add that files of others may be replaced."""
+    command.add_argument('--overwrite', action='store_true',
+                         help='replace files that ocp did not write, or that were edited since')
+
+
 def add_reading(command: argparse.ArgumentParser) -> None:
     """Add how a scan is to be read."""
     add_units(command, 'of the scan')

@@ -4,7 +4,16 @@
 import argparse
 from pathlib import Path
 
-from ocp_ros.cli.arguments import add_reading, at_least, cameras, count, seconds, seed, share
+from ocp_ros.cli.arguments import (
+    add_overwrite,
+    add_reading,
+    at_least,
+    cameras,
+    count,
+    seconds,
+    seed,
+    share,
+)
 from ocp_ros.cli.common import Commands, Found, PLAN
 from ocp_ros.util.settings import ConfigurationError, current_name
 
@@ -59,5 +68,6 @@ def add_plan(commands: Commands) -> None:
     planned.add_argument('--seed', type=seed, default=0, help='of all chance')
     planned.add_argument('--out', type=Path, default=Path('out/plan'), metavar='DIR',
                          help='write report, placement, CSV, launch file, xacro and more here')
+    add_overwrite(planned)
     add_reading(planned)
     planned.set_defaults(run=_plan, show=_show)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A placement for those who carry it out: files for people, spreadsheets and ROS 2."""
 
+from collections.abc import Iterator
 import csv
 import io
 from pathlib import Path
@@ -15,6 +16,10 @@ from ocp_ros.rig.placement_file import numbers_of, Placed, Placement, save_place
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.files import write_atomically
 
+#: Files of a placement that are read again, and all that :func:`export` writes.
+PLACEMENTS = ('placement.yaml', 'placement.json')
+FORMS = (*PLACEMENTS, 'cameras.csv', 'cameras.launch.py', 'cameras.urdf.xacro', 'cameras.rviz',
+         'installer.md', 'plan.png')
 #: From a camera's body (x forward, y left, z up) to its picture (z forward, x right, y down):
 #: roll, pitch, yaw in radians, REP-103.
 OPTICAL = (-0.5 * np.pi, 0.0, -0.5 * np.pi)
@@ -54,24 +59,24 @@ JOINT = """    <link name="%s"/>
 """
 
 
-def export(folder: Path, scene: Scene, placement: Placement) -> list[Path]:
+def export(folder: Path, scene: Scene, placement: Placement) -> Iterator[Path]:
     """
-    Write a placement in all forms.
+    Write a placement in all forms, the files of :data:`FORMS`, and yield each that is written.
 
     :param folder: it is made where it is not there.
-    :returns: the files.
     :raises OSError: if one cannot be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    for name in PLACEMENTS:
+        save_placement(folder / name, placement)
+        yield folder / name
     texts = {'cameras.csv': table_of(placement), 'cameras.launch.py': launch_of(placement),
              'cameras.urdf.xacro': xacro_of(placement), 'cameras.rviz': rviz_of(placement),
              'installer.md': instructions(scene, placement, 'plan.png')}
-    for name in ('placement.yaml', 'placement.json'):
-        save_placement(folder / name, placement)
     for name, text in texts.items():
         write_atomically(folder / name, text)
+        yield folder / name
     draw_plan(folder / 'plan.png', scene, placement)
-    return [folder / name for name in ('placement.yaml', 'placement.json', *texts, 'plan.png')]
+    yield folder / 'plan.png'
 
 
 def link_of(number: int) -> str:
