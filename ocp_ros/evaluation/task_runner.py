@@ -7,6 +7,7 @@ from functools import partial
 import hashlib
 import json
 import logging
+import os
 from pathlib import Path
 from typing import Any
 
@@ -79,7 +80,7 @@ def name_of(task: BenchmarkTask) -> str:
         # Another scan under the same name is another room.
         state = Path(task.room).stat()
         known = f'{Path(task.room).resolve()} {state.st_size} {state.st_mtime_ns}'
-        stem += '-' + hashlib.sha256(known.encode()).hexdigest()[:8]
+        stem += '-' + hashlib.sha256(os.fsencode(known)).hexdigest()[:8]
     return f'{stem}-{task.rotation:g}-{task.planner}'
 
 

@@ -2,6 +2,7 @@
 """A page without a server: rooms to turn around, and what each planner made of them."""
 
 from collections.abc import Mapping
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +44,7 @@ def write_page(path: Path, title: str,
             figure.add_trace(_cloud(missed[_some(len(missed))], UNOBSERVED,
                                     f'not seen ({share:.1f} %)'))
             figure.add_trace(_cameras(placement))
-            choices.append((f'{room}: {planner}, depth error {result.depth_error:.2f} m',
+            choices.append((f'{escape(room)}: {planner}, depth error {result.depth_error:.2f} m',
                             {whole, first, first + 1}))
     buttons = [{'label': label, 'method': 'update',
                 'args': [{'visible': [k in shown for k in range(len(figure.data))]}]}

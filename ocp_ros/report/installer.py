@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ocp_ros.report.markdown_text import in_markdown
 from ocp_ros.rig.placement_file import Placed, Placement
 from ocp_ros.rig.structure import floor_height, STEEP
 from ocp_ros.scenes.scene import Scene
@@ -195,13 +196,16 @@ def instructions(scene: Scene, placement: Placement, plan: str) -> str:
     sizes = ', '.join(f'{wall.letter} {wall.length:.2f} m' + (
         '' if wall.stands else ' (no wall stands there: measure from the line in the plan)')
         for wall in walls)
-    lines = [f'# How to hang up the cameras: {scene.name}', '', f'![Plan]({plan})', '',
+    lines = [f'# How to hang up the cameras: {in_markdown(scene.name)}', '',
+             f'![Plan]({plan})', '',
              f'Walls are lettered as in the plan, clockwise seen from above: {sizes}. Where the '
              'room is not', 'a rectangle they are the sides of the rectangle around it. Distances '
              'are at right angles to the wall, to', "the middle of the camera's front. Left and "
              'right are those of somebody who stands behind the camera.', '',
              f'| | {" | ".join(COLUMNS)} |', '|---' * (len(COLUMNS) + 1) + '|']
-    lines += ['| ' + ' | '.join(row) + ' |' for row in rows_of(placement, walls, floor)]
+    lines += ['| ' + ' | '.join(map(in_markdown, row)) + ' |'
+              for row in rows_of(placement, walls, floor)]
     if 'planner' in placement.created:
-        lines += ['', f'The placement was found by the planner {placement.created["planner"]}.']
+        planner = in_markdown(placement.created['planner'])
+        lines += ['', f'The placement was found by the planner {planner}.']
     return '\n'.join([*lines, ''])

@@ -5,6 +5,7 @@ from collections import Counter
 from typing import NamedTuple
 
 from ocp_ros.report.assessment import Assessment
+from ocp_ros.util.shown_text import printable
 
 
 class Figures(NamedTuple):
@@ -44,7 +45,8 @@ def figures_of(judged: Assessment) -> Figures:
         f'made by {made["command"]}' if 'command' in made else '', made.get('date', ''),
         f'ocp_ros {made["version"]}' if 'version' in made else '',
         'distances are at right angles to the walls, to the middle of the front of a camera']))
-    return Figures(title, subtitle, verdict, not broken, _cards(judged, scores), foot)
+    return Figures(title, subtitle, verdict, not broken, _cards(judged, scores),
+                   printable(foot))
 
 
 def _cards(judged: Assessment, scores: dict) -> list[tuple[str, str, str]]:

@@ -14,6 +14,7 @@ from ocp_ros.training.training_rooms import PARTS, room_names
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.own_files import is_own, note_own
 from ocp_ros.util.settings import ConfigurationError, from_nested, to_nested
+from ocp_ros.util.shown_text import printable
 
 CONFIG, ROOMS, PROGRESS = 'config.yaml', 'rooms.json', 'progress.jsonl'
 BEST, STATE, SHOWN = 'best.safetensors', 'state.safetensors', 'demonstrations'
@@ -56,6 +57,7 @@ def claim(folder: Path, config: TrainingConfig) -> None:
     :raises ConfigurationError: if another run lives there, or something else does.
     """
     path, rooms = folder / CONFIG, folder / ROOMS
+    _check_name(folder)
     if not rooms.exists() and not is_own(path):
         _refuse_strangers(folder)
     sets = {part: [Path(name).name for name in room_names(config.rooms, part)] for part in PARTS}
@@ -76,6 +78,16 @@ def claim(folder: Path, config: TrainingConfig) -> None:
         note_own([rooms])
     if not path.exists() or asked != before:
         _write_settings(path, config)
+
+
+def _check_name(folder: Path) -> None:
+    """Refuse a folder whose name is no text: TensorBoard cannot write to it."""
+    try:
+        str(folder).encode()
+    except UnicodeEncodeError as error:
+        raise ConfigurationError(
+            f'{printable(str(folder))}: found a name that is not in UTF-8; expected one that '
+            'TensorBoard can write to; name another folder') from error
 
 
 def _write_settings(path: Path, config: TrainingConfig) -> None:
