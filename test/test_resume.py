@@ -2,9 +2,10 @@
 """Runs whose files were damaged: they go on, or say what is damaged, what is lost, what to do."""
 
 import json
+import os
 from shutil import copytree
 
-from conftest import Here, rows_for
+from conftest import Here, observation, rows_for
 import numpy as np
 import pytest
 import safetensors.torch
@@ -17,7 +18,10 @@ from ocp_ros.evaluation import task_runner
 from ocp_ros.evaluation.protocol import Protocol
 from ocp_ros.training import train as training
 from ocp_ros.training.training_config import TrainingConfig
-from ocp_ros.util.settings import from_nested, UserError
+from ocp_ros.training.transition_log import TransitionLog
+from ocp_ros.training.transitions import Transition
+from ocp_ros.util.settings import ConfigurationError, from_nested, UserError
+from ocp_ros.util.worker_pool import WorkerPool
 
 #: A run that imitates, and then learns by itself.
 SETTINGS = {**SHOWN, 'interactions': 24, 'demonstrations': {**SHOWN['demonstrations'],
@@ -57,7 +61,7 @@ def tensors(change, metadata=None):
         header = json.loads(content[8:8 + int.from_bytes(content[:8], 'little')])
         found = safetensors.torch.load(content)
         return safetensors.torch.save(change(found) or found,
-                                      {**header['__metadata__'], **(metadata or {})})
+                                      {**header.get('__metadata__', {}), **(metadata or {})})
     return damage
 
 
@@ -334,3 +338,26 @@ def test_the_weights_that_come_with_the_package_are_no_larger_than_weights_are()
     largest = max(float(value.abs().max()) for name in ('default',)
                   for value in Checkpoint.load(find_model(name)).weights.values())
     assert largest < 1e3
+
+
+def test_a_process_that_dies_while_it_works_is_told_of():
+    with WorkerPool(1) as pool, pytest.raises(ConfigurationError, match='what was saved is kept'):
+        list(pool.map(os._exit, [1]))
+
+
+@pytest.mark.parametrize(('damage', 'words'), [
+    *((damage, 'found no transitions') for damage in DAMAGES.values()),
+    (tensors(lambda found: found.update(actions=found['actions'] * float('nan'))), 'actions has'),
+    (tensors(lambda found: found.update(reward=found['reward'][:-1].clone())), 'reward has the'),
+    (tensors(lambda found: found.update(actions=torch.zeros(()))), 'found no transitions'),
+    (without('actions'), "'actions'")])
+def test_damaged_transitions_of_a_trainer_are_told_of(small_agent, tmp_path, damage, words):
+    log, seen = TransitionLog(tmp_path, 100), observation(small_agent, 1)
+    for _ in range(3):
+        log.append(Transition(seen, np.zeros((1, 2), np.float32), 1.0, seen, False))
+    log.save()
+    (path,) = tmp_path.glob('*.safetensors')
+    path.write_bytes(damage(path.read_bytes()))
+    with pytest.raises(UserError, match='remove the file: its transitions are lost') as caught:
+        list(TransitionLog(tmp_path, 100).load())
+    assert words in str(caught.value)

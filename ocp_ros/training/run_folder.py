@@ -155,8 +155,8 @@ def records(folder: Path) -> list[dict[str, Any]]:
     if len(found) < len(lines):
         _log.warning(
             '%s: found %d of %d lines that cannot be read; expected an evaluation in each; going '
-            'on without them, only their figures are lost', path, len(lines) - len(found),
-            len(lines))
+            'on without them, only their figures are lost', printable(str(path)),
+            len(lines) - len(found), len(lines))
     return found
 
 

@@ -43,6 +43,7 @@ from ocp_ros.training.training_rooms import make, room_names, Rooms
 from ocp_ros.training.validation import evaluate, RANDOM_MOVES, ValidationTrial
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import ConfigurationError, to_nested
+from ocp_ros.util.shown_text import printable
 from ocp_ros.util.threads import cores
 from ocp_ros.util.worker_pool import WorkerPool
 
@@ -147,7 +148,8 @@ class Run:
         if not path.exists():
             if ratios:
                 _log.warning('%s: found no file; expected the best weights so far; going on from '
-                             'the last state, the best from now on are kept', path)
+                             'the last state, the best from now on are kept',
+                             printable(str(path)))
             return
         try:
             best = Checkpoint.load(path)
