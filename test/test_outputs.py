@@ -231,6 +231,16 @@ def test_a_full_disk_leaves_the_pictures_of_an_earlier_run_and_says_so(files, ca
     assert cli.main(command) == 0
 
 
+def test_a_full_disk_is_said_to_be_so(files, capsys):
+    command = ['view', 'room.ply', '--out', 'page.html']
+    assert cli.main(command) == 0
+    before = (files / 'page.html').read_bytes()
+    capsys.readouterr()
+    with full_disk():
+        assert 'page.html: found no room to write it (File too large)' in refused(capsys, *command)
+    assert (files / 'page.html').read_bytes() == before
+
+
 class Elements(HTMLParser):
     """Collects what a page is made of."""
 

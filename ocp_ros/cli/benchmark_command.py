@@ -197,7 +197,8 @@ def _write(folder: Path, rows: Rows, summary: dict[str, Any]) -> None:
     lines = io.StringIO()
     table = csv.DictWriter(lines, names, extrasaction='ignore')
     table.writeheader()
-    table.writerows(rows)
+    table.writerows({name: printable(value) if isinstance(value, str) else value
+                     for name, value in row.items()} for row in rows)
     write_atomically(folder / 'results.csv', lines.getvalue())
     write_atomically(folder / 'results.json', json.dumps(rows))
     write_atomically(folder / 'summary.json', json.dumps(summary, indent=1) + '\n')

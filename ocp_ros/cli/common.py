@@ -4,6 +4,7 @@
 import argparse
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext, redirect_stdout
+import errno
 import io
 import json
 import math
@@ -26,6 +27,8 @@ PLAN, JUDGE, LOOK, LEARN, COMPARE, REPLAY = TITLES = (
 Found = dict[str, Any]
 #: Arguments that name what a command reads.
 READ = ('room', 'rooms', 'placement', 'rig', 'config')
+#: Errors of a disk that is full, or on which one may not write more.
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 #: Wrong use, and stopped by hand.
 WRONG, STOPPED = 2, 130
 
@@ -139,7 +142,7 @@ def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
         # Whoever reads has seen enough, such as head; nobody is left to be told.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except (UserError, OSError) as error:
-        return _refuse(str(error), as_json)
+        return _refuse(_said_of(error), as_json)
     except KeyboardInterrupt:
         return STOPPED
     return 0
@@ -158,6 +161,15 @@ def _check_folder() -> None:
 def _warn(message: Warning | str, *_: Any) -> None:
     """Say what may be wrong, in one line and without the code that noticed it."""
     print(f'ocp: warning: {printable(str(message))}', file=sys.stderr)
+
+
+def _said_of(error: Exception) -> str:
+    """Return what is wrong in one sentence."""
+    if isinstance(error, OSError) and error.errno in FULL:
+        return (f'{error.filename}: found no room to write it ({error.strerror}); expected some; '
+                'what was there before is whole: make room, or name another place, and start '
+                'again')
+    return str(error)
 
 
 def _refuse(sentence: str, as_json: bool) -> int:

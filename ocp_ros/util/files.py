@@ -28,8 +28,11 @@ def write_atomically(path: str | Path, content: bytes | str) -> None:
         # Temporary files are private; what people share is not.
         os.chmod(name, 0o644)
         os.replace(name, path)
-    except BaseException:
+    except BaseException as error:
         Path(name).unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            # That of a full disk names no file.
+            error.filename = str(path)
         raise
 
 
