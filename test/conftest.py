@@ -264,6 +264,19 @@ def here(monkeypatch):
     monkeypatch.setattr(train, 'SubprocVecEnv', lambda made, start_method: DummyVecEnv(made))
 
 
+def rows_for(protocol, task):
+    """Return made-up rows of a task of a comparison, as if it had been run."""
+    from ocp_ros.evaluation.protocol import CONTROL, CONTROLS
+    runs = [(1, seed) for seed in range(CONTROLS)] if task.planner == CONTROL else [
+        (budget, seed) for budget in protocol.budgets for seed in range(protocol.seeds)]
+    return [{'room': task.room, 'rotation': task.rotation, 'planner': task.planner,
+             'budget': budget, 'seed': seed, 'exact': 2.0, 'space_coverage': 50.0,
+             'off_2_cm': 2.1, 'off_5_cm': 2.2, 'off_10_cm': 2.3, 'depth_error': 2.1,
+             'lower_bound': 1.0, 'searched': 2.0, 'evaluations': budget, 'seconds': 0.5,
+             'placement': [[1.0, 2.0, 1.9]] * 4, 'trace': [[1.0, 0.1, 3.0]]}
+            for budget, seed in runs]
+
+
 def assert_same(one, other):
     """Assert that two encoded observations are equal bit for bit."""
     assert one.keys() == other.keys()

@@ -4,7 +4,7 @@
 from dataclasses import replace
 import json
 
-from conftest import Here
+from conftest import Here, rows_for
 import numpy as np
 import pytest
 
@@ -143,14 +143,15 @@ def test_an_interrupted_comparison_goes_on(tmp_path, monkeypatch):
             done.append(None)
             raise KeyboardInterrupt
         done.append(task.planner)
-        return [{'planner': task.planner}]
+        return rows_for(protocol, task)
 
     monkeypatch.setattr(task_runner, 'run_task', run_here)
     monkeypatch.setattr(task_runner, 'WorkerPool', Here)
     with pytest.raises(KeyboardInterrupt):
         task_runner.run(SMALL, tmp_path, 1)
     rows = task_runner.run(SMALL, tmp_path, 1)
-    assert [row['planner'] for row in rows] == [CONTROL, 'random', 'annealing']
+    assert list(dict.fromkeys(row['planner'] for row in rows)) == [CONTROL, 'random', 'annealing']
+    assert len(rows) == 32 + 4 + 4
     assert done == [CONTROL, 'random', None, 'annealing']
     with pytest.raises(ConfigurationError, match='results of another comparison'):
         task_runner.run(replace(SMALL, seeds=1), tmp_path, 1)

@@ -8,7 +8,7 @@ import yaml
 
 from ocp_ros.cli.main import parser
 from ocp_ros.simulation.simulation_config import SimulationConfig
-from ocp_ros.training.train import read_config
+from ocp_ros.training.run_folder import read_config
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.util.settings import ConfigurationError, from_flat, from_nested, leaves, to_nested
 

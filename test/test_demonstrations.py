@@ -28,20 +28,22 @@ from ocp_ros.simulation.reward import potential
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.training import train as training
-from ocp_ros.training.demonstrations import (
+from ocp_ros.training.demonstration_rounds import (
     ACTIONS,
-    demonstrate,
-    DemonstrationTask,
     ENDS,
-    expert_of,
-    fill,
-    fit,
-    Imitation,
     LAST,
     load_rounds,
     MOVES,
     REWARDS,
     save_round,
+)
+from ocp_ros.training.demonstrations import (
+    demonstrate,
+    DemonstrationTask,
+    expert_of,
+    fill,
+    fit,
+    Imitation,
     tasks_of,
     turns_played,
     Walk,
@@ -247,10 +249,10 @@ def test_the_policy_takes_over_from_round_to_round(small_agent):
     assert rounds[3] == tasks_of(config, ['a', 'b', 'c'], 3, b'w')
 
 
-def test_rounds_come_back_as_they_went(episodes, tmp_path):
+def test_rounds_come_back_as_they_went(episodes, agent, tmp_path):
     save_round(tmp_path / '0000.npz', episodes[:3])
     save_round(tmp_path / '0001.npz', episodes[3:])
-    back = load_rounds(tmp_path, 2)
+    back = load_rounds(tmp_path, 2, agent)
     assert back.keys() == episodes[0].keys()
     for name, value in back.items():
         expected = np.concatenate([one[name] for one in episodes])
@@ -261,18 +263,19 @@ def test_rounds_come_back_as_they_went(episodes, tmp_path):
         else:
             np.testing.assert_array_equal(value, expected, err_msg=name)
     assert turns_played(back) == sum(len(one[LAST]) - 1 for one in episodes)
-    assert len(load_rounds(tmp_path, 1)[REWARDS]) == sum(len(one[LAST]) for one in episodes[:3])
+    first = load_rounds(tmp_path, 1, agent)
+    assert len(first[REWARDS]) == sum(len(one[LAST]) for one in episodes[:3])
     assert sorted(path.name for path in tmp_path.iterdir()) == ['0000.npz', '0001.npz']
 
 
-def kept(episodes, folder):
+def kept(episodes, folder, agent):
     """Return episodes as they come back from a file."""
     save_round(folder / '0000.npz', episodes)
-    return load_rounds(folder, 1)
+    return load_rounds(folder, 1, agent)
 
 
 def test_a_fit_comes_nearer_to_what_the_expert_did(episodes, agent, tmp_path):
-    shown, model = kept(episodes, tmp_path), make_sac(SAC, agent, 1, seed=0)
+    shown, model = kept(episodes, tmp_path, agent), make_sac(SAC, agent, 1, seed=0)
     imitation = Imitation(shown, model.device)
     assert len(imitation) == turns_played(shown)
 
@@ -293,7 +296,7 @@ def test_a_fit_comes_nearer_to_what_the_expert_did(episodes, agent, tmp_path):
 
 def test_what_is_imitated_is_turned_as_the_room_is(small_agent, tmp_path):
     """The loss of what turns with the room does not depend on how it is turned."""
-    shown = kept([demonstrate(task_of(small_agent))], tmp_path)
+    shown = kept([demonstrate(task_of(small_agent))], tmp_path, small_agent)
     imitation = Imitation(shown, torch.device('cpu'))
     actor, losses = make_sac(SAC, small_agent, 1, seed=0).policy.actor, []
     for number in range(4):
@@ -304,7 +307,7 @@ def test_what_is_imitated_is_turned_as_the_room_is(small_agent, tmp_path):
 
 
 def test_demonstrations_fill_the_replay(episodes, agent, tmp_path):
-    shown = kept(episodes, tmp_path)
+    shown = kept(episodes, tmp_path, agent)
     model = make_sac(SAC, agent, 1, seed=0, environments=2)
     fill(model, shown)
     replay, starts = model.replay_buffer, np.flatnonzero(~shown[LAST])
@@ -348,7 +351,8 @@ def lines_of(folder):
 
 def moves_shown(folder, rounds):
     """Return how many moves there are in so many rounds of a run."""
-    return turns_played(load_rounds(folder / 'demonstrations', rounds))
+    agent = from_nested(TrainingConfig, SHOWN).agent
+    return turns_played(load_rounds(folder / 'demonstrations', rounds, agent))
 
 
 @pytest.mark.system

@@ -169,7 +169,8 @@ def test_every_command_in_the_documentation_can_be_run(command, tmp_path, monkey
         return
     from ocp_ros.scenes.scene_files import save_scene
     room = made_room(8, 1500)
-    for name in ('room.ply', 'scan.ply', 'scans/room-8.ply', 'scans/room-9.ply'):
+    scans = () if 'make' in command else ('scans/room-8.ply', 'scans/room-9.ply')
+    for name in ('room.ply', 'scan.ply', *scans):
         save_scene(room, tmp_path / name)
     (tmp_path / 'placement.yaml').write_text(yaml_example('docs/quickstart_scan.md', 'cameras:'))
     (tmp_path / 'rig.yaml').write_text(

@@ -110,8 +110,8 @@ def test_the_figure_of_training_is_drawn_from_what_runs_left(tmp_path):
             f'sac: {{shared_extractor: {shared}}}\n'
             'demonstrations: {rounds: 2, expert: greedy_step}\n')
         (folder / 'progress.jsonl').write_text('\n'.join(json.dumps(
-            {'phase': 'sac', 'interactions': 10 * k, 'ratio': 1.0 / (k + seed),
-             'critic_loss': 1.0 / k}) for k in range(1, 5)))
+            {'phase': 'sac', 'interactions': 10 * k, 'updates': k, 'seconds': 1.0 * k,
+             'ratio': 1.0 / (k + seed), 'critic_loss': 1.0 / k}) for k in range(1, 5)))
     picture = tmp_path / 'training.png'
     runs = [tmp_path / f'run-{seed}' for seed in range(4)]
     assert draw([*map(str, runs), '--out', str(picture)]) == 0

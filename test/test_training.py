@@ -18,7 +18,8 @@ from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.training.encoded_environment import CameraByCamera
-from ocp_ros.training.train import _claim, read_config, train, trials_of
+from ocp_ros.training.run_folder import claim, read_config
+from ocp_ros.training.train import train, trials_of
 from ocp_ros.training.training_config import RoomsConfig, TrainingConfig
 from ocp_ros.training.validation import evaluate, play_trial, ValidationTrial
 from ocp_ros.util.settings import ConfigurationError, from_nested
@@ -118,8 +119,8 @@ def test_a_run_reports_on_rooms_it_never_saw_and_goes_on_when_it_is_started_agai
     ({'sac': {**TINY['sac'], 'gamma': 0.9}}, 'found a run with sac.gamma 0.95;'),
     ({'rooms': {**TINY['rooms'], 'training': 2}}, 'rooms.training 1, other rooms; .* another')])
 def test_a_folder_of_another_run_is_left_as_it_is(tmp_path, changes, words):
-    _claim(tmp_path, from_nested(TrainingConfig, TINY))
-    _claim(tmp_path, from_nested(TrainingConfig, {**TINY, 'interactions': 90, 'workers': 2}))
+    claim(tmp_path, from_nested(TrainingConfig, TINY))
+    claim(tmp_path, from_nested(TrainingConfig, {**TINY, 'interactions': 90, 'workers': 2}))
     before = (tmp_path / 'config.yaml').read_text()
     assert 'interactions: 90' in before
     with pytest.raises(ConfigurationError, match=words):

@@ -24,6 +24,8 @@ from ocp_ros.util.settings import from_nested, to_nested
 
 FORMAT = 'ocp_ros-actor-2'
 KEY = 'ocp_ros'
+#: No weight that was learned is as large, and sums of larger ones are not finite.
+LARGEST = 1e6
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,10 @@ class Checkpoint:
             if not torch.isfinite(tensor).all():
                 raise CheckpointError(f'weights: found NaN or inf in {name}; expected finite '
                                       'numbers; the training that made them has diverged')
+            if tensor.numel() and tensor.abs().max() > LARGEST:
+                raise CheckpointError(
+                    f'weights: found {tensor.abs().max():.3g} in {name}; expected at most '
+                    f'{LARGEST:g}; the training that made them has diverged, or they are damaged')
 
     def to_bytes(self) -> bytes:
         """Write the checkpoint as one safetensors blob."""
@@ -102,15 +108,20 @@ class Checkpoint:
             if card['format'] != FORMAT:
                 raise ValueError(f'its format is {card["format"]!r}, not {FORMAT!r}')
             config = from_nested(AgentConfig, card['config'], what)
-            known = {'updates': int(card['updates']), 'run': str(card['run']),
-                     'provenance': dict(card['provenance'])}
+            updates, run = card['updates'], card['run']
+            if type(updates) is not int or updates < 0 or not isinstance(run, str):
+                raise ValueError(f'its updates are {updates!r} and its run is {run!r}')
+            known = {'updates': updates, 'run': run, 'provenance': dict(card['provenance'])}
             weights = safetensors.torch.load(bytes(blob))
         except (SafetensorError, KeyError, TypeError, ValueError, AttributeError, ArithmeticError,
                 RecursionError) as error:
             raise CheckpointError(
                 f'{what}: found no readable checkpoint ({type(error).__name__}: {error}); '
                 'expected a whole safetensors file written by this package') from error
-        return cls(config, weights, **known)
+        try:
+            return cls(config, weights, **known)
+        except CheckpointError as error:
+            raise CheckpointError(f'{what}: {str(error).removeprefix("weights: ")}') from error
 
     def save(self, path: Path) -> None:
         """
@@ -120,7 +131,7 @@ class Checkpoint:
         """
         write_atomically(path, self.to_bytes())
         card = json.dumps(self.card(), indent=2) + '\n'
-        write_atomically(Path(path).with_suffix('.json'), card.encode())
+        write_atomically(card_of(path), card)
 
     @classmethod
     def load(cls, path: Path) -> 'Checkpoint':
@@ -135,6 +146,11 @@ class Checkpoint:
             raise CheckpointError(f'{path}: found no file that can be read ({error.strerror}); '
                                   'expected weights ending in .safetensors') from error
         return cls.from_bytes(blob, str(path))
+
+
+def card_of(path: Path) -> Path:
+    """Return where the card of some weights stands."""
+    return Path(path).with_suffix('.json')
 
 
 def read_metadata(blob: bytes) -> dict[str, str]:

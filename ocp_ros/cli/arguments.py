@@ -95,6 +95,12 @@ def add_frame(command: argparse.ArgumentParser) -> None:
                          'of the scan and files for programs in that of the map')
 
 
+def add_overwrite(command: argparse.ArgumentParser) -> None:
+    """Add that files of others may be replaced."""
+    command.add_argument('--overwrite', action='store_true',
+                         help='replace files that ocp did not write, or that were edited since')
+
+
 def add_reading(command: argparse.ArgumentParser) -> None:
     """Add how a scan is to be read."""
     add_units(command, 'of the scan')

@@ -17,6 +17,7 @@ from ocp_ros.evaluation.engine_bench import (
     RADII,
 )
 from ocp_ros.util.files import write_atomically
+from ocp_ros.util.own_files import note_own
 
 
 def bench(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -30,7 +31,9 @@ def bench(arguments: argparse.Namespace) -> dict[str, Any]:
     write_atomically(arguments.out, json.dumps(result, indent=2) + '\n')
     if arguments.page:
         write_atomically(arguments.page, page(result))
-    return {**result, 'written': [path for path in (arguments.out, arguments.page) if path]}
+    written = [path for path in (arguments.out, arguments.page) if path]
+    note_own(written)
+    return {**result, 'written': written}
 
 
 def show(result: dict[str, Any]) -> None:

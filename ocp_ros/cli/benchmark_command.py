@@ -5,6 +5,7 @@ import argparse
 import csv
 from dataclasses import replace
 from importlib.metadata import version
+import io
 import json
 import os
 from pathlib import Path
@@ -17,6 +18,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from ocp_ros.cli.common import inputs_of
 from ocp_ros.evaluation.benchmark_rooms import POINTS, rooms_in, rooms_of_s3dis
 from ocp_ros.evaluation.protocol import PRESETS, Protocol
 from ocp_ros.evaluation.summary import summarise
@@ -37,9 +39,15 @@ from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.scene_source import make_room
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.files import folder_to_write, write_atomically
+from ocp_ros.util.own_files import check_own, note_own, remove_own
 from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.util.shown_text import printable
 from ocp_ros.util.yaml_files import timestamp
 
+#: Files of the results, those of a report, and those of them that rig files have none of.
+RESULTS = ('results.csv', 'results.json', 'summary.json')
+OF_PLACEMENTS = ('anytime.png', 'placements.html', 'placements.png')
+REPORTED = ('README.md', 'rooms.png', 'summary.json', *OF_PLACEMENTS)
 #: Rooms on the page that can be turned around.
 PAGE_ROOMS = 3
 Rows = list[dict[str, Any]]
@@ -81,8 +89,11 @@ def compare(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     """
     protocol = protocol_of(arguments)
     folder_to_write(arguments.out)
+    results = [arguments.out / name for name in RESULTS]
+    check_own(results, inputs_of(arguments), arguments.overwrite)
     if arguments.report:
         folder_to_write(arguments.report, '--report')
+        check_own(_reported(arguments), inputs_of(arguments), arguments.overwrite, '--report')
     columns = (TextColumn('comparing planners'), BarColumn(), MofNCompleteColumn(),
                TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as progress:
@@ -96,15 +107,25 @@ def compare(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
                      **{name: version(name) for name in PACKAGES}},
         'rotations': len(protocol.rotations), **_cameras(protocol), **summarise(rows)}
     _write(arguments.out, rows, summary)
+    note_own(results)
     if arguments.report:
         write_report(arguments.report, summary, rows)
         if arguments.rig is None:
             _show_placements(arguments.report, protocol, summary, rows)
         write_atomically(arguments.report / 'summary.json', json.dumps(summary, indent=1) + '\n')
+        note_own(_reported(arguments))
+        remove_own([path for name in REPORTED
+                    if (path := arguments.report / name) not in _reported(arguments)])
     show(summary)
-    print(f'wrote {arguments.out / "summary.json"}'
-          + (f' and {arguments.report / "README.md"}' if arguments.report else ''))
+    print('wrote ' + printable(f'{arguments.out / "summary.json"}' + (
+        f' and {arguments.report / "README.md"}' if arguments.report else '')))
     return summary
+
+
+def _reported(arguments: argparse.Namespace) -> list[Path]:
+    """Return the files of a report."""
+    return [arguments.report / name for name in REPORTED
+            if arguments.rig is None or name not in OF_PLACEMENTS]
 
 
 def _cameras(protocol: Protocol) -> dict[str, Any]:
@@ -173,10 +194,12 @@ def _write(folder: Path, rows: Rows, summary: dict[str, Any]) -> None:
     """Keep the runs as a table and whole, and their summary."""
     names = list(dict.fromkeys(name for row in rows for name in row
                                if name not in ('placement', 'trace', 'trajectory')))
-    with (folder / 'results.csv').open('w', newline='') as file:
-        table = csv.DictWriter(file, names, extrasaction='ignore')
-        table.writeheader()
-        table.writerows(rows)
+    lines = io.StringIO()
+    table = csv.DictWriter(lines, names, extrasaction='ignore')
+    table.writeheader()
+    table.writerows({name: printable(value) if isinstance(value, str) else value
+                     for name, value in row.items()} for row in rows)
+    write_atomically(folder / 'results.csv', lines.getvalue())
     write_atomically(folder / 'results.json', json.dumps(rows))
     write_atomically(folder / 'summary.json', json.dumps(summary, indent=1) + '\n')
 

@@ -4,6 +4,8 @@
 import argparse
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext, redirect_stdout
+import errno
+import io
 import json
 import math
 import os
@@ -12,7 +14,10 @@ import sys
 from typing import Any, NoReturn
 import warnings
 
-from ocp_ros.util.settings import UserError
+from ocp_ros.util.files import file_to_write
+from ocp_ros.util.own_files import check_own
+from ocp_ros.util.settings import ConfigurationError, UserError
+from ocp_ros.util.shown_text import printable
 
 #: What one may want, as ``ocp --help`` lists it.
 PLAN, JUDGE, LOOK, LEARN, COMPARE, REPLAY = TITLES = (
@@ -20,6 +25,10 @@ PLAN, JUDGE, LOOK, LEARN, COMPARE, REPLAY = TITLES = (
     'compare and measure', 'feed the nodes')
 #: What a command found, as plain data.
 Found = dict[str, Any]
+#: Arguments that name what a command reads.
+READ = ('room', 'rooms', 'placement', 'rig', 'config')
+#: Errors of a disk that is full, or on which one may not write more.
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 #: Wrong use, and stopped by hand.
 WRONG, STOPPED = 2, 130
 
@@ -106,7 +115,11 @@ def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
     :returns: the exit code.
     """
     as_json = '--json' in argv
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # Letters that a terminal or a pipe cannot take are shown as escapes.
+        sys.stdout.reconfigure(errors='backslashreplace')
     try:
+        _check_folder()
         arguments = parser.parse_args(argv)
         arguments.argv = list(argv)
         with warnings.catch_warnings(), redirect_stdout(sys.stderr) if as_json else nullcontext():
@@ -122,21 +135,41 @@ def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
     except UsageError as error:
         if not as_json:
             error.parser.print_usage(sys.stderr)
-            error.parser.exit(WRONG, f'{error.parser.prog}: error: {error}\n')
+            error.parser.exit(
+                WRONG, f'{error.parser.prog}: error: {printable(str(error))}\n')
         return _refuse(str(error), as_json)
     except BrokenPipeError:
         # Whoever reads has seen enough, such as head; nobody is left to be told.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except (UserError, OSError) as error:
-        return _refuse(str(error), as_json)
+        return _refuse(_said_of(error), as_json)
     except KeyboardInterrupt:
         return STOPPED
     return 0
 
 
+def _check_folder() -> None:
+    """Refuse to work in a folder that was removed: no path that is relative leads anywhere."""
+    try:
+        os.getcwd()
+    except FileNotFoundError as error:
+        raise ConfigurationError(
+            'the folder that ocp was started in: found that it was removed; expected one that is '
+            'there; change to another folder (cd) and start again') from error
+
+
 def _warn(message: Warning | str, *_: Any) -> None:
     """Say what may be wrong, in one line and without the code that noticed it."""
-    print(f'ocp: warning: {message}', file=sys.stderr)
+    print(f'ocp: warning: {printable(str(message))}', file=sys.stderr)
+
+
+def _said_of(error: Exception) -> str:
+    """Return what is wrong in one sentence."""
+    if isinstance(error, OSError) and error.errno in FULL:
+        return (f'{error.filename}: found no room to write it ({error.strerror}); expected some; '
+                'what was there before is whole: make room, or name another place, and start '
+                'again')
+    return str(error)
 
 
 def _refuse(sentence: str, as_json: bool) -> int:
@@ -144,7 +177,7 @@ def _refuse(sentence: str, as_json: bool) -> int:
     if as_json:
         print(document({'error': sentence}))
     else:
-        print(f'ocp: {sentence}', file=sys.stderr)
+        print(f'ocp: {printable(sentence)}', file=sys.stderr)
     return WRONG
 
 
@@ -169,4 +202,27 @@ def _plain(value: Any) -> Any:
 def show_written(found: Found) -> None:
     """Print which files were written."""
     for path in found['written']:
-        print(f'wrote {path}')
+        print(f'wrote {printable(str(path))}')
+
+
+def inputs_of(arguments: argparse.Namespace) -> list[Path]:
+    """Return the files and folders that a command line reads, which it must not replace."""
+    named: list[Any] = []
+    for name in READ:
+        value = getattr(arguments, name, None)
+        named += value if isinstance(value, list) else [value] if value else []
+    return [Path(name) for name in named]
+
+
+def claim_file(arguments: argparse.Namespace, path: Path, what: str, option: str = '--out'
+               ) -> None:
+    """
+    Check that a file may be written before any work is done for it.
+
+    :param path: of the file.
+    :param what: the file is, for the message.
+    :param option: which names it.
+    :raises ConfigurationError: if it cannot be written, or somebody would lose it.
+    """
+    file_to_write(path, what, option)
+    check_own([path], inputs_of(arguments), arguments.overwrite, option)

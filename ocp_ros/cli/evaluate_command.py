@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from ocp_ros.cli.common import inputs_of
 from ocp_ros.evaluation.paired import pairs
 from ocp_ros.evaluation.protocol import Protocol
 from ocp_ros.evaluation.summary import per_room
@@ -21,7 +22,9 @@ from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.scene_files import check_file
 from ocp_ros.scenes.splits import FRESH, TEST, TRAINING, VALIDATION
 from ocp_ros.util.files import folder_to_write, write_atomically
+from ocp_ros.util.own_files import check_own, note_own
 from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.util.shown_text import printable
 from ocp_ros.util.yaml_files import timestamp
 
 #: Numbers of cameras, where none is asked for.
@@ -60,6 +63,8 @@ def evaluate(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     for path in arguments.rooms or ():
         check_file(path)
     folder_to_write(arguments.out)
+    path = arguments.out / 'evaluation.json'
+    check_own([path], inputs_of(arguments), arguments.overwrite)
     found: dict[str, Any] = {
         'command': command, 'date': timestamp(),
         'model': arguments.model, 'rotations': list(arguments.rotations),
@@ -89,9 +94,9 @@ def evaluate(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
                              for planner in protocol.planners
                              if any('seconds_at_most' in row for row in rows
                                     if row['planner'] == planner)}}
-    path = arguments.out / 'evaluation.json'
     write_atomically(path, json.dumps(found, indent=1) + '\n')
-    print(f'wrote {path}')
+    note_own([path])
+    print(f'wrote {printable(str(path))}')
     return found
 
 

@@ -8,6 +8,7 @@ import sys
 
 from ocp_ros.cli.arguments import (
     add_frame,
+    add_overwrite,
     add_reading,
     add_units,
     at_least,
@@ -17,6 +18,7 @@ from ocp_ros.cli.arguments import (
     whole_numbers,
 )
 from ocp_ros.cli.common import (
+    claim_file,
     Commands,
     COMPARE,
     Found,
@@ -29,22 +31,27 @@ from ocp_ros.cli.common import (
 from ocp_ros.cli.plan_parser import add_plan
 from ocp_ros.cli.replay_command import add_replay
 from ocp_ros.cli.rooms_command import add_rooms
-from ocp_ros.util.files import file_to_write, folder_to_write
+from ocp_ros.util.files import folder_to_write
+from ocp_ros.util.own_files import note_own
 
 
 def _train(arguments: argparse.Namespace) -> Found:
     """Train a policy, and say what it does in rooms it has never seen."""
-    from ocp_ros.training.train import read_config, train
+    from ocp_ros.agent.checkpoint import card_of
+    from ocp_ros.training.run_folder import read_config
+    from ocp_ros.training.train import train
     config, command = read_config(arguments.config), f'ocp train --config {arguments.config}'
     if arguments.seed is not None:
         config = replace(config, seed=arguments.seed)
         command += f' --seed {arguments.seed}'
     folder_to_write(arguments.out)
-    if arguments.model:
-        file_to_write(arguments.model, 'weights', '--model')
+    written = [arguments.model, card_of(arguments.model)] if arguments.model else []
+    for path in written:
+        claim_file(arguments, path, 'weights and their card', '--model')
     checkpoint = train(config, arguments.out, command)
     if arguments.model:
         checkpoint.save(arguments.model)
+        note_own(written)
     return {'test': checkpoint.provenance['test'],
             'written': [arguments.model] if arguments.model else []}
 
@@ -92,16 +99,16 @@ def _view(arguments: argparse.Namespace) -> Found:
     """Write a page of a room that can be turned around, and open it where that is wanted."""
     from ocp_ros.cli.benchmark_command import command_of
     from ocp_ros.cli.view_command import view
-    file_to_write(arguments.out, 'a page')
+    claim_file(arguments, arguments.out, 'a page')
     return view(arguments, command_of(arguments.argv))
 
 
 def _bench(arguments: argparse.Namespace) -> Found:
     """Measure the engine on this machine."""
     from ocp_ros.cli.bench_command import bench
-    file_to_write(arguments.out, 'figures')
+    claim_file(arguments, arguments.out, 'figures')
     if arguments.page:
-        file_to_write(arguments.page, 'a page', '--page')
+        claim_file(arguments, arguments.page, 'a page', '--page')
     return bench(arguments)
 
 
@@ -122,6 +129,7 @@ def _add_train(commands: Commands) -> None:
                        help='folder of the run; an interrupted one goes on')
     train.add_argument('--model', type=Path, help='write the best weights here as well')
     train.add_argument('--seed', type=seed, help='in place of the one in the settings')
+    add_overwrite(train)
     train.set_defaults(run=_train, show=_show_training)
 
 
@@ -148,6 +156,7 @@ def _add_benchmark(commands: Commands) -> None:
     compare.add_argument('--ray', metavar='ADDRESS', help='run on a Ray cluster, such as auto')
     compare.add_argument('--report', type=Path, nargs='?', const=Path('docs/benchmark'),
                          help='write tables and figures here')
+    add_overwrite(compare)
     compare.set_defaults(run=_benchmark, show=_show_nothing)
 
 
@@ -161,6 +170,7 @@ def _add_bench(commands: Commands) -> None:
     measured.add_argument('--out', type=Path, default=Path('out/bench.json'),
                           help='file of the figures')
     measured.add_argument('--page', type=Path, help='write them as a page as well (Markdown)')
+    add_overwrite(measured)
     measured.set_defaults(run=_bench, show=_show_bench)
 
 
@@ -190,6 +200,7 @@ def _add_evaluate(commands: Commands) -> None:
     judged.add_argument('--ray', metavar='ADDRESS', help='run on a Ray cluster, such as auto')
     judged.add_argument('--out', type=Path, default=Path('out/evaluation'),
                         help='folder of the results; an interrupted evaluation goes on')
+    add_overwrite(judged)
     judged.set_defaults(run=_evaluate, show=_show_nothing, scale=1.0, up='z')
 
 
@@ -205,6 +216,7 @@ def _add_score(commands: Commands) -> None:
     judged.add_argument('--out', '--export', type=Path, metavar='DIR',
                         help='write report, placement, CSV, launch file, xacro and more here')
     add_frame(judged)
+    add_overwrite(judged)
     add_reading(judged)
     judged.set_defaults(run=_score, show=_show_score)
 
@@ -220,6 +232,7 @@ def _add_view(commands: Commands) -> None:
                       help='what is asked for, in place of what the placement says: docs/rig.md')
     seen.add_argument('--out', type=Path, default=Path('out/view.html'), help='page to write')
     seen.add_argument('--open', action='store_true', help='open it in a browser')
+    add_overwrite(seen)
     add_reading(seen)
     seen.set_defaults(run=_view, show=show_written)
 

@@ -17,6 +17,9 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
 from ocp_ros.cli.score_command import (
+    claim_folder,
+    CURVE,
+    earlier_files,
     room_asked,
     show_verdict,
     show_written,
@@ -29,6 +32,7 @@ from ocp_ros.planners.rig_methods import check_planner
 from ocp_ros.planners.rig_plan import RigPlan, RigPlanner
 from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.count_report import draw_curve, rows_of_curve, show_curve
+from ocp_ros.report.exports import PLACEMENTS
 from ocp_ros.report.findings import verdict
 from ocp_ros.report.installer import COLUMNS, rows_of
 from ocp_ros.report.key_figures import percent
@@ -41,6 +45,8 @@ from ocp_ros.rig.placement_file import (
 )
 from ocp_ros.rig.rig_file import load_rig, Rig, rig_of, with_count
 from ocp_ros.util.files import folder_to_write
+from ocp_ros.util.own_files import note_own
+from ocp_ros.util.shown_text import printable
 
 #: Cameras where nobody says how many, and seconds of search for each number of cameras where one
 #: is planned and where several are.
@@ -59,6 +65,7 @@ def plan(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     """
     counting = arguments.count == 0
     check_planner(arguments.planner, counting)
+    claim_folder(arguments, arguments.out, counting)
     rig = rig_asked(arguments)
     scene, room = room_asked(arguments, {})
     folder = folder_to_write(arguments.out)
@@ -83,22 +90,29 @@ def plan(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
         judged = Assessment(problem.objective, replace(placement, scores=found['scores']), found,
                             arguments.frame)
         found['installer'] = [dict(zip(['number', *COLUMNS], row)) for row in rows_of(judged)]
-        return {**found, **written_to(folder, judged, lambda: [draw_curve(
-            folder / 'curve.png', found['curve'], found['count'])] if counting else [])}
+        return {**found, **written_to(folder, judged, _curve(folder, found))}
+
+
+def _curve(folder: Path, found: dict[str, Any]) -> Iterator[Path]:
+    """Draw what more cameras are worth where they were counted; yield the file."""
+    if 'curve' in found:
+        yield draw_curve(folder / CURVE, found['curve'], found['count'])
 
 
 @contextmanager
 def _kept(folder: Path, placement: Placement) -> Iterator[None]:
     """Write a placement first of all: whoever has enough while it is judged and drawn has it."""
-    path = folder / 'placement.yaml'
+    paths = [folder / name for name in PLACEMENTS]
     # Where it cannot be written now, the end says so.
     with suppress(OSError):
-        save_placement(path, placement)
-        save_placement(path.with_suffix('.json'), placement)
+        for path in paths:
+            save_placement(path, placement)
+            note_own([path])
     try:
         yield
     except KeyboardInterrupt:
-        print(f'ocp: stopped; where the cameras hang is in {path}', file=sys.stderr)
+        print(f'ocp: stopped; where the cameras hang is in {printable(str(paths[0]))}'
+              + earlier_files(folder, paths), file=sys.stderr)
         raise
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from ocp_ros.cli.arguments import (
     add_frame,
+    add_overwrite,
     add_reading,
     at_least,
     cameras,
@@ -69,5 +70,6 @@ def add_plan(commands: Commands) -> None:
     planned.add_argument('--out', type=Path, default=Path('out/plan'), metavar='DIR',
                          help='write report, placement, CSV, launch file, xacro and more here')
     add_frame(planned)
+    add_overwrite(planned)
     add_reading(planned)
     planned.set_defaults(run=_plan, show=_show)

@@ -8,6 +8,7 @@ from pathlib import Path
 from ocp_ros.cli.arguments import number
 from ocp_ros.cli.common import Commands, Found, REPLAY
 from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.util.shown_text import printable
 
 
 def _replay(arguments: argparse.Namespace) -> Found:
@@ -27,7 +28,7 @@ def _show(found: Found) -> None:
         _show_topics(found)
         return
     for name, topic in found['published'].items():
-        print(f'{name} -> {topic["as"]}: {topic["messages"]} messages')
+        print(printable(f'{name} -> {topic["as"]}: {topic["messages"]} messages'))
     if found['left_out']:
         print(f'left out {found["left_out"]} messages that could not be used')
 
@@ -37,12 +38,12 @@ def _show_topics(found: Found) -> None:
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
-    table = Table(title=f'{escape(found["bag"])}: {found["seconds"]:.3f} s')
+    table = Table(title=f'{escape(printable(found["bag"]))}: {found["seconds"]:.3f} s')
     for name in ('topic', 'type', 'messages', 'frames', 'published as'):
         table.add_column(name, justify='right' if name == 'messages' else 'left',
                          overflow='fold')
     for topic in found['topics']:
-        table.add_row(*map(escape, (
+        table.add_row(*(escape(printable(cell)) for cell in (
             topic['topic'], topic['type'], str(topic['messages']), ', '.join(topic['frames']),
             topic['published_as'] or '-')))
     Console().print(table)

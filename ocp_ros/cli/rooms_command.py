@@ -4,9 +4,11 @@
 import argparse
 from pathlib import Path
 
-from ocp_ros.cli.arguments import add_reading, at_least
-from ocp_ros.cli.common import Commands, Found, LOOK, show_written
-from ocp_ros.util.files import file_to_write, folder_to_write
+from ocp_ros.cli.arguments import add_overwrite, add_reading, at_least
+from ocp_ros.cli.common import claim_file, Commands, Found, LOOK, show_written
+from ocp_ros.util.files import folder_to_write
+from ocp_ros.util.own_files import check_own, note_own
+from ocp_ros.util.shown_text import printable
 
 
 def _list_rooms(arguments: argparse.Namespace) -> Found:
@@ -34,19 +36,23 @@ def _make_rooms(arguments: argparse.Namespace) -> Found:
     from rich.console import Console
     from rich.progress import track
 
-    from ocp_ros.scenes.scene_files import save_scene
+    from ocp_ros.scenes.scene_files import mesh_of, save_scene
     from ocp_ros.scenes.synthetic.generator import generate_room
     folder_to_write(arguments.out)
     paths = [arguments.out / f'room-{seed}.ply' for seed in arguments.seeds]
+    check_own([name for path in paths for name in (path, mesh_of(path))],
+              overwrite=arguments.overwrite)
     for seed, path in track(list(zip(arguments.seeds, paths)), 'making rooms',
                             console=Console(stderr=True)):
         save_scene(generate_room(seed, arguments.points), path)
+        note_own([path, mesh_of(path)])
     return {'folder': arguments.out, 'written': paths}
 
 
 def _show_made(found: Found) -> None:
     """Print how many rooms were made."""
-    print(f'wrote {len(found["written"])} rooms and their meshes to {found["folder"]}')
+    print(f'wrote {len(found["written"])} rooms and their meshes to '
+          f'{printable(str(found["folder"]))}')
 
 
 def _preview_rooms(arguments: argparse.Namespace) -> Found:
@@ -54,7 +60,7 @@ def _preview_rooms(arguments: argparse.Namespace) -> Found:
     from ocp_ros.report.room_sheet import draw_sheet, titled
     from ocp_ros.scenes.scene_cache import load_cached
     from ocp_ros.scenes.scene_source import seed_named
-    file_to_write(arguments.out, 'a picture')
+    claim_file(arguments, arguments.out, 'a picture')
     scenes = []
     for name in arguments.rooms:
         if name.isdecimal():
@@ -64,6 +70,7 @@ def _preview_rooms(arguments: argparse.Namespace) -> Found:
                                 up=arguments.up or 'z', drop_nonfinite=arguments.drop_nonfinite)
             scenes.append((scene.name, scene))
     draw_sheet(arguments.out, scenes)
+    note_own([arguments.out])
     return {'written': [arguments.out]}
 
 
@@ -80,6 +87,7 @@ def add_rooms(commands: Commands) -> None:
     made.add_argument('seeds', type=at_least(0), nargs='+', metavar='SEED')
     made.add_argument('--points', type=at_least(1000), default=15000, help='of each scan')
     made.add_argument('--out', type=Path, default=Path('out/rooms'), help='folder to write to')
+    add_overwrite(made)
     made.set_defaults(run=_make_rooms, show=_show_made)
     seen = commands.put(actions, 'preview', 'draw rooms cut open',
                         'ocp rooms preview 5 room.ply --out out/rooms.png')
@@ -87,4 +95,5 @@ def add_rooms(commands: Commands) -> None:
     seen.add_argument('--points', type=at_least(1000), default=40000, help='of each room')
     add_reading(seen)
     seen.add_argument('--out', type=Path, default=Path('out/rooms.png'), help='picture to write')
+    add_overwrite(seen)
     seen.set_defaults(run=_preview_rooms, show=show_written)

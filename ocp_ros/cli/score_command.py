@@ -2,17 +2,19 @@
 """``ocp score``: how good is a placement of a rig in a room, and what would make it better."""
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 import hashlib
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from ocp_ros.cli.common import inputs_of
 from ocp_ros.report.assessment import Assessment
-from ocp_ros.report.exports import export
+from ocp_ros.report.exports import export, FORMS
 from ocp_ros.report.findings import verdict
 from ocp_ros.report.key_figures import percent
 from ocp_ros.rig.placement_file import (
@@ -29,9 +31,14 @@ from ocp_ros.scenes.scene_source import make_room
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.files import folder_to_write
+from ocp_ros.util.own_files import check_own, note_own, remove_own
 from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.util.shown_text import printable
 from ocp_ros.util.yaml_files import written
 
+#: All that is written of a placement, and the part of it that counting cameras adds.
+CURVE = 'curve.png'
+WRITTEN = (*FORMS, 'report.png', 'report.html', CURVE)
 #: Points of a room where the placement does not say.
 POINTS = 25000
 #: How a scan is read, as command lines and placement files say it.
@@ -90,6 +97,8 @@ def score(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     :param command: the command line, for the record.
     :returns: what ``--json`` prints.
     """
+    if arguments.out:
+        claim_folder(arguments, arguments.out)
     scene, placement, room = room_and_placement(arguments)
     folder = arguments.out and folder_to_write(arguments.out)
     judged = judge(scene, placement, room, command, arguments.frame)
@@ -98,38 +107,62 @@ def score(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     return {**judged.found, **written_to(folder, judged)}
 
 
-def written_to(folder: Path, judged: Assessment, more: Callable[[], list[Path]] = list
-               ) -> dict[str, Any]:
+def claim_folder(arguments: argparse.Namespace, folder: Path, curve: bool = False) -> None:
     """
-    Write a placement in all forms, and the reports.
+    Check that all that belongs to a placement may be written, before any work is done for it.
 
-    :param more: writes more, and returns the files.
+    :param curve: whether what more cameras are worth is to be drawn as well.
+    :raises ConfigurationError: if somebody would lose a file.
+    """
+    names = [name for name in WRITTEN if curve or name != CURVE]
+    check_own([folder / name for name in names], inputs_of(arguments), arguments.overwrite)
+
+
+def written_to(folder: Path, judged: Assessment, more: Iterable[Path] = ()) -> dict[str, Any]:
+    """
+    Write a placement in all forms, and the reports; what an earlier run left beside them goes.
+
+    :param more: files that are written as they are asked for.
     :returns: ``written``; where not all could be, for want of space say, ``error`` as well.
     """
     paths: list[Path] = []
     try:
-        paths += export(folder, judged)
-        paths += [*reports(folder, judged), *more()]
+        for path in chain(export(folder, judged), reports(folder, judged), more):
+            paths.append(path)
+            note_own([path])
+        remove_own(_earlier(folder, paths))
     except OSError as error:
         return {'written': [str(path) for path in paths], 'error': (
             f'--out: found {folder}, where not all could be written ({error.strerror or error}); '
-            'expected room for it; use what is printed, or make room and do it again')}
+            'expected room for it; use what is printed, or make room and do it again'
+            + earlier_files(folder, paths))}
     return {'written': [str(path) for path in paths]}
 
 
-def reports(folder: Path, judged: Assessment) -> list[Path]:
+def earlier_files(folder: Path, paths: Sequence[Path]) -> str:
+    """Say which files beside those of this run are of an earlier one, if any are."""
+    names = [path.name for path in _earlier(folder, paths) if path.exists()]
+    return f'; of an earlier run, not of this placement: {", ".join(names)}' if names else ''
+
+
+def _earlier(folder: Path, paths: Sequence[Path]) -> list[Path]:
+    """Return where files of an earlier run may be."""
+    return [path for name in WRITTEN if (path := folder / name) not in paths]
+
+
+def reports(folder: Path, judged: Assessment) -> Iterator[Path]:
     """
-    Write the one-page report and the page that can be turned around.
+    Write the one-page report and the page that can be turned around, and yield each.
 
     :param folder: it is made where it is not there.
-    :returns: the files.
     """
     # What draws is slow to import, and most placements are judged without.
     from ocp_ros.report import sheet
     from ocp_ros.report.viewer import write_view
     sheet.draw(folder / 'report.png', judged)
+    yield folder / 'report.png'
     write_view(folder / 'report.html', judged.scene, judged)
-    return [folder / 'report.png', folder / 'report.html']
+    yield folder / 'report.html'
 
 
 def room_and_placement(arguments: argparse.Namespace
@@ -236,6 +269,6 @@ def _show_rest(console: Console, found: dict[str, Any]) -> None:
 def show_written(found: dict[str, Any]) -> None:
     """Print which files were written, and the placement itself where not all could be."""
     for path in found.get('written', ()):
-        print(f'wrote {path}')
+        print(f'wrote {printable(path)}')
     if 'error' in found:
         print(written({'cameras': found['cameras']}, '.yaml'), end='')

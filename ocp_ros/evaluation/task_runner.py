@@ -6,18 +6,23 @@ from dataclasses import asdict
 from functools import partial
 import hashlib
 import json
+import logging
+import os
 from pathlib import Path
 from typing import Any
 
 from ocp_ros import __version__
 from ocp_ros.evaluation.protocol import BenchmarkTask, Protocol, run_task
+from ocp_ros.evaluation.task_rows import check_rows
 from ocp_ros.planners.registry import PAPER
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.util.shown_text import printable
 from ocp_ros.util.worker_pool import WorkerPool
 
 Rows = list[dict[str, Any]]
+_log = logging.getLogger(__name__)
 
 
 def run(protocol: Protocol, folder: Path, workers: int, ray_address: str | None = None,
@@ -36,17 +41,36 @@ def run(protocol: Protocol, folder: Path, workers: int, ray_address: str | None 
     tasks = protocol.tasks
     files = {task: folder / 'tasks' / f'{name_of(task)}.json' for task in tasks}
     _claim(folder, protocol)
-    left = [task for task in tasks if not files[task].exists()]
+    found = {task: rows for task in tasks
+             if (rows := _kept(files[task], protocol, task)) is not None}
+    left = [task for task in tasks if task not in found]
     done = len(tasks) - len(left)
     if progress is not None:
         progress(done, len(tasks))
     with WorkerPool(workers, ray_address) as pool:
         for number, rows in pool.unordered(partial(run_task, protocol), left):
-            write_atomically(files[left[number]], json.dumps(rows))
+            text = json.dumps(rows)
+            write_atomically(files[left[number]], text)
+            found[left[number]] = json.loads(text)
             done += 1
             if progress is not None:
                 progress(done, len(tasks))
-    return [row for task in tasks for row in json.loads(files[task].read_text())]
+    return [row for task in tasks for row in found[task]]
+
+
+def _kept(path: Path, protocol: Protocol, task: BenchmarkTask) -> Rows | None:
+    """Return the rows of a task that was run before; None if there are none, or no whole ones."""
+    try:
+        rows = json.loads(path.read_bytes())
+        check_rows(rows, protocol, task)
+    except FileNotFoundError:
+        return None
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        _log.warning('%s: found no whole result (%s: %s); expected the runs of one planner in one '
+                     'room; running them again, nothing else is lost', printable(str(path)),
+                     type(error).__name__, error)
+        return None
+    return rows
 
 
 def name_of(task: BenchmarkTask) -> str:
@@ -56,7 +80,7 @@ def name_of(task: BenchmarkTask) -> str:
         # Another scan under the same name is another room.
         state = Path(task.room).stat()
         known = f'{Path(task.room).resolve()} {state.st_size} {state.st_mtime_ns}'
-        stem += '-' + hashlib.sha256(known.encode()).hexdigest()[:8]
+        stem += '-' + hashlib.sha256(os.fsencode(known)).hexdigest()[:8]
     return f'{stem}-{task.rotation:g}-{task.planner}'
 
 
@@ -66,11 +90,26 @@ def _claim(folder: Path, protocol: Protocol) -> None:
         name: value for name, value in asdict(protocol).items()
         if name not in ('rooms', 'rotations', 'planners')}}
     path, text = folder / 'protocol.json', json.dumps(common, indent=2) + '\n'
-    if path.exists() and path.read_text() != text:
+    if not path.exists():
+        write_atomically(path, text)
+    elif path.read_bytes() != text.encode():
+        _check_protocol(path)
         raise ConfigurationError(
             f'{folder}: found the results of another comparison; expected the same budgets, '
             'seeds, rig, weights and version; name another folder or remove this one')
-    write_atomically(path, text)
+
+
+def _check_protocol(path: Path) -> None:
+    """Refuse a damaged record of what results have in common, and say how to go on."""
+    try:
+        found = json.loads(path.read_bytes())
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, dict) or not found:
+        raise ConfigurationError(
+            f'{path}: found no record of a comparison; expected budgets, seeds, rig, weights and '
+            'version of the results beside it; these are not lost: remove the file if they are '
+            'those that are asked for now, or name another folder')
 
 
 def _rig(protocol: Protocol) -> dict[str, str]:

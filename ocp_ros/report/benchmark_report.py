@@ -10,7 +10,11 @@ import numpy as np
 
 from ocp_ros.planners.registry import KNOWS, OFFLINE, ONLINE
 from ocp_ros.planners.rig_methods import PLANNERS
+from ocp_ros.report.drawing.figure_files import save_figure
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
+from ocp_ros.report.markdown_text import as_code, in_markdown
+from ocp_ros.util.files import write_atomically
+from ocp_ros.util.shown_text import printable
 
 #: Told apart with any kind of colour vision, repeated with another line where there are more.
 COLOURS = ('#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '#d55e00', '#8c6d31')
@@ -40,11 +44,10 @@ def write_report(folder: Path, summary: dict[str, Any], rows: Rows) -> None:
         ``versions`` added; ``rig`` is the name of a rig file where one was placed.
     :param rows: the runs.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     draw_rooms(folder / 'rooms.png', summary)
     if 'rig' not in summary:
         draw_anytime(folder / 'anytime.png', summary, rows)
-    (folder / 'README.md').write_text(page(summary))
+    write_atomically(folder / 'README.md', page(summary))
 
 
 def budgets_of(summary: dict[str, Any]) -> list[str]:
@@ -82,7 +85,8 @@ def draw_rooms(path: Path, summary: dict[str, Any]) -> None:
         known = summary['rooms'][room]['best_known']
         axes.plot([k - 0.45, k + 0.45], [known, known], color=INK, linewidth=1.2,
                   label='best known' if k == 0 else None)
-    axes.set_xticks(range(len(rooms)), [Path(room).stem for room in rooms])
+    axes.set_xticks(range(len(rooms)), [printable(Path(room).stem) for room in rooms],
+                    parse_math=False)
     axes.set_ylabel('depth error (m)', color=PALE_INK)
     axes.set_yscale('log')
     _quiet(axes)
@@ -90,7 +94,7 @@ def draw_rooms(path: Path, summary: dict[str, Any]) -> None:
                 fontsize=14, fontweight='bold', color=INK, va='center')
     figure.legend(loc='upper left', bbox_to_anchor=(0.06, 0.92), ncols=6, frameon=False,
                   fontsize=9)
-    figure.savefig(path)
+    save_figure(figure, path)
 
 
 def draw_anytime(path: Path, summary: dict[str, Any], rows: Rows) -> None:
@@ -120,7 +124,7 @@ def draw_anytime(path: Path, summary: dict[str, Any], rows: Rows) -> None:
                 color=INK, va='center')
     figure.legend(*figure.axes[0].get_legend_handles_labels(), loc='upper left',
                   bbox_to_anchor=(0.05, 0.92), ncols=6, frameon=False, fontsize=9)
-    figure.savefig(path)
+    save_figure(figure, path)
 
 
 def _quiet(axes: Axes) -> None:
@@ -150,7 +154,7 @@ def page(summary: dict[str, Any]) -> str:
     """Write the comparison as Markdown."""
     lines = [
         '# Planners compared', '',
-        f'Made on {summary["date"]} by', '', f'    {summary["command"]}', '',
+        f'Made on {summary["date"]} by', '', f'    {printable(summary["command"])}', '',
         f'{len(summary["rooms"])} rooms, {summary["rotations"]} rotations of each, '
         f'{_placed(summary)}. While it searches, a planner is scored by the '
         'preset `fast`; what counts is its final placement alone, judged by `fine` at 128 x 256 '
@@ -197,7 +201,8 @@ def page(summary: dict[str, Any]) -> str:
               '|---|---|---|---|---|']
     for room, known in summary['rooms'].items():
         lines.append(
-            f'| {Path(room).stem} | {known["best_known"]:.3f} | {known["random_placement"]:.2f} | '
+            f'| {in_markdown(Path(room).stem)} | {known["best_known"]:.3f} | '
+            f'{known["random_placement"]:.2f} | '
             f'{shown(known["share"], 3)} | '
             f'{known["lower_bound"]:.3f} |')
     rig = 'rig' in summary
@@ -212,9 +217,9 @@ def page(summary: dict[str, Any]) -> str:
 def _placed(summary: dict[str, Any]) -> str:
     """Say which cameras were placed."""
     if 'rig' in summary:
-        return (f'{summary["cameras"]} cameras of the rig file `{summary["rig"]}` under all its '
-                'constraints, each turned as well as placed; an error is the objective of the rig '
-                'in units of the depth error of seeing nothing')
+        return (f'{summary["cameras"]} cameras of the rig file `{as_code(summary["rig"])}` under '
+                'all its constraints, each turned as well as placed; an error is the objective of '
+                'the rig in units of the depth error of seeing nothing')
     return f'{summary["cameras"]} cameras on a plane'
 
 

@@ -2,6 +2,7 @@
 """A page without a server: rooms to turn around, and what each planner made of them."""
 
 from collections.abc import Mapping
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import plotly.graph_objects as go
 from ocp_ros.report.drawing.placement_picture import CAMERA_COLOURS, UNOBSERVED
 from ocp_ros.report.drawing.room_drawing import HEIGHTS, heights_of, room_of
 from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.util.files import write_atomically
 
 #: Points that are drawn of a room, and of what a placement misses.
 MOST = 6000
@@ -42,7 +44,7 @@ def write_page(path: Path, title: str,
             figure.add_trace(_cloud(missed[_some(len(missed))], UNOBSERVED,
                                     f'not seen ({share:.1f} %)'))
             figure.add_trace(_cameras(placement))
-            choices.append((f'{room}: {planner}, depth error {result.depth_error:.2f} m',
+            choices.append((f'{escape(room)}: {planner}, depth error {result.depth_error:.2f} m',
                             {whole, first, first + 1}))
     buttons = [{'label': label, 'method': 'update',
                 'args': [{'visible': [k in shown for k in range(len(figure.data))]}]}
@@ -55,8 +57,7 @@ def write_page(path: Path, title: str,
                       'yanchor': 'top'}],
         scene={'aspectmode': 'data', 'xaxis_title': 'x (m)', 'yaxis_title': 'y (m)',
                'zaxis_title': 'z (m)'})
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.write_html(path, include_plotlyjs=True, full_html=True)
+    write_atomically(path, figure.to_html(include_plotlyjs=True, full_html=True))
 
 
 def _some(count: int) -> np.ndarray:

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ocp_ros.planners.rig_plan import RigPlan
+from ocp_ros.report.drawing.figure_files import save_figure
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 from ocp_ros.report.key_figures import percent
 
@@ -65,5 +66,5 @@ def draw_curve(path: Path, rows: Sequence[dict[str, Any]], count: dict[str, Any]
     axes.legend(loc='center right', fontsize=8)
     axes.set_title(sentence(count), fontsize=9)
     figure.tight_layout()
-    figure.savefig(path, format='png', dpi=100)
+    save_figure(figure, path, dpi=100)
     return path

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A placement for those who carry it out: files for people, spreadsheets and ROS 2."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 import csv
 from dataclasses import replace
 import io
@@ -20,6 +20,10 @@ from ocp_ros.rig.placement_file import FRAME, numbers_of, Placed, Placement, sav
 from ocp_ros.scenes.source_frame import SourceFrame
 from ocp_ros.util.files import write_atomically
 
+#: Files of a placement that are read again, and all that :func:`export` writes.
+PLACEMENTS = ('placement.yaml', 'placement.json')
+FORMS = (*PLACEMENTS, 'cameras.csv', 'cameras.launch.py', 'cameras.urdf.xacro', 'cameras.rviz',
+         'installer.md', 'plan.png')
 #: From a camera's body (x forward, y left, z up) to its picture (z forward, x right, y down):
 #: roll, pitch, yaw in radians, REP-103.
 OPTICAL = (-0.5 * np.pi, 0.0, -0.5 * np.pi)
@@ -61,19 +65,20 @@ JOINT = """    <link name="%s"/>
 """
 
 
-def export(folder: Path, judged: Assessment) -> list[Path]:
+def export(folder: Path, judged: Assessment) -> Iterator[Path]:
     """
-    Write a placement in all forms.
+    Write a placement in all forms, the files of :data:`FORMS`, and yield each that is written.
 
     Placement files are in the map frame, which scores are found in, and have the transform to that
     of the scan; see :attr:`~ocp_ros.report.assessment.Assessment.data_frame` for the others.
 
     :param folder: it is made where it is not there.
-    :returns: the files.
     :raises OSError: if one cannot be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     placement, source = judged.placement, judged.scene.source
+    for name in PLACEMENTS:
+        save_placement(folder / name, placement)
+        yield folder / name
     shown, link = placement, map_to_scan(source)
     if not judged.data_frame.is_map:
         shown, link = placement_in(placement, source), scan_to_map(source)
@@ -82,12 +87,11 @@ def export(folder: Path, judged: Assessment) -> list[Path]:
              'cameras.launch.py': launch_of(shown, links),
              'cameras.urdf.xacro': xacro_of(shown, links), 'cameras.rviz': rviz_of(shown),
              'installer.md': instructions(judged, 'plan.png')}
-    for name in ('placement.yaml', 'placement.json'):
-        save_placement(folder / name, placement)
     for name, text in texts.items():
         write_atomically(folder / name, text)
+        yield folder / name
     draw_plan(folder / 'plan.png', judged)
-    return [folder / name for name in ('placement.yaml', 'placement.json', *texts, 'plan.png')]
+    yield folder / 'plan.png'
 
 
 class Link(NamedTuple):

@@ -2,6 +2,7 @@
 """The installer's page: how to hang up each camera, beside a plan with lettered walls."""
 
 from ocp_ros.report.assessment import Assessment
+from ocp_ros.report.markdown_text import in_markdown
 
 #: What stands above the rows of an installer's table, but for the camera's number.
 COLUMNS = ('camera', 'sensor', 'place', 'height', 'pan', 'tilt', 'x, y, z')
@@ -37,15 +38,17 @@ def instructions(judged: Assessment, plan: str) -> str:
         '' if wall.stands else ' (no wall stands there)') for wall in references.sides)
     inner = '' if not references.inner else (
         f' {" ".join(wall.letter for wall in references.inner)} are walls inside of it.')
-    lines = [f'# How to hang up the cameras: {judged.scene.name}', '', f'![Plan]({plan})', '',
-             *(f'**Check first:** {note}.\n' for note in judged.found.get('notes', ())),
+    lines = [f'# How to hang up the cameras: {in_markdown(judged.scene.name)}', '',
+             f'![Plan]({plan})', '', *(f'**Check first:** {in_markdown(note)}.\n'
+                                       for note in judged.found.get('notes', ())),
              f'Walls are lettered as in the plan, clockwise seen from above: {sizes}. Where the '
              'room is not', f'a rectangle they are the sides of the rectangle around it.{inner} '
              'Distances are at right angles to the wall, to',
              "the middle of the camera's front. Left and right are those of somebody who stands "
              f'behind the camera. x, y and z are {frame_named(judged)}.', '',
              f'| | {" | ".join(COLUMNS)} |', '|---' * (len(COLUMNS) + 1) + '|']
-    lines += ['| ' + ' | '.join(row) + ' |' for row in rows_of(judged)]
+    lines += ['| ' + ' | '.join(map(in_markdown, row)) + ' |' for row in rows_of(judged)]
     if 'planner' in placement.created:
-        lines += ['', f'The placement was found by the planner {placement.created["planner"]}.']
+        planner = in_markdown(placement.created['planner'])
+        lines += ['', f'The placement was found by the planner {planner}.']
     return '\n'.join([*lines, ''])

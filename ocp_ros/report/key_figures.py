@@ -5,6 +5,7 @@ from collections import Counter
 from typing import NamedTuple
 
 from ocp_ros.report.assessment import Assessment
+from ocp_ros.util.shown_text import printable
 
 
 class Figures(NamedTuple):
@@ -46,11 +47,11 @@ def figures_of(judged: Assessment) -> Figures:
         f'made by {made["command"]}' if 'command' in made else '', made.get('date', ''),
         f'ocp_ros {made["version"]}' if 'version' in made else '',
         'distances are at right angles to the walls, to the middle of the front of a camera']))
-    doubts = tuple(judged.found.get('notes', ()))
+    doubts = tuple(map(printable, judged.found.get('notes', ())))
     if doubts:
         verdict += ', with doubts'
     return Figures(title, subtitle, verdict, not (broken or doubts), doubts,
-                   _cards(judged, scores), foot)
+                   _cards(judged, scores), printable(foot))
 
 
 def _cards(judged: Assessment, scores: dict) -> list[tuple[str, str, str]]:

@@ -22,6 +22,7 @@ from ocp_ros.evaluation.room_likeness import (
     shares_of_kinds,
     summary,
 )
+from ocp_ros.report.drawing.figure_files import save_figure
 from ocp_ros.report.drawing.room_drawing import (
     draw_discs,
     HEIGHTS,
@@ -30,11 +31,13 @@ from ocp_ros.report.drawing.room_drawing import (
     open_view,
     room_of,
 )
+from ocp_ros.report.markdown_text import in_markdown
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_cache import load_cached
 from ocp_ros.scenes.synthetic.furniture import KINDS
 from ocp_ros.scenes.synthetic.generator import generate_room, plan_of
 from ocp_ros.util.files import write_atomically
+from ocp_ros.util.shown_text import printable
 
 #: Two of each kind, as they come.
 SHOWN = (3, 11, 8, 12, 1, 19, 0, 7, 21, 40, 5, 17)
@@ -63,9 +66,8 @@ def draw_sheet(path: Path, scenes: Sequence[tuple[str, Scene]], columns: int = 4
         low, high = outline.min(axis=0), outline.max(axis=0)
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect='equal')
         axes.set_axis_off()
-        axes.set_title(title, fontsize=12, color=INK)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, format='png', dpi=75)
+        axes.set_title(title, fontsize=12, color=INK, parse_math=False)
+    save_figure(figure, path, dpi=75)
 
 
 def titled(seed: int, points: int) -> tuple[str, Scene]:
@@ -113,11 +115,12 @@ def page(rooms: dict[str, Any]) -> str:
         '    ocp rooms preview 5 17 scan.ply --out out/rooms.png',
         '    ocp rooms make 5 17 --out rooms     # scans and meshes as PLY', '',
         '![Twelve generated rooms](rooms.png)', '', '## Are they like real ones?', '',
-        f'Measured on {rooms["date"]} by', '', f'    {rooms["command"]}', '',
+        f'Measured on {rooms["date"]} by', '', f'    {printable(rooms["command"])}', '',
         f'Seeds {MEASURED[0]} to {MEASURED[-1]}, {POINTS:,} points each, and real scans at hand. '
         'Of generated rooms the 10th percentile, the',
         'median and the 90th. *Floor* is where a camera may hang.', '',
-        '| figure | generated | ' + ' | '.join(real) + ' |', '|---|---|' + '---|' * len(real)]
+        '| figure | generated | ' + ' | '.join(map(in_markdown, real)) + ' |',
+        '|---|---|' + '---|' * len(real)]
     for figure, (low, middle, high) in rooms['generated'].items():
         cells = [f'{figures[figure]:.1f}' for figures in real.values()]
         lines.append(f'| {figure} | {low:.1f}, **{middle:.1f}**, {high:.1f} | '

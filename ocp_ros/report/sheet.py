@@ -12,6 +12,7 @@ import numpy as np
 from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.drawing import assessment_pictures
 from ocp_ros.report.drawing.camera_labels import camera_colour, dark
+from ocp_ros.report.drawing.figure_files import save_figure
 from ocp_ros.report.drawing.figure_table import draw_table, shortened
 from ocp_ros.report.drawing.fonts import all_letters
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
@@ -37,10 +38,8 @@ def draw(path: str | Path, judged: Assessment) -> None:
     :param path: file to write; its folder is made.
     :param judged: the placement and what was found of it.
     """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     with all_letters():
-        _figure(judged).savefig(path, format='png', dpi=DOTS)
+        save_figure(_figure(judged), path, dpi=DOTS)
 
 
 def figure_of(judged: Assessment) -> Figure:

@@ -22,6 +22,7 @@ from ocp_ros.report.html_tables import tables_of
 from ocp_ros.report.key_figures import figures_of
 from ocp_ros.rig.zones import Zone
 from ocp_ros.scenes.scene import Scene
+from ocp_ros.util.files import write_atomically
 
 #: Points that the page shows: more take longer to turn than they tell.
 SHOWN = 40000
@@ -94,13 +95,11 @@ def write_view(path: str | Path, scene: Scene, judged: Assessment | None = None)
         {'scale': paint.scale, 'values': [_bytes_of(paint.values[group]) for group in groups]}
         for paint in paints]}
     template = resources.files('ocp_ros.report').joinpath('viewer.html').read_text('utf-8')
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(Template(template).substitute(
+    write_atomically(path, Template(template).substitute(
         title=escape(_title(scene, judged)), subtitle=escape(_subtitle(scene, judged)),
         paints='\n'.join(map(_paint_switch, paints, range(len(paints)))),
         layers='\n'.join(map(_layer_switch, layers, numbers)), plot=plot, data=json.dumps(data),
-        tables='' if judged is None else '\n'.join(tables_of(judged))), encoding='utf-8')
+        tables='' if judged is None else '\n'.join(tables_of(judged))))
 
 
 def _lay_out(figure: go.Figure, scene: Scene) -> None:

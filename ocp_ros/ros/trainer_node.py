@@ -28,6 +28,7 @@ from ocp_ros.ros.training_source import Source
 from ocp_ros.training.encoded_environment import encoded_space
 from ocp_ros.training.learner import Learner, LearnerConfig
 from ocp_ros.training.training_config import SacConfig
+from ocp_ros.util.files import write_atomically
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import group, setting, to_nested
 
@@ -65,8 +66,8 @@ class TrainerNode(Node):
         torch.set_num_threads(self.config.threads)
         start = Checkpoint.load(find_model(self.config.model)) if self.config.model else None
         self.learner = Learner(self.config, self.config.agent, self.config.sac, start)
-        (self.learner.folder / 'config.yaml').write_text(
-            yaml.safe_dump(to_nested(self.config), sort_keys=False))
+        write_atomically(self.learner.folder / 'config.yaml',
+                         yaml.safe_dump(to_nested(self.config), sort_keys=False))
         self.sources: dict[str, Source] = {}
         self._published = self._ticks = 0
         self._hold = self._told = False

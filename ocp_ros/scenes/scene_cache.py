@@ -2,9 +2,9 @@
 """Scans that are read once: what was read and thinned is kept beside the user's other caches."""
 
 import hashlib
+import io
 import os
 from pathlib import Path
-import tempfile
 from zipfile import BadZipFile
 
 import numpy as np
@@ -13,6 +13,7 @@ from ocp_ros import __version__
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.scenes.source_frame import SourceFrame
+from ocp_ros.util.files import write_atomically
 
 #: Bytes of a file from which it is worth keeping what was read.
 LARGE = 4_000_000
@@ -67,10 +68,8 @@ def _keep(path: Path, scene: Scene) -> None:
     if scene.normals is not None:
         arrays['normals'] = scene.normals
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent) as folder:
-            draft = Path(folder) / path.name
-            np.savez(draft, **arrays)
-            os.replace(draft, path)
+        content = io.BytesIO()
+        np.savez(content, **arrays)
+        write_atomically(path, content.getvalue())
     except OSError:
         pass

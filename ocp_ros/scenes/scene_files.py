@@ -2,6 +2,7 @@
 """Rooms from files: scans as .ply, .pcd, .las, .laz, .npy, .xyz, and S3DIS rooms as .txt."""
 
 import difflib
+import io
 import logging
 from pathlib import Path
 import warnings
@@ -23,6 +24,8 @@ from ocp_ros.scenes.scene import (
 from ocp_ros.scenes.source_frame import SourceFrame
 from ocp_ros.scenes.stray_points import stray_points
 from ocp_ros.scenes.text_tables import read_table
+from ocp_ros.util.files import write_atomically
+from ocp_ros.util.shown_text import printable
 
 FAR = 1000.0
 #: Metres: no room is both lower than the first and shorter than the second.
@@ -96,16 +99,22 @@ def save_scene(scene: Scene, path: str | Path) -> None:
     if scene.mesh is not None:
         faces = np.empty(len(scene.mesh.triangles), dtype=[('vertex_indices', 'i4', (3,))])
         faces['vertex_indices'] = scene.mesh.triangles
-        elements[path.with_name(f'{path.stem}_mesh.ply')] = [
+        elements[mesh_of(path)] = [
             PlyElement.describe(_rows(scene.mesh.vertices, named), 'vertex'),
             PlyElement.describe(faces, 'face')]
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         for name, parts in elements.items():
-            PlyData(parts).write(str(name))
+            content = io.BytesIO()
+            PlyData(parts).write(content)
+            write_atomically(name, content.getvalue())
     except OSError as error:
         raise SceneError(f'{path}: found a place that cannot be written to ({error.strerror}); '
                          'expected a folder that may be; name another one') from error
+
+
+def mesh_of(path: Path) -> Path:
+    """Return where the mesh of a room stands."""
+    return path.with_name(f'{path.stem}_mesh.ply')
 
 
 def scans_in(folder: str | Path) -> list[Path]:
@@ -116,7 +125,7 @@ def scans_in(folder: str | Path) -> list[Path]:
     """
     found = sorted(path for path in Path(folder).glob('*')
                    if path.suffix.lower() in READERS and not path.name.startswith('.'))
-    meshes = {path.with_name(f'{path.stem}_mesh.ply') for path in found}
+    meshes = set(map(mesh_of, found))
     return [path for path in found if path not in meshes]
 
 
@@ -168,7 +177,7 @@ def _scene_name(path: Path) -> str:
     room, area = path.absolute().parent.name, path.absolute().parent.parent.name
     alike = room.replace('_', '') == path.stem.replace('_', '')
     s3dis = path.suffix == '.txt' and alike and area.startswith('Area_')
-    return f'{area}_{room}' if s3dis else path.stem
+    return printable(f'{area}_{room}' if s3dis else path.stem)
 
 
 def _read(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
@@ -224,7 +233,7 @@ def _near_origin(points: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]
     offset = np.round(low, -2) + 0.0
     # A warning, since every placement found will be in the moved coordinates.
     _log.warning('%s: found coordinates far from the origin; subtracted (%.0f, %.0f, %.0f) m',
-                 name, *offset)
+                 printable(name), *offset)
     return points - offset, offset
 
 

@@ -11,8 +11,6 @@ the policy, and any offline planner, which knows the room and goes straight to i
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-import io
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,15 +30,18 @@ from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.training.augmentation import random_symmetries, turn, turn_observation
+from ocp_ros.training.demonstration_rounds import (
+    ACTIONS,
+    ENDS,
+    LAST,
+    MOVES,
+    NO_INPUTS,
+    REWARDS,
+)
 from ocp_ros.training.encoded_environment import encoded, unwrapped
 from ocp_ros.training.training_config import DemonstrationsConfig, RoomsConfig, TrainingConfig
 from ocp_ros.training.training_rooms import make
 from ocp_ros.training.validation import policy_of
-from ocp_ros.util.files import write_atomically
-
-#: Names of the arrays of an episode that are no inputs of the network.
-NO_INPUTS = MOVES, ACTIONS, REWARDS, LAST, ENDS = (
-    'expert', 'actions', 'rewards', 'last', 'ends')
 
 
 @dataclass(frozen=True)
@@ -215,23 +216,6 @@ def tasks_of(config: TrainingConfig, rooms: Sequence[str], number: int, weights:
             for index in range(settings.episodes)]
 
 
-def save_round(path: Path, episodes: list[dict[str, np.ndarray]]) -> None:
-    """Write the episodes of a round in a row, in half precision; the file is whole or absent."""
-    rows = {name: np.concatenate([one[name] for one in episodes]) for name in episodes[0]}
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **{
-        name: value.astype(np.float16) if value.dtype == np.float32 else value
-        for name, value in rows.items()})
-    write_atomically(path, buffer.getvalue())
-
-
-def load_rounds(folder: Path, count: int) -> dict[str, np.ndarray]:
-    """Read the first rounds of a folder: arrays (S, ...) by name, a row for each step."""
-    rounds = [dict(np.load(path, allow_pickle=False))
-              for path in sorted(folder.glob('*.npz'))[:count]]
-    return {name: np.concatenate([one[name] for one in rounds]) for name in rounds[0]}
-
-
 def turns_played(steps: dict[str, np.ndarray]) -> int:
     """Return how many moves of single cameras there are in some rounds."""
     return int(np.count_nonzero(~steps[LAST]))
@@ -241,7 +225,7 @@ class Imitation:
     """
     What an expert said, in batches that are turned or mirrored at random.
 
-    :param steps: from :func:`load_rounds`.
+    :param steps: from :func:`~ocp_ros.training.demonstration_rounds.load_rounds`.
     :param device: where the batches are used.
     """
 
@@ -279,7 +263,7 @@ def fit(model: SAC, steps: dict[str, np.ndarray], config: DemonstrationsConfig, 
     Teach SAC's actor to do what the expert did.
 
     :param model: from :func:`ocp_ros.training.sac.make_sac`.
-    :param steps: from :func:`load_rounds`.
+    :param steps: from :func:`~ocp_ros.training.demonstration_rounds.load_rounds`.
     :param config: batch size and step size.
     :param epochs: how often each step is looked at.
     :returns: the mean loss of the last epoch.
@@ -310,7 +294,7 @@ def fill(model: SAC, steps: dict[str, np.ndarray]) -> None:
     Put the transitions of demonstrations into SAC's replay buffer; the latest if not all fit.
 
     :param model: from :func:`ocp_ros.training.sac.make_sac`.
-    :param steps: from :func:`load_rounds`.
+    :param steps: from :func:`~ocp_ros.training.demonstration_rounds.load_rounds`.
     """
     buffer, side_by_side = model.replay_buffer, model.n_envs
     inputs = [name for name in steps if name not in NO_INPUTS]

@@ -8,9 +8,11 @@ import safetensors.torch
 from stable_baselines3 import SAC
 import torch
 
-from ocp_ros.agent.checkpoint import CheckpointError, read_metadata
+from ocp_ros.agent.checkpoint import CheckpointError, LARGEST, read_metadata
 from ocp_ros.util.files import write_atomically
 
+#: Nothing that a run counts is larger.
+MOST = 1 << 40
 COUNTERS = ('_n_updates', 'num_timesteps', 'own_updates')
 
 
@@ -18,6 +20,13 @@ def _optimizers(model: SAC) -> dict[str, torch.optim.Optimizer]:
     """Name SAC's three optimisers."""
     return {'actor': model.actor.optimizer, 'critic': model.critic.optimizer,
             'entropy': model.ent_coef_optimizer}
+
+
+def _networks(model: SAC) -> dict[str, torch.Tensor]:
+    """Return all that is saved but for the optimisers."""
+    return {**{f'policy.{name}': value for name, value in model.policy.state_dict().items()},
+            'log_ent_coef': model.log_ent_coef.detach(),
+            **{f'counter.{name}': torch.tensor(getattr(model, name)) for name in COUNTERS}}
 
 
 def new_run() -> str:
@@ -35,13 +44,11 @@ def save_state(model: SAC, path: Path, run: str) -> None:
     :param path: where to.
     :param run: identity of the training run.
     """
-    tensors = {f'policy.{name}': value for name, value in model.policy.state_dict().items()}
-    tensors['log_ent_coef'] = model.log_ent_coef.detach()
+    tensors = _networks(model)
     for name, optimizer in _optimizers(model).items():
         for index, slot in optimizer.state_dict()['state'].items():
             tensors.update({f'optimizer.{name}.{index}.{key}': value
                             for key, value in slot.items()})
-    tensors.update({f'counter.{name}': torch.tensor(getattr(model, name)) for name in COUNTERS})
     tensors = {name: value.cpu().contiguous().clone() for name, value in tensors.items()}
     write_atomically(path, safetensors.torch.save(tensors, metadata={'run': run}))
 
@@ -51,27 +58,65 @@ def load_state(model: SAC, path: Path) -> str:
     Put a saved state into a model that was built with the same settings.
 
     :returns: identity of the training run that goes on.
-    :raises CheckpointError: if the file cannot be read or belongs to another network.
+    :raises CheckpointError: if the file is damaged or belongs to another network; the model is as
+        it was.
     """
     try:
         blob = Path(path).read_bytes()
         tensors, run = safetensors.torch.load(blob), read_metadata(blob)['run']
-        model.policy.load_state_dict(
-            {name.removeprefix('policy.'): value for name, value in tensors.items()
-             if name.startswith('policy.')})
-        model.log_ent_coef.data.copy_(tensors['log_ent_coef'])
-        for name in COUNTERS:
-            setattr(model, name, int(tensors[f'counter.{name}']))
-    except (OSError, safetensors.SafetensorError, KeyError, ValueError,
+        if not isinstance(run, str):
+            raise ValueError(f'its run is {run!r}')
+        slots = _slots(model, tensors)
+        _check(tensors, _networks(model) | slots)
+    except (OSError, safetensors.SafetensorError, KeyError, TypeError, ValueError,
             RuntimeError) as error:
-        raise CheckpointError(f'{path}: found no training state for this network ({error}); '
-                              'resume with the settings it was saved with') from error
+        reason = f'{path}: found no training state for this network ({error}); '
+        raise CheckpointError(
+            f'{reason}expected a whole one, saved with the same settings; put it back from a '
+            'copy, or begin in another folder with model set to the weights beside it: these are '
+            'kept, the rest is lost') from error
+    model.policy.load_state_dict(
+        {name.removeprefix('policy.'): value for name, value in tensors.items()
+         if name.startswith('policy.')})
+    model.log_ent_coef.data.copy_(tensors['log_ent_coef'])
+    for name in COUNTERS:
+        setattr(model, name, int(tensors[f'counter.{name}']))
     for name, optimizer in _optimizers(model).items():
         state: dict[int, dict[str, torch.Tensor]] = {}
-        prefix = f'optimizer.{name}.'
-        for key, value in tensors.items():
-            if key.startswith(prefix):
-                index, slot = key.removeprefix(prefix).split('.')
-                state.setdefault(int(index), {})[slot] = value
+        for key in slots:
+            _, owner, index, slot = key.split('.')
+            if owner == name:
+                state.setdefault(int(index), {})[slot] = tensors[key]
         optimizer.load_state_dict({**optimizer.state_dict(), 'state': state})
     return run
+
+
+def _slots(model: SAC, tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Return tensors like those that Adam keeps of each parameter that it has a step of."""
+    slots = {}
+    for name, optimizer in _optimizers(model).items():
+        parameters = [one for group in optimizer.param_groups for one in group['params']]
+        for index, parameter in enumerate(parameters):
+            prefix = f'optimizer.{name}.{index}.'
+            if any(key.startswith(prefix) for key in tensors):
+                slots |= {f'{prefix}step': torch.zeros(()), f'{prefix}exp_avg': parameter,
+                          f'{prefix}exp_avg_sq': parameter}
+    return slots
+
+
+def _check(tensors: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]) -> None:
+    """
+    Refuse tensors of other names, shapes or types than expected, and numbers that cannot be.
+
+    :raises ValueError: if so.
+    """
+    if odd := sorted(tensors.keys() ^ expected.keys()):
+        raise ValueError(f'{odd[0]} is {"unknown" if odd[0] in tensors else "missing"}')
+    for name, tensor in tensors.items():
+        if tensor.shape != expected[name].shape or tensor.dtype != expected[name].dtype:
+            raise ValueError(f'{name} is {tensor.dtype} {tuple(tensor.shape)}, not '
+                             f'{expected[name].dtype} {tuple(expected[name].shape)}')
+        low = 0.0 if name.endswith(('.exp_avg_sq', '.step')) or 'counter.' in name else -torch.inf
+        most = LARGEST if name.startswith('policy.') else MOST
+        if not ((tensor >= low) & (tensor.abs() <= most)).all():
+            raise ValueError(f'{name} has numbers that no training ends with')

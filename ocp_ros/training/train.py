@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import date
-import json
+import logging
 from pathlib import Path
 import time
 from typing import Any
@@ -24,51 +24,32 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecMonitor
 import torch
-import yaml
 
 from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.agent.errors import CheckpointError
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import no_bits
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.training import demonstrations
+from ocp_ros.training.demonstration_rounds import ENDS, LAST, load_rounds, save_round
 from ocp_ros.training.encoded_environment import encoded
 from ocp_ros.training.replay_buffer import Rebuild, TurnReplay
+from ocp_ros.training.run_folder import add_record, BEST, claim, records, SHOWN, STATE
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac, RigSac
 from ocp_ros.training.sac_state import load_state, new_run, save_state
 from ocp_ros.training.training_config import TrainingConfig
-from ocp_ros.training.training_rooms import make, PARTS, room_names, Rooms
+from ocp_ros.training.training_rooms import make, room_names, Rooms
 from ocp_ros.training.validation import evaluate, RANDOM_MOVES, ValidationTrial
-from ocp_ros.util.files import write_atomically
 from ocp_ros.util.resources import find_model
-from ocp_ros.util.settings import ConfigurationError, from_nested, to_nested
+from ocp_ros.util.settings import ConfigurationError, to_nested
+from ocp_ros.util.shown_text import printable
 from ocp_ros.util.threads import cores
 from ocp_ros.util.worker_pool import WorkerPool
 
-#: Settings with which a run may go on though it was begun with others.
-MAY_CHANGE = ('interactions', 'workers', 'evaluate_every')
-#: The same for one that has not begun with soft actor-critic.
-MAY_STILL_CHANGE = (*MAY_CHANGE, 'demonstrations.rounds')
+_log = logging.getLogger(__name__)
 #: Terms of the reward that are logged one by one.
 TERMS = ('delta_space_coverage', 'delta_depth_error', 'penalty')
-
-
-def read_config(path: Path) -> TrainingConfig:
-    """
-    Read a YAML file of training settings; what it leaves out keeps its default.
-
-    :raises ConfigurationError: for an unknown name or a bad value.
-    """
-    try:
-        content = yaml.safe_load(Path(path).read_text())
-    except OSError as error:
-        raise ConfigurationError(f'{path}: found no file that can be read ({error.strerror}); '
-                                 'expected YAML such as config/train/default.yaml') from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        reason = ' '.join(str(error).split())
-        raise ConfigurationError(f'{path}: found no valid YAML ({reason}); expected settings, '
-                                 'one "name: value" per line') from error
-    return from_nested(TrainingConfig, content or {}, str(path))
 
 
 @dataclass
@@ -92,17 +73,22 @@ class Run:
     name: str
 
     def __post_init__(self) -> None:
-        """Go on from the evaluations so far: the best of them stays the best."""
-        past = records(self.folder)
-        self.best = min((line['ratio'] for line in past if 'ratio' in line), default=np.inf)
-        self.began = time.monotonic() - (past[-1]['seconds'] if past else 0.0)
+        """Go on from the evaluations so far."""
+        self.past = records(self.folder)
+        self.best = np.inf
+        self.began = time.monotonic() - (self.past[-1]['seconds'] if self.past else 0.0)
         self.rooms = room_names(self.config.rooms, 'training')
         self.trials = trials_of(self.config, 'validation')
 
     @property
     def state(self) -> Path:
         """Return the file to resume from."""
-        return self.folder / 'state.safetensors'
+        return self.folder / STATE
+
+    @property
+    def seconds(self) -> float:
+        """Return how long the run has taken so far."""
+        return round(time.monotonic() - self.began, 1)
 
     def checkpoint(self) -> Checkpoint:
         """Return the actor as it is now."""
@@ -116,34 +102,71 @@ class Run:
                   in self.model.logger.name_to_value.items() if name.endswith('loss')}
         record = {'phase': phase, 'interactions': self.model.num_timesteps,
                   'updates': int(self.model._n_updates),
-                  'seconds': round(time.monotonic() - self.began, 1), **losses, **figures}
-        with open(self.folder / 'progress.jsonl', 'a', encoding='utf-8') as file:
-            file.write(json.dumps(record) + '\n')
+                  'seconds': self.seconds, **losses, **figures}
+        add_record(self.folder, record)
 
     def evaluate(self, phase: str) -> float:
         """Play the validation rooms; write the line, the state and, if best, the weights."""
         checkpoint = self.checkpoint()
-        blob = checkpoint.to_bytes()
-        result = evaluate(self.pool, [replace(trial, weights=blob) for trial in self.trials])
+        result = self.judge(checkpoint)
         for name, value in result.items():
             self.model.logger.record(f'validation/{name}', value)
-        # First: weights that are noted as the best are there, whenever the process ends.
+        # In this order: what a line tells of is there, whenever the process ends.
         if result['ratio'] < self.best:
             self.best = result['ratio']
-            checkpoint.save(self.folder / 'best.safetensors')
-        self.note(phase, **result)
+            checkpoint.save(self.folder / BEST)
         self.save()
+        self.note(phase, **result)
         return result['ratio']
+
+    def judge(self, checkpoint: Checkpoint) -> dict[str, float]:
+        """Play the validation rooms."""
+        blob = checkpoint.to_bytes()
+        return evaluate(self.pool, [replace(trial, weights=blob) for trial in self.trials])
+
+    def resume(self) -> None:
+        """
+        Go on from the state that was saved last; the best weights so far stay the best.
+
+        :raises CheckpointError: if the state or the best weights cannot be used; the message says
+            what is lost and how to go on.
+        """
+        begun = self.past or any((self.folder / SHOWN).glob('*.fitted'))
+        if self.state.exists():
+            self.name = load_state(self.model, self.state)
+        elif begun:
+            raise CheckpointError(
+                f'{self.state}: found no file though the run had begun; expected the state to go '
+                'on from; put it back from a copy, or begin in another folder with model set to '
+                f'{self.folder / BEST}: its best weights are kept, the rest is lost')
+        self._find_best()
+
+    def _find_best(self) -> None:
+        """Find out how good the best weights so far are, if there are any."""
+        path = self.folder / BEST
+        ratios = {line['updates']: line['ratio'] for line in self.past if 'ratio' in line}
+        if not path.exists():
+            if ratios:
+                _log.warning('%s: found no file; expected the best weights so far; going on from '
+                             'the last state, the best from now on are kept',
+                             printable(str(path)))
+            return
+        try:
+            best = Checkpoint.load(path)
+            if best.config != self.config.agent:
+                raise CheckpointError(f'{path}: found weights of another network; expected those '
+                                      'of this run')
+        except CheckpointError as error:
+            raise CheckpointError(
+                f'{error}; the best weights so far are lost: put them back from a copy, or remove '
+                'the file, and the run goes on from its last state') from error
+        # Where no line tells, as after a kill, they are judged anew.
+        self.best = (ratios[best.updates] if best.updates in ratios
+                     else self.judge(best)['ratio'])
 
     def save(self) -> None:
         """Write what is needed to resume."""
         save_state(self.model, self.state, self.name)
-
-
-def records(folder: Path) -> list[dict[str, Any]]:
-    """Read the evaluations of a run so far."""
-    path = folder / 'progress.jsonl'
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
 def trials_of(config: TrainingConfig, part: str) -> list[ValidationTrial]:
@@ -160,7 +183,7 @@ def trials_of(config: TrainingConfig, part: str) -> list[ValidationTrial]:
 def imitate(run: Run) -> None:
     """Play rounds of demonstrations and fit the actor to what the expert did, all so far."""
     settings, model = run.config.demonstrations, run.model
-    folder = run.folder / 'demonstrations'
+    folder = run.folder / SHOWN
     task = run.progress.add_task('demonstrations', total=settings.rounds, error='')
     for number in range(settings.rounds):
         run.progress.update(task, completed=number)
@@ -168,23 +191,23 @@ def imitate(run: Run) -> None:
         if not path.exists():
             tasks = demonstrations.tasks_of(run.config, run.rooms, number,
                                             run.checkpoint().to_bytes())
-            demonstrations.save_round(path, list(run.pool.map(demonstrations.demonstrate, tasks)))
+            save_round(path, list(run.pool.map(demonstrations.demonstrate, tasks)))
         if fitted.exists():
             continue
         last = number + 1 == settings.rounds
-        steps = demonstrations.load_rounds(folder, number + 1)
+        steps = load_rounds(folder, number + 1, run.config.agent)
         loss = demonstrations.fit(model, steps, settings,
                                   settings.last_epochs if last else settings.epochs)
         model.num_timesteps = demonstrations.turns_played(steps)
-        ends = steps[demonstrations.ENDS][steps[demonstrations.LAST]][-settings.episodes:]
+        ends = steps[ENDS][steps[LAST]][-settings.episodes:]
         model.logger.record('demonstrations/loss', loss)
         model.logger.record('demonstrations/depth_error_end', float(ends[:, 0].mean()))
         if last or (number + 1) % settings.evaluate_every == 0:
             ratio = run.evaluate('demonstrations')
             run.progress.update(task, error=f'validation {ratio:.4f}, loss {loss:.3f}')
         else:
-            run.note('demonstrations')
             run.save()
+            run.note('demonstrations')
         model.logger.dump(model.num_timesteps)
         fitted.touch()
     run.progress.update(task, completed=settings.rounds)
@@ -243,8 +266,8 @@ def environments(config: TrainingConfig, rooms: Sequence[str]) -> VecMonitor:
 def learn(run: Run) -> None:
     """Let SAC play and learn, from where imitation has led."""
     config, model = run.config, run.model
-    folder, rounds = run.folder / 'demonstrations', config.demonstrations.rounds
-    shown = demonstrations.load_rounds(folder, rounds) if rounds else None
+    folder, rounds = run.folder / SHOWN, config.demonstrations.rounds
+    shown = load_rounds(folder, rounds, config.agent) if rounds else None
     first = 0 if shown is None else demonstrations.turns_played(shown)
     last = first + config.interactions
     if model.num_timesteps >= last:
@@ -285,49 +308,18 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
     :returns: the best checkpoint; its provenance has the curve and the test's figures, those of
         random moves beside them.
     """
-    _claim(folder, config)
+    claim(folder, config)
     columns = (TextColumn('{task.description}'), MofNCompleteColumn(), TimeRemainingColumn(),
                TextColumn('{task.fields[error]}'))
     with WorkerPool(config.workers, config.ray or None) as pool, Progress(*columns) as progress:
         run = Run(config, folder, _model(config, folder), pool, progress, new_run())
-        if run.state.exists():
-            run.name = load_state(run.model, run.state)
+        run.resume()
         imitate(run)
         learn(run)
+        if not (folder / BEST).exists():
+            # It was lost after the last evaluation.
+            run.evaluate('sac' if config.interactions else 'demonstrations')
         return report(run, command)
-
-
-def _claim(folder: Path, config: TrainingConfig) -> None:
-    """
-    Write down the settings of a run and its rooms, or check that a run in the folder has the same.
-
-    :raises ConfigurationError: if another run lives there.
-    """
-    path, rooms = folder / 'config.yaml', folder / 'rooms.json'
-    sets = {part: [Path(name).name for name in room_names(config.rooms, part)] for part in PARTS}
-    if path.exists():
-        asked, before = (_flat(to_nested(one)) for one in (config, read_config(path)))
-        free = MAY_CHANGE if before['interactions'] else MAY_STILL_CHANGE
-        wrong = [f'{name} {before[name]!r}' for name in asked
-                 if name not in free and asked[name] != before[name]]
-        if rooms.exists() and json.loads(rooms.read_text()) != sets:
-            wrong.append('other rooms')
-        if wrong:
-            raise ConfigurationError(
-                f'{folder}: found a run with {", ".join(wrong)}; expected one with the settings '
-                f'asked for, but for {", ".join(free)}; name another folder, or remove '
-                'this one to begin anew')
-    write_atomically(rooms, json.dumps(sets) + '\n')
-    write_atomically(path, yaml.safe_dump(to_nested(config), sort_keys=False))
-
-
-def _flat(nested: dict[str, Any], prefix: str = '') -> dict[str, Any]:
-    """Return settings by their dotted names."""
-    found = {}
-    for name, value in nested.items():
-        found |= _flat(value, f'{prefix}{name}.') if isinstance(value, dict) else {
-            prefix + name: value}
-    return found
 
 
 def _model(config: TrainingConfig, folder: Path) -> RigSac:
@@ -360,7 +352,7 @@ def _replay(config: TrainingConfig) -> dict[str, Any]:
 
 def report(run: Run, command: str) -> Checkpoint:
     """Play the test rooms with the best weights and at random; write the figures into the card."""
-    config, best = run.config, Checkpoint.load(run.folder / 'best.safetensors')
+    config, best = run.config, Checkpoint.load(run.folder / BEST)
     # Whatever it learned on, the figures are those of the engine at its best.
     fine = EngineConfig(preset='fine')
     trials = [replace(trial, simulation=replace(trial.simulation, engine=fine))
@@ -372,10 +364,10 @@ def report(run: Run, command: str) -> Checkpoint:
     provenance = {
         **best.provenance, 'command': command,
         'hardware': torch.cuda.get_device_name() if on_gpu else cpu,
-        'seconds': lines[-1]['seconds'], 'curve': lines,
+        'seconds': lines[-1]['seconds'] if lines else run.seconds, 'curve': lines,
         'test': {'rooms': len(trials),
                  'policy': evaluate(run.pool, [replace(one, weights=blob) for one in trials]),
                  RANDOM_MOVES: evaluate(run.pool, trials)}}
     final = replace(best, provenance=provenance)
-    final.save(run.folder / 'best.safetensors')
+    final.save(run.folder / BEST)
     return final

@@ -82,10 +82,12 @@ class TransitionLog:
                 rows = {side: {name.removeprefix(side): value for name, value in arrays.items()
                                if name.startswith(side)} for side in ('before.', 'after.')}
                 actions, rewards, ends = (arrays[name] for name in NUMBERS)
-            except (OSError, SafetensorError, KeyError, ValueError) as error:
+                _check(arrays)
+            except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
                 raise CheckpointError(
                     f'{path}: found no transitions ({type(error).__name__}: {error}); expected '
-                    f'those that a trainer has saved; remove {self.folder} to begin without any'
+                    'those that a trainer has saved; remove the file: its transitions are lost, '
+                    f'the others are kept; or remove {self.folder} to begin without any'
                 ) from error
             for number in range(len(actions)):
                 before, after = ({name: value[number] for name, value in rows[side].items()}
@@ -93,3 +95,17 @@ class TransitionLog:
                 yield Transition(before, actions[number], float(rewards[number]), after,
                                  bool(ends[number]))
             self._saved = int(path.stem) + len(actions)
+
+
+def _check(arrays: dict[str, np.ndarray]) -> None:
+    """
+    Refuse arrays that do not belong together, and numbers that are not finite.
+
+    :raises ValueError: if so.
+    """
+    count = len(arrays['actions'])
+    for name, value in arrays.items():
+        if value.shape[:1] != (count,) or (name in NUMBERS[1:] and value.ndim != 1):
+            raise ValueError(f'{name} has the shape {value.shape}, not that of {count} rows')
+        if not np.isfinite(value).all():
+            raise ValueError(f'{name} has NaN or inf')

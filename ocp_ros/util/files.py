@@ -13,10 +13,11 @@ def write_atomically(path: str | Path, content: bytes | str) -> None:
     Write a file so that readers find the old content or the new, never a part.
 
     :param path: its folder is made where it is not there.
-    :param content: text is written as UTF-8.
+    :param content: text is written as UTF-8; bytes of file names that are no text, as escapes.
     :raises OSError: if it cannot be written; what was there before stays.
     """
-    path, content = Path(path), content.encode() if isinstance(content, str) else content
+    path = Path(path)
+    content = content.encode(errors='backslashreplace') if isinstance(content, str) else content
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')
     try:
@@ -27,8 +28,11 @@ def write_atomically(path: str | Path, content: bytes | str) -> None:
         # Temporary files are private; what people share is not.
         os.chmod(name, 0o644)
         os.replace(name, path)
-    except BaseException:
+    except BaseException as error:
         Path(name).unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            # That of a full disk names no file.
+            error.filename = str(path)
         raise
 
 

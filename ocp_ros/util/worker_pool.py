@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context, parent_process
 import os
 import threading
@@ -40,7 +41,14 @@ class WorkerPool:
         numbers = {self._processes.submit(function, task): number
                    for number, task in enumerate(tasks)}
         for future in as_completed(numbers):
-            yield numbers[future], future.result()
+            try:
+                result = future.result()
+            except BrokenProcessPool as error:
+                raise ConfigurationError(
+                    'workers: found that a process has ended in the middle of its work; expected '
+                    'it to live; there may have been no memory left for it: use fewer, and start '
+                    'again: what was saved is kept') from error
+            yield numbers[future], result
 
     def map(self, function: Callable[[T], U], tasks: Sequence[T]) -> Iterator[U]:
         """Yield what a function returns for each task, in the order of the tasks."""

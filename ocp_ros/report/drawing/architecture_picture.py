@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
+from ocp_ros.report.drawing.figure_files import save_figure
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 
 #: Layers from the bottom, and what each is for; each may import those below it.
@@ -79,8 +80,7 @@ def draw(path: Path) -> None:
     axes.text(5.2, 0.95, 'Without ROS: ocp on a shell uses the same layers, from scenes\n'
               'to report, and CameraPlacementEnv is a Gymnasium environment.', fontsize=8,
               color=PALE_INK, va='center', zorder=3)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, format='png')
+    save_figure(figure, path)
 
 
 def _title(axes: Axes, left: float, text: str) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.drawing.camera_labels import apart, camera_colour, draw_numbers
+from ocp_ros.report.drawing.figure_files import save_figure
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 from ocp_ros.rig.placement_file import Placement
 
@@ -20,7 +21,7 @@ NUMBERS, LETTERS, INNER = 12.0, 20.0, 13.0
 
 def draw_plan(path: Path, judged: Assessment) -> None:
     """Write the plan as PNG."""
-    figure_of(judged).savefig(path, format='png', dpi=100)
+    save_figure(figure_of(judged), path, dpi=100)
 
 
 def figure_of(judged: Assessment) -> Figure:

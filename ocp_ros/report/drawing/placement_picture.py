@@ -15,6 +15,7 @@ from matplotlib.offsetbox import AnnotationBbox, OffsetImage
 from matplotlib.patches import Circle, Patch, Polygon
 import numpy as np
 
+from ocp_ros.report.drawing.figure_files import save_figure
 from ocp_ros.report.drawing.room_drawing import (
     draw_discs,
     HEIGHTS,
@@ -50,14 +51,15 @@ def draw_placement(path: str | Path, points: np.ndarray, observed: np.ndarray | 
     points, observed, paths = _checked(points, observed, trajectories, max_range)
     room = room_of(points, _colours(points, observed))
     figure = Figure(figsize=(18.0, 9.5), dpi=100, facecolor='white')
-    figure.text(0.03, 0.945, title, fontsize=21, fontweight='bold', color=INK, va='center')
-    figure.text(0.03, 0.9, subtitle, fontsize=14, color=PALE_INK, va='center')
+    figure.text(0.03, 0.945, title, fontsize=21, fontweight='bold', color=INK, va='center',
+                parse_math=False)
+    figure.text(0.03, 0.9, subtitle, fontsize=14, color=PALE_INK, va='center',
+                parse_math=False)
     _draw_plan(figure.add_axes((0.045, 0.13, 0.44, 0.73)), room, paths, max_range)
     _draw_cutaway(figure.add_axes((0.505, 0.1, 0.485, 0.77)), room, paths, max_range)
     unseen = None if observed is None else f' ({100.0 * np.mean(~observed):.1f} % of the points)'
     _draw_legend(figure, max_range, len(paths) > 1, unseen)
-    Path(path).parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, format='png', dpi=100)
+    save_figure(figure, path, dpi=100)
 
 
 class Example(NamedTuple):
@@ -98,9 +100,9 @@ def draw_examples(path: Path, examples: Sequence[Sequence[Example]], max_range: 
                                     0.87 / columns, 4.2 / high))
             room = room_of(example.points, _colours(example.points, example.observed))
             _draw_plan(axes, room, example.trajectories, max_range)
-            axes.set_title(example.title, fontsize=13, color=INK, loc='left')
+            axes.set_title(example.title, fontsize=13, color=INK, loc='left', parse_math=False)
     _draw_legend(figure, max_range, True, '')
-    figure.savefig(path, dpi=75)
+    save_figure(figure, path, dpi=75)
 
 
 def _checked(points, observed, trajectories, max_range: float):

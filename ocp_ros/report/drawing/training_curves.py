@@ -16,7 +16,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 import numpy as np
 
-from ocp_ros.training.train import read_config, records
+from ocp_ros.report.drawing.figure_files import save_figure
+from ocp_ros.training.run_folder import read_config, records
 
 #: By name in the progress: what the legend calls it, and how its line is drawn.
 LOSSES = {'loss': ('imitation', ':'), 'actor_loss': ('actor', '--'),
@@ -108,7 +109,7 @@ def draw(path: Path, folders: list[Path]) -> None:
         axes.yaxis.set_minor_formatter(Plain(minor_thresholds=(1, 0.4)))
     figure.legend(*performance.get_legend_handles_labels(), loc='outside lower center', ncols=2,
                   fontsize=8)
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path, dpi=110, format=path.suffix[1:] or 'png')
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -12,6 +12,7 @@ from matplotlib.patches import Patch
 import numpy as np
 
 from ocp_ros.evaluation.engine_bench import cases, f1_score, mask_of, METHODS, RADII, RANGE
+from ocp_ros.report.drawing.figure_files import save_figure
 from ocp_ros.report.drawing.placement_picture import draw_ball
 from ocp_ros.report.drawing.room_drawing import (
     draw_discs,
@@ -81,8 +82,7 @@ def draw(path: Path, points: int, room: int) -> None:
                 'and the walls in front', fontsize=13, color=PALE_INK, va='center')
     figure.legend([Patch(facecolor=colour) for colour in MEANINGS], list(MEANINGS.values()),
                   loc='lower center', ncols=4, frameon=False, fontsize=13)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, format='png', dpi=100)
+    save_figure(figure, path, dpi=100)
 
 
 def main(args: list[str] | None = None) -> int:

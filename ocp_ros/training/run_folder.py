@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The folder of a training run: whose it is, its settings, its rooms, its evaluations."""
+
+import json
+import logging
+import math
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ocp_ros.training.training_config import TrainingConfig
+from ocp_ros.training.training_rooms import PARTS, room_names
+from ocp_ros.util.files import write_atomically
+from ocp_ros.util.own_files import is_own, note_own
+from ocp_ros.util.settings import ConfigurationError, from_nested, to_nested
+from ocp_ros.util.shown_text import printable
+
+CONFIG, ROOMS, PROGRESS = 'config.yaml', 'rooms.json', 'progress.jsonl'
+BEST, STATE, SHOWN = 'best.safetensors', 'state.safetensors', 'demonstrations'
+#: Settings with which a run may go on though it was begun with others.
+MAY_CHANGE = ('interactions', 'workers', 'evaluate_every')
+#: The same for one that has not begun with soft actor-critic.
+MAY_STILL_CHANGE = (*MAY_CHANGE, 'demonstrations.rounds')
+#: Numbers that every line of progress has.
+COUNTED = ('interactions', 'updates', 'seconds')
+_log = logging.getLogger(__name__)
+
+
+def read_config(path: Path) -> TrainingConfig:
+    """
+    Read a YAML file of training settings; what it leaves out keeps its default.
+
+    :raises ConfigurationError: for an unknown name or a bad value.
+    """
+    content = _content(path)
+    return from_nested(TrainingConfig, {} if content is None else content, str(path))
+
+
+def _content(path: Path) -> Any:
+    """Return what a YAML file says."""
+    try:
+        return yaml.safe_load(Path(path).read_text(encoding='utf-8'))
+    except OSError as error:
+        raise ConfigurationError(f'{path}: found no file that can be read ({error.strerror}); '
+                                 'expected YAML such as config/train/default.yaml') from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        reason = ' '.join(str(error).split())
+        raise ConfigurationError(f'{path}: found no valid YAML ({reason}); expected settings, '
+                                 'one "name: value" per line') from error
+
+
+def claim(folder: Path, config: TrainingConfig) -> None:
+    """
+    Write down the settings of a run and its rooms, or check that a run in the folder has the same.
+
+    :raises ConfigurationError: if another run lives there, or something else does.
+    """
+    path, rooms = folder / CONFIG, folder / ROOMS
+    _check_name(folder)
+    if not rooms.exists() and not is_own(path):
+        _refuse_strangers(folder)
+    sets = {part: [Path(name).name for name in room_names(config.rooms, part)] for part in PARTS}
+    asked = _flat(to_nested(config))
+    before = _flat(to_nested(_settings(path))) if path.exists() else asked
+    free = MAY_CHANGE if before['interactions'] else MAY_STILL_CHANGE
+    wrong = [f'{name} {before[name]!r}' for name in asked
+             if name not in free and asked[name] != before[name]]
+    if rooms.exists() and _sets(rooms) != sets:
+        wrong.append('other rooms')
+    if wrong:
+        raise ConfigurationError(
+            f'{folder}: found a run with {", ".join(wrong)}; expected one with the settings '
+            f'asked for, but for {", ".join(free)}; name another folder, or remove '
+            'this one to begin anew')
+    if not rooms.exists():
+        write_atomically(rooms, json.dumps(sets) + '\n')
+        note_own([rooms])
+    if not path.exists() or asked != before:
+        _write_settings(path, config)
+
+
+def _check_name(folder: Path) -> None:
+    """Refuse a folder whose name is no text: TensorBoard cannot write to it."""
+    try:
+        str(folder).encode()
+    except UnicodeEncodeError as error:
+        raise ConfigurationError(
+            f'{printable(str(folder))}: found a name that is not in UTF-8; expected one that '
+            'TensorBoard can write to; name another folder') from error
+
+
+def _write_settings(path: Path, config: TrainingConfig) -> None:
+    """Write settings in place of those that were written before, unless somebody has since."""
+    if path.exists() and not is_own(path):
+        raise ConfigurationError(
+            f'{path}: found that it was edited, or not written by a run; expected it unchanged to '
+            'write the new settings in its place; move it elsewhere, and the run goes on')
+    write_atomically(path, yaml.safe_dump(to_nested(config), sort_keys=False))
+    note_own([path])
+
+
+def _refuse_strangers(folder: Path) -> None:
+    """Refuse a folder that is no run's and has files that a run would replace."""
+    found = [name for name in (BEST, 'best.json', STATE, PROGRESS, SHOWN)
+             if (folder / name).exists()]
+    if found:
+        raise ConfigurationError(
+            f'{folder}: found {", ".join(found)} and neither {CONFIG} nor {ROOMS} of a run; '
+            'expected a folder without them, or that of a run; name another folder')
+
+
+def _settings(path: Path) -> TrainingConfig:
+    """Read the settings of a run, which are never empty."""
+    try:
+        if not _content(path):
+            raise ConfigurationError(f'{path}: found no settings; expected those of the run')
+        return read_config(path)
+    except ConfigurationError as error:
+        raise ConfigurationError(
+            f'{error}; nothing of the run is lost: remove the file, and the run goes on with the '
+            'settings asked for') from error
+
+
+def _sets(path: Path) -> dict[str, list[str]]:
+    """Read which rooms are in each set of a run."""
+    try:
+        sets = json.loads(path.read_bytes())
+        if not isinstance(sets, dict) or sets.keys() != set(PARTS):
+            raise ValueError('no sets of rooms')
+    except (ValueError, RecursionError) as error:
+        raise ConfigurationError(
+            f'{path}: found no list of rooms ({error}); expected those of {", ".join(PARTS)}; '
+            'nothing of the run is lost: remove the file, and the run goes on with the rooms '
+            'asked for') from error
+    return sets
+
+
+def _flat(nested: dict[str, Any], prefix: str = '') -> dict[str, Any]:
+    """Return settings by their dotted names."""
+    found = {}
+    for name, value in nested.items():
+        found |= _flat(value, f'{prefix}{name}.') if isinstance(value, dict) else {
+            prefix + name: value}
+    return found
+
+
+def records(folder: Path) -> list[dict[str, Any]]:
+    """Read the evaluations of a run so far; lines that are none are left out, with a warning."""
+    path = folder / PROGRESS
+    if not path.exists():
+        return []
+    lines = path.read_text(encoding='utf-8', errors='replace').splitlines()
+    found = [record for line in lines if (record := _record(line)) is not None]
+    if len(found) < len(lines):
+        _log.warning(
+            '%s: found %d of %d lines that cannot be read; expected an evaluation in each; going '
+            'on without them, only their figures are lost', printable(str(path)),
+            len(lines) - len(found), len(lines))
+    return found
+
+
+def _record(line: str) -> dict[str, Any] | None:
+    """Read a line of progress; None where it is none."""
+    try:
+        record = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(record, dict) or not isinstance(record.get('phase'), str):
+        return None
+    numbers = [record.get(name) for name in COUNTED] + [record.get('ratio', 0.0)]
+    return record if all(map(_is_figure, numbers)) else None
+
+
+def _is_figure(value: Any) -> bool:
+    """Tell whether something is a number that a run may count or measure."""
+    return type(value) in (int, float) and math.isfinite(value) and value >= 0
+
+
+def add_record(folder: Path, record: dict[str, Any]) -> None:
+    """Write a line of progress behind those there are."""
+    lines = [*records(folder), record]
+    write_atomically(folder / PROGRESS, ''.join(json.dumps(line) + '\n' for line in lines))

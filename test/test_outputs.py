@@ -1,0 +1,324 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What commands write: nobody loses a file, files are whole, names are shown and not obeyed."""
+
+from contextlib import contextmanager
+from html.parser import HTMLParser
+import io
+import json
+import os
+import resource
+import sys
+
+from conftest import made_room, observation, random_checkpoint
+from markdown_it import MarkdownIt
+from matplotlib.figure import Figure
+import numpy as np
+import pytest
+
+from ocp_ros.cli import main as cli
+from ocp_ros.evaluation.protocol import BenchmarkTask
+from ocp_ros.evaluation.task_runner import name_of
+from ocp_ros.report.comparison_page import write_page
+from ocp_ros.report.drawing.figure_files import save_figure
+from ocp_ros.report.viewer import write_view
+from ocp_ros.scenes.scene_files import load_scene, save_scene
+from ocp_ros.training.demonstration_rounds import save_round
+from ocp_ros.training.run_folder import add_record, claim
+from ocp_ros.training.training_config import TrainingConfig
+from ocp_ros.training.transition_log import TransitionLog
+from ocp_ros.training.transitions import Transition
+from ocp_ros.util.files import write_atomically
+from ocp_ros.util.own_files import check_own, is_own, note_own, RECORD, remove_own
+from ocp_ros.util.settings import ConfigurationError
+
+PLACEMENT = """\
+# Where I hung them.
+cameras:
+  - {sensor: realsense_d455, position: [2.0, 2.0, 1.9], yaw: 45, pitch: 25}
+"""
+#: A name that would be obeyed where it is not only shown.
+HOSTILE = 'a\x1b[31m\n# b <img src=x onerror=alert(1)>|`$x$[l](javascript:1)_c_\u202e'
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    """Write a room and a placement to the folder that is worked in; reports are not drawn."""
+    save_scene(made_room(8, 1500), tmp_path / 'room.ply')
+    (tmp_path / 'placement.yaml').write_text(PLACEMENT)
+    (tmp_path / 'config.yaml').write_text('interactions: 24  # few\n')
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr('ocp_ros.report.sheet.draw', lambda path, judged: path.write_text('drawn'))
+    return tmp_path
+
+
+def contents(folder):
+    """Return what is in all files of a folder."""
+    return {path: path.read_bytes() for path in folder.rglob('*') if path.is_file()}
+
+
+def refused(capsys, *arguments):
+    """Return the sentence that a command is refused with."""
+    assert cli.main([*arguments]) == 2
+    out, err = capsys.readouterr()
+    assert out == '' and err.startswith('ocp: ') and err.count('\n') == 1, err
+    assert 'found' in err and 'expected' in err
+    return err
+
+
+@pytest.mark.parametrize(('taken', 'arguments', 'words'), [
+    ('placement.yaml', ['score', 'room.ply', 'placement.yaml', '--out', '.'],
+     'would be replaced, which is read here'),
+    ('placement.yaml', ['score', 'room.ply', 'placement.yaml', '--out', '.', '--overwrite'],
+     'would be replaced, which is read here'),
+    ('new/installer.md', ['score', 'room.ply', 'placement.yaml', '--out', 'new'],
+     '--out: found new/installer.md, which no command of ocp wrote'),
+    ('placement.json', ['plan', 'room.ply', '--out', '.'], 'found placement.'),
+    ('new/curve.png', ['plan', 'room.ply', '--count', 'auto', '--out', 'new'], 'new/curve.png'),
+    ('rig.yaml', ['view', 'room.ply', 'placement.yaml', '--rig', 'rig.yaml', '--out', 'rig.yaml'],
+     'would be replaced'),
+    ('page.html', ['view', 'room.ply', '--out', 'page.html'], 'found page.html, which no'),
+    ('room.ply', ['view', 'room.ply', '--out', 'room.ply', '--overwrite'], 'would be replaced'),
+    ('room.ply', ['rooms', 'preview', '8', 'room.ply', '--out', 'room.ply'], 'would be replaced'),
+    ('a.png', ['rooms', 'preview', '8', '--out', 'a.png'], 'found a.png, which no command'),
+    ('room-8_mesh.ply', ['rooms', 'make', '8', '--out', '.'], 'found room-8_mesh.ply, which no'),
+    ('notes.json', ['bench', '--out', 'notes.json'], 'found notes.json, which no command'),
+    ('README.md', ['bench', '--page', 'README.md'], '--page: found README.md, which no command'),
+    ('results.csv', ['benchmark', '--out', '.'], '--out: found results.csv, which no command'),
+    ('README.md', ['benchmark', '--report', '.'], '--report: found README.md, which no command'),
+    ('evaluation.json', ['evaluate', '--out', '.'], 'found evaluation.json, which no command'),
+    ('mine.safetensors', ['train', '--config', 'config.yaml', '--out', 'run', '--model',
+                          'mine.safetensors'], '--model: found mine.safetensors, which no'),
+    ('room.json', ['train', '--config', 'config.yaml', '--out', 'run', '--model',
+                   'room.safetensors'], '--model: found room.json, which no command'),
+    ('best.safetensors', ['train', '--config', 'config.yaml', '--out', '.'],
+     'found best.safetensors and neither'),
+    ('rooms.json', ['train', '--config', 'config.yaml', '--out', '.'],
+     'rooms.json: found no list of rooms')])
+def test_what_somebody_wrote_is_not_replaced(files, capsys, monkeypatch, taken, arguments, words):
+    path = files / taken
+    path.parent.mkdir(exist_ok=True)
+    if not path.exists():
+        path.write_text('mine')
+    before = contents(files)
+    # Refused before any work is done.
+    monkeypatch.setattr('ocp_ros.scenes.scene_source.load_cached', None)
+    monkeypatch.setattr('ocp_ros.scenes.scene_source.generate_room', None)
+    assert words in refused(capsys, *arguments)
+    assert {path: content for path, content in contents(files).items() if path in before} == before
+
+
+def test_commands_replace_what_they_wrote_unless_it_was_edited(files, capsys):
+    command = ['score', 'room.ply', 'placement.yaml', '--out', 'out']
+    assert cli.main(command) == cli.main(command) == 0
+    capsys.readouterr()
+    with (files / 'out/installer.md').open('a') as file:
+        file.write('Mind the dog.\n')
+    assert 'out/installer.md' in refused(capsys, *command)
+    assert 'Mind the dog' in (files / 'out/installer.md').read_text()
+    assert cli.main([*command, '--overwrite']) == cli.main(command) == 0
+    assert 'Mind the dog' not in (files / 'out/installer.md').read_text()
+
+
+def test_files_of_an_earlier_run_go_unless_somebody_edited_them(files, capsys):
+    command = ['score', 'room.ply', 'placement.yaml', '--out', 'out']
+    curve = files / 'out' / 'curve.png'
+    write_atomically(curve, b'of an earlier run')
+    note_own([curve])
+    assert cli.main(command) == 0 and not curve.exists()
+    write_atomically(curve, b'of an earlier run')
+    note_own([curve])
+    curve.write_bytes(b'edited')
+    assert cli.main(command) == 0 and curve.read_bytes() == b'edited'
+
+
+def test_single_files_are_replaced_by_who_wrote_them(files, capsys):
+    for command in (['view', 'room.ply', '--out', 'a/page.html'],
+                    ['rooms', 'make', '8', '--points', '1000', '--out', 'made'],
+                    ['rooms', 'preview', '8', '--points', '1000', '--out', 'a/b.png']):
+        assert cli.main(command) == cli.main(command) == 0
+    assert is_own(files / 'a/page.html') and is_own(files / 'a/b.png')
+    assert is_own(files / 'made/room-8_mesh.ply')
+
+
+def test_settings_that_stand_in_the_folder_of_a_run_stay_as_they_are(files):
+    claim(files, TrainingConfig(interactions=24))
+    assert (files / 'config.yaml').read_text() == 'interactions: 24  # few\n'
+    with pytest.raises(ConfigurationError, match='found that it was edited, or not written by'):
+        claim(files, TrainingConfig(interactions=25))
+    assert (files / 'config.yaml').read_text() == 'interactions: 24  # few\n'
+
+
+@pytest.mark.parametrize('damage', [b'', b'null', b'[]', b'{"a": 7}', b'[' * 100000, b'\xff'])
+def test_a_damaged_record_knows_of_nothing(tmp_path, damage):
+    path = tmp_path / 'a'
+    path.write_text('mine')
+    note_own([path])
+    check_own([path])
+    (tmp_path / RECORD).write_bytes(damage)
+    with pytest.raises(ConfigurationError, match='which no command of ocp wrote'):
+        check_own([path])
+    assert remove_own([path]) == [] and path.exists()
+    note_own([path])
+    assert remove_own([path]) == [path]
+
+
+def test_a_link_is_not_followed_to_what_is_read(tmp_path):
+    (tmp_path / 'room.ply').write_text('mine')
+    (tmp_path / 'out.ply').symlink_to('room.ply')
+    (tmp_path / 'nowhere').symlink_to('gone')
+    with pytest.raises(ConfigurationError, match='out.ply would be replaced'):
+        check_own([tmp_path / 'out.ply'], [tmp_path / 'room.ply'], overwrite=True)
+    with pytest.raises(ConfigurationError, match='nowhere, which no command'):
+        check_own([tmp_path / 'nowhere'])
+
+
+@contextmanager
+def full_disk(size=2000):
+    """Let no file grow beyond so many bytes."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def log_of(agent):
+    """Return a log of transitions that was not written yet."""
+    def write(path):
+        log = TransitionLog(path.parent, 100)
+        before = observation(agent, 1)
+        for _ in range(20):
+            log.append(Transition(before, np.zeros((1, 2), np.float32), 1.0, before, False))
+        log.save()
+    return write
+
+
+@pytest.mark.parametrize('name', ['a.png', 'a.html', 'b.html', 'a.ply', 'a.safetensors', 'a.npz',
+                                  'progress.jsonl', '000000000000.safetensors'])
+def test_a_full_disk_leaves_what_was_there(room, small_agent, tmp_path, name):
+    write = {
+        'a.png': lambda path: save_figure(Figure(), path),
+        'a.html': lambda path: write_view(path, room),
+        'b.html': lambda path: write_page(path, 'title', {}),
+        'a.ply': lambda path: save_scene(room, path),
+        'a.safetensors': lambda path: random_checkpoint(small_agent).save(path),
+        'a.npz': lambda path: save_round(path, [{'a': np.random.default_rng(0).random(9000)}]),
+        'progress.jsonl': lambda path: add_record(path.parent, {
+            'phase': 'x' * 9000, 'interactions': 1, 'updates': 1, 'seconds': 1.0}),
+        '000000000000.safetensors': log_of(small_agent)}[name]
+    path = tmp_path / name
+    path.write_text('')
+    with full_disk(), pytest.raises((OSError, ConfigurationError, ValueError)):
+        write(path)
+    assert [one.name for one in tmp_path.iterdir()] == [name] and path.read_bytes() == b''
+    write(path)
+    assert path.stat().st_size > 2000
+
+
+def test_a_full_disk_leaves_the_pictures_of_an_earlier_run_and_says_so(files, capsys):
+    command = ['score', 'room.ply', 'placement.yaml', '--out', 'out']
+    assert cli.main(command) == 0
+    before = (files / 'out/plan.png').read_bytes()
+    capsys.readouterr()
+    with full_disk(15000):
+        assert cli.main(command) == 2
+    out, err = capsys.readouterr()
+    assert 'not all could be written (File too large)' in err and 'cameras:' in out
+    assert 'of an earlier run, not of this placement: plan.png, report.png, report.html' in err
+    assert (files / 'out/plan.png').read_bytes() == before
+    # What was written is known as such.
+    assert cli.main(command) == 0
+
+
+def test_a_full_disk_is_said_to_be_so(files, capsys):
+    command = ['view', 'room.ply', '--out', 'page.html']
+    assert cli.main(command) == 0
+    before = (files / 'page.html').read_bytes()
+    capsys.readouterr()
+    with full_disk():
+        assert 'page.html: found no room to write it (File too large)' in refused(capsys, *command)
+    assert (files / 'page.html').read_bytes() == before
+
+
+class Elements(HTMLParser):
+    """Collects what a page is made of."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.found = []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        """Note an element."""
+        self.found.append(tag)
+        assert not any(name.startswith('on') for name, _ in attributes), attributes
+        assert not any(str(value).startswith('javascript:') for _, value in attributes)
+
+
+def test_names_are_shown_and_not_obeyed(files, capsys):
+    name = f'{HOSTILE}.ply'
+    (files / 'room.ply').rename(files / name)
+    planner = json.dumps(HOSTILE)
+    (files / 'placement.yaml').write_text(f'{PLACEMENT}created: {{planner: {planner}}}\n')
+    assert cli.main(['score', name, 'placement.yaml', '--out', f'out {HOSTILE}']) == 0
+    printed = capsys.readouterr()
+    assert not {'\x1b', '\u202e'} & set(printed.out + printed.err)
+    folder = files / f'out {HOSTILE}'
+    page = (folder / 'installer.md').read_text()
+    made = MarkdownIt('commonmark').enable('table').render(page)
+    assert sorted(set(Elements(made).found)) == [
+        'h1', 'img', 'p', 'table', 'tbody', 'td', 'th', 'thead', 'tr']
+    assert made.count('<h1>') == made.count('<img') == 1
+    assert '&lt;img src=x onerror=alert(1)&gt;|`$x$[l](javascript:1)_c_' in made
+    html = (folder / 'report.html').read_text()
+    assert 'img' not in Elements(html.split('</script>')[0]).found + Elements(
+        html.split('<aside>')[1]).found
+    for path in folder.iterdir():
+        if path.suffix != '.png':
+            assert not {'\x1b', '\u202e'} & set(path.read_text()), path.name
+    # Both files say how the room is called, and are read again.
+    for suffix in ('yaml', 'json'):
+        assert cli.main(['score', name, f'{folder}/placement.{suffix}', '--json']) == 0
+        assert json.loads(capsys.readouterr().out)['room']['file'] == name
+
+
+def test_a_name_that_is_no_utf8_is_shown_as_it_is(files, capsys):
+    name, out = (os.fsdecode(part) for part in (b'caf\xe9.ply', b'out\xe9'))
+    (files / 'room.ply').rename(files / name)
+    assert load_scene(name).name == r'caf\udce9'
+    assert cli.main(['score', name, 'placement.yaml', '--out', out]) == 0
+    assert r'wrote out\udce9/installer.md' in capsys.readouterr().out
+    assert r'caf\\udce9' in (files / out / 'installer.md').read_text()
+    assert cli.main(['score', name, f'{out}/placement.yaml']) == 0
+    assert name_of(BenchmarkTask(str(files / name), 0.0, 'random')).startswith('caf')
+    capsys.readouterr()
+    assert r'found no such file' in refused(capsys, 'score', f'{name}x.ply', 'placement.yaml')
+    with pytest.raises(ConfigurationError, match='that TensorBoard can write to'):
+        claim(files / out, TrainingConfig())
+
+
+@pytest.mark.parametrize('name', ['=1+1', '+1', '-1', '@a', 'a\x1b', 'a\n', 'a"', '<b>', '${a}'])
+@pytest.mark.parametrize('key', ['name: {}', 'sensor: {}'])
+def test_names_of_cameras_are_words(files, capsys, key, name):
+    """No name begins a formula in a table, nor is it obeyed anywhere else."""
+    (files / 'placement.yaml').write_text(PLACEMENT.replace(
+        'yaw: 45', key.replace('{}', json.dumps(name))))
+    sentence = refused(capsys, 'score', 'room.ply', 'placement.yaml')
+    assert 'placement.yaml: line 3' in sentence
+
+
+def test_letters_that_the_terminal_lacks_are_shown_as_escapes(files, monkeypatch):
+    (files / 'room.ply').rename(files / 'Café.ply')
+    shown = io.BytesIO()
+    monkeypatch.setattr(sys, 'stdout', io.TextIOWrapper(shown, 'ascii', write_through=True))
+    assert cli.main(['score', 'Café.ply', 'placement.yaml', '--out', 'Büro']) == 0
+    assert rb'wrote B\xfcro/installer.md' in shown.getvalue()
+
+
+def test_a_folder_that_was_removed_is_said_to_be_so(files, capsys, monkeypatch):
+    (files / 'gone').mkdir()
+    monkeypatch.chdir('gone')
+    (files / 'gone').rmdir()
+    for arguments in (['rooms', 'list'], ['score', str(files / 'room.ply'), 'placement.yaml']):
+        assert 'found that it was removed' in refused(capsys, *arguments)

@@ -1,0 +1,363 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs whose files were damaged: they go on, or say what is damaged, what is lost, what to do."""
+
+import json
+import os
+from shutil import copytree
+
+from conftest import Here, observation, rows_for
+import numpy as np
+import pytest
+import safetensors.torch
+from stable_baselines3.common.vec_env import DummyVecEnv
+from test_demonstrations import SHOWN
+import torch
+
+from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.evaluation import task_runner
+from ocp_ros.evaluation.protocol import Protocol
+from ocp_ros.training import train as training
+from ocp_ros.training.training_config import TrainingConfig
+from ocp_ros.training.transition_log import TransitionLog
+from ocp_ros.training.transitions import Transition
+from ocp_ros.util.settings import ConfigurationError, from_nested, UserError
+from ocp_ros.util.worker_pool import WorkerPool
+
+#: A run that imitates, and then learns by itself.
+SETTINGS = {**SHOWN, 'interactions': 24, 'demonstrations': {**SHOWN['demonstrations'],
+                                                            'rounds': 1}}
+CONFIG, ROOMS, PROGRESS = 'config.yaml', 'rooms.json', 'progress.jsonl'
+BEST, STATE, ROUND = 'best.safetensors', 'state.safetensors', 'demonstrations/0000.npz'
+#: What may befall any file.
+DAMAGES = {
+    'empty': lambda content: b'',
+    'half': lambda content: content[:len(content) // 2],
+    'null': lambda content: b'null\n',
+    'a list': lambda content: b'[]\n',
+    'a number': lambda content: b'7\n',
+    'deep': lambda content: b'[' * 100000,
+    'no text': lambda content: bytes(range(256)) * 8}
+
+
+def replaced(old, new):
+    """Return a damage: a text in place of another."""
+    def damage(content):
+        assert old in content
+        return content.replace(old, new)
+    return damage
+
+
+def lines(change):
+    """Return a damage of the last line of progress."""
+    def damage(content):
+        *first, last = map(json.loads, content.decode().splitlines())
+        return ''.join(json.dumps(line) + '\n' for line in [*first, change(last)]).encode()
+    return damage
+
+
+def tensors(change, metadata=None):
+    """Return a damage of the tensors of a file, and of its metadata."""
+    def damage(content):
+        header = json.loads(content[8:8 + int.from_bytes(content[:8], 'little')])
+        found = safetensors.torch.load(content)
+        return safetensors.torch.save(change(found) or found,
+                                      {**header.get('__metadata__', {}), **(metadata or {})})
+    return damage
+
+
+def card(**changes):
+    """Return a damage of what weights say of themselves."""
+    def damage(content):
+        text = json.loads(content[8:8 + int.from_bytes(content[:8], 'little')])
+        known = json.loads(text['__metadata__']['ocp_ros'])
+        return tensors(lambda found: None, {'ocp_ros': json.dumps({**known, **changes})})(content)
+    return damage
+
+
+def filled(start, value):
+    """Return a damage: a value in place of all numbers of the first tensor of a name."""
+    def change(found):
+        name = next(name for name in sorted(found) if name.startswith(start))
+        found[name] = torch.full_like(found[name], value)
+    return tensors(change)
+
+
+def without(start):
+    """Return a damage: the first tensor of a name is not there."""
+    def change(found):
+        del found[next(name for name in sorted(found) if name.startswith(start))]
+    return tensors(change)
+
+
+def arrays(change):
+    """Return a damage of the arrays of a round."""
+    def damage(content):
+        import io
+        with np.load(io.BytesIO(content)) as file:
+            found = dict(file)
+        change(found)
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, **found)
+        return buffer.getvalue()
+    return damage
+
+
+def put(name, value):
+    """Return a damage of one array of a round."""
+    return arrays(lambda found: found.update({name: value(found[name])}))
+
+
+#: What is damaged, how, and what has to be said of it; nothing where the run just goes on.
+CASES = [
+    *((CONFIG, name, damage, 'remove the file, and the run goes on')
+      for name, damage in DAMAGES.items() if name not in ('half',)),
+    (CONFIG, 'half', DAMAGES['half'], 'found'),
+    (CONFIG, 'another type', replaced(b'interactions: 24', b'interactions: many'), "found 'many'"),
+    (CONFIG, 'NaN', replaced(b'gamma: 0.95', b'gamma: .nan'), 'sac.gamma: found nan'),
+    (CONFIG, 'huge', replaced(b'gamma: 0.95', b'gamma: 1.0e+300'), 'sac.gamma: found 1e+300'),
+    (CONFIG, 'gone', None, ''),
+    *((ROOMS, name, damage, 'remove the file, and the run goes on')
+      for name, damage in DAMAGES.items()),
+    (ROOMS, 'another type', lambda content: b'{"training": 3}', 'remove the file'),
+    (ROOMS, 'other rooms', replaced(b'"test": ["', b'"test": ["9'), 'other rooms'),
+    (ROOMS, 'gone', None, ''),
+    *((PROGRESS, name, damage, '') for name, damage in DAMAGES.items()),
+    (PROGRESS, 'torn', lambda content: content[:-20], ''),
+    (PROGRESS, 'NaN', lines(lambda line: {**line, 'ratio': float('nan')}), ''),
+    (PROGRESS, 'another type', lines(lambda line: {**line, 'seconds': 'long'}), ''),
+    (PROGRESS, 'missing', lines(lambda line: {'phase': 'sac'}), ''),
+    (PROGRESS, 'huge', lines(lambda line: {**line, 'seconds': 1e999}), ''),
+    (PROGRESS, 'gone', None, ''),
+    ('best.json', 'no text', DAMAGES['no text'], ''),
+    ('best.json', 'gone', None, ''),
+    *((BEST, name, damage, 'remove the file, and the run goes on')
+      for name, damage in DAMAGES.items()),
+    (BEST, 'NaN', filled('', float('nan')), 'found NaN or inf'),
+    (BEST, 'huge', filled('', 3e38), 'found 3e+38 in '),
+    (BEST, 'missing', without(''), 'missing'),
+    (BEST, 'another shape', tensors(lambda found: {
+        name: value[:1].contiguous() for name, value in found.items()}), 'expected float32'),
+    (BEST, 'updates below 0', card(updates=-5), 'updates are -5'),
+    (BEST, 'updates of another type', card(updates=True), 'updates are True'),
+    (BEST, 'a run of another type', card(run=None), 'run is None'),
+    (BEST, 'gone', None, ''),
+    *((STATE, name, damage, 'put it back from a copy, or begin in another folder')
+      for name, damage in DAMAGES.items()),
+    (STATE, 'NaN in a network', filled('policy', float('nan')), 'no training ends with'),
+    (STATE, 'NaN in an optimiser', filled('optimizer', float('nan')), 'no training ends with'),
+    (STATE, 'NaN in the entropy', filled('log_ent', float('nan')), 'no training ends with'),
+    (STATE, 'huge', filled('policy', 3e38), 'no training ends with'),
+    (STATE, 'a count below 0', filled('counter', -5), 'no training ends with'),
+    (STATE, 'a huge count', filled('counter.num', 1 << 60), 'no training ends with'),
+    (STATE, 'missing in a network', without('policy'), 'is missing'),
+    (STATE, 'missing in an optimiser', without('optimizer'), 'is missing'),
+    (STATE, 'a count is missing', without('counter'), 'is missing'),
+    (STATE, 'an odd key', tensors(lambda found: found.update({
+        'optimizer.actor.x.y.z': torch.zeros(1)})), 'is unknown'),
+    (STATE, 'a parameter too many', tensors(lambda found: found.update({
+        'optimizer.critic.999.step': torch.zeros(())})), 'is unknown'),
+    (STATE, 'a number as key', tensors(lambda found: found.update({
+        '7': torch.zeros(1)})), 'is unknown'),
+    (STATE, 'another shape', tensors(lambda found: {
+        name: value.reshape(-1)[:1].clone() for name, value in found.items()}), ', not torch.'),
+    (STATE, 'another type', tensors(lambda found: {
+        name: value.to(torch.float64) for name, value in found.items()}), 'is torch.float64'),
+    (STATE, 'gone', None, 'put it back from a copy, or begin in another folder'),
+    *((ROUND, name, damage, 'remove the file, and the round is played again')
+      for name, damage in DAMAGES.items()),
+    (ROUND, 'NaN', put('rewards', lambda value: value * np.nan), 'rewards has numbers'),
+    (ROUND, 'NaN in an input', put('own', lambda value: value * np.nan), 'own has numbers'),
+    (ROUND, 'huge', put('expert', lambda value: value + 6e4), 'expert has numbers'),
+    (ROUND, 'another type', put('own', lambda value: value.astype(np.int64)), 'own is int64'),
+    (ROUND, 'another shape', put('own', lambda value: value[:, :, :-1]), 'own is float16'),
+    (ROUND, 'other rows', put('rewards', lambda value: value[:-1]), 'rewards is float16'),
+    (ROUND, 'missing', arrays(lambda found: found.pop('rewards')), 'rewards is missing'),
+    (ROUND, 'unknown', arrays(lambda found: found.update(odd=np.zeros(3))), 'odd is unknown'),
+    (ROUND, 'pickled', arrays(lambda found: found.update(
+        own=np.array([{}] * 3, dtype=object))), 'found no whole round'),
+    (ROUND, 'without an end', put('last', np.zeros_like), 'no end'),
+    (ROUND, 'gone', None, ''),
+    *(('demonstrations/0000.fitted', name, damage, '') for name, damage in (
+        ('no text', DAMAGES['no text']), ('gone', None)))]
+
+
+@pytest.fixture(scope='module')
+def here():
+    """Play in this process."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, 'WorkerPool', Here)
+        patch.setattr(training, 'SubprocVecEnv', lambda made, start_method: DummyVecEnv(made))
+        yield
+
+
+@pytest.fixture(scope='module')
+def begun(here, tmp_path_factory):
+    """Return the folder of a run that has ended, and its checkpoint."""
+    folder = tmp_path_factory.mktemp('begun') / 'run'
+    return folder, training.train(from_nested(TrainingConfig, SETTINGS), folder)
+
+
+@pytest.mark.parametrize(('name', 'damage', 'words'), [
+    (name, damage, words) for name, _, damage, words in CASES],
+                         ids=[f'{name}: {what}' for name, what, _, _ in CASES])
+def test_a_damaged_run_goes_on_or_says_what_is_lost_and_what_to_do(
+        begun, tmp_path, name, damage, words):
+    folder, first = begun
+    copytree(folder, tmp_path / 'run')
+    path = tmp_path / 'run' / name
+    if damage is None:
+        path.unlink()
+    else:
+        path.write_bytes(damage(path.read_bytes()))
+    config = from_nested(TrainingConfig, SETTINGS)
+    if not words:
+        again = training.train(config, tmp_path / 'run')
+        assert again.run == first.run and again.updates > 0
+        # Nothing was left to learn: the best weights are those there were, or the last ones.
+        if name != BEST:
+            assert again.updates == first.updates
+            assert all(torch.equal(again.weights[key], value)
+                       for key, value in first.weights.items())
+        return
+    before = {one: one.read_bytes() for one in (tmp_path / 'run').rglob('*')
+              if one.is_file() and 'tensorboard' not in one.parts}
+    with pytest.raises(UserError) as caught:
+        training.train(config, tmp_path / 'run')
+    sentence = str(caught.value)
+    assert words in sentence and 'found' in sentence and 'expected' in sentence, sentence
+    assert '\n' not in sentence and str(tmp_path / 'run') in sentence
+    assert all(one.read_bytes() == content for one, content in before.items())
+
+
+def test_best_weights_that_no_line_tells_of_are_judged_anew(begun, tmp_path):
+    """As after a kill between the weights and their line."""
+    folder, first = begun
+    copytree(folder, tmp_path / 'run')
+    (tmp_path / 'run' / PROGRESS).write_text('')
+    longer = training.train(from_nested(TrainingConfig, {**SETTINGS, 'interactions': 48}),
+                            tmp_path / 'run')
+    curve = longer.provenance['curve']
+    best = min(curve, key=lambda line: line['ratio'])
+    ratio = [line['ratio'] for line in first.provenance['curve']
+             if line['updates'] == first.updates][0]
+    assert longer.updates == (first.updates if ratio <= best['ratio'] else best['updates'])
+
+
+def test_a_folder_with_somebody_elses_files_is_no_run(tmp_path):
+    (tmp_path / BEST).write_bytes(b'mine')
+    with pytest.raises(UserError, match='found best.safetensors and neither config.yaml nor'):
+        training.train(from_nested(TrainingConfig, SETTINGS), tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [BEST]
+
+
+PROTOCOL = Protocol(rooms=('3',), rotations=(0.0,), planners=('random', 'annealing'),
+                    budgets=(5, 30), seeds=2)
+TASK = 'tasks/3-0-annealing.json'
+
+
+def rows(change):
+    """Return a damage of the rows of a task."""
+    def damage(content):
+        found = json.loads(content)
+        return json.dumps(change(found) or found).encode()
+    return damage
+
+
+def first_row(**changes):
+    """Return a damage of the first row of a task."""
+    return rows(lambda found: found[0].update(changes))
+
+
+TASK_DAMAGES = {
+    **DAMAGES, 'gone': None,
+    'a mapping': lambda content: b'{}',
+    'rows that are none': lambda content: b'[1, null]',
+    'fewer rows': rows(lambda found: found.pop() and None),
+    'a row twice': rows(lambda found: [*found[:-1], found[0]]),
+    'another task': first_row(planner='random'),
+    'another budget': first_row(budget=7),
+    'budget of another type': first_row(budget='5'),
+    'a missing key': rows(lambda found: found[0].pop('seconds') and None),
+    'NaN': first_row(depth_error=float('nan')),
+    'a huge number': first_row(depth_error=1e300),
+    'a number below 0': first_row(depth_error=-1.0),
+    'a word': first_row(exact='2.0'),
+    'true': first_row(exact=True),
+    'a placement of words': first_row(placement='here'),
+    'a placement of another shape': first_row(placement=[[1.0, 2.0]]),
+    'a torn placement': first_row(placement=[[1.0, 2.0, 1.9], [1.0]]),
+    'NaN in a placement': first_row(placement=[[1.0, 2.0, float('nan')]]),
+    'an odd trace': first_row(trace=[1.0])}
+
+
+@pytest.fixture
+def compared(tmp_path, monkeypatch):
+    """Return what makes a comparison in a folder, and the names of what was run."""
+    played = []
+
+    def run_here(protocol, task):
+        played.append(task.planner)
+        return rows_for(protocol, task)
+
+    monkeypatch.setattr(task_runner, 'run_task', run_here)
+    monkeypatch.setattr(task_runner, 'WorkerPool', Here)
+    return lambda: task_runner.run(PROTOCOL, tmp_path, 1), played
+
+
+@pytest.mark.parametrize('damage', TASK_DAMAGES.values(), ids=TASK_DAMAGES)
+def test_a_damaged_result_is_found_again_and_the_others_stay(compared, tmp_path, caplog, damage):
+    run, played = compared
+    expected = run()
+    path = tmp_path / TASK
+    if damage is None:
+        path.unlink()
+    else:
+        path.write_bytes(damage(path.read_bytes()))
+        assert path.read_bytes() != json.dumps(expected[-4:]).encode()
+    played.clear()
+    assert run() == expected and played == ['annealing']
+    assert ('found no whole result' in caplog.text) == (damage is not None)
+    assert run() == expected and played == ['annealing']
+
+
+@pytest.mark.parametrize('damage', DAMAGES.values(), ids=DAMAGES)
+def test_a_damaged_record_of_a_comparison_is_said_to_be_so(compared, tmp_path, damage):
+    run, played = compared
+    expected = run()
+    path = tmp_path / 'protocol.json'
+    path.write_bytes(damage(path.read_bytes()))
+    with pytest.raises(UserError, match='found no record of a comparison; .* not lost: remove'):
+        run()
+    path.unlink()
+    played.clear()
+    assert run() == expected and not played
+
+
+def test_the_weights_that_come_with_the_package_are_no_larger_than_weights_are():
+    from ocp_ros.util.resources import find_model
+    largest = max(float(value.abs().max()) for name in ('default',)
+                  for value in Checkpoint.load(find_model(name)).weights.values())
+    assert largest < 1e3
+
+
+def test_a_process_that_dies_while_it_works_is_told_of():
+    with WorkerPool(1) as pool, pytest.raises(ConfigurationError, match='what was saved is kept'):
+        list(pool.map(os._exit, [1]))
+
+
+@pytest.mark.parametrize(('damage', 'words'), [
+    *((damage, 'found no transitions') for damage in DAMAGES.values()),
+    (tensors(lambda found: found.update(actions=found['actions'] * float('nan'))), 'actions has'),
+    (tensors(lambda found: found.update(reward=found['reward'][:-1].clone())), 'reward has the'),
+    (tensors(lambda found: found.update(actions=torch.zeros(()))), 'found no transitions'),
+    (without('actions'), "'actions'")])
+def test_damaged_transitions_of_a_trainer_are_told_of(small_agent, tmp_path, damage, words):
+    log, seen = TransitionLog(tmp_path, 100), observation(small_agent, 1)
+    for _ in range(3):
+        log.append(Transition(seen, np.zeros((1, 2), np.float32), 1.0, seen, False))
+    log.save()
+    (path,) = tmp_path.glob('*.safetensors')
+    path.write_bytes(damage(path.read_bytes()))
+    with pytest.raises(UserError, match='remove the file: its transitions are lost') as caught:
+        list(TransitionLog(tmp_path, 100).load())
+    assert words in str(caught.value)
