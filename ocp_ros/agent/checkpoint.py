@@ -24,6 +24,11 @@ from ocp_ros.util.settings import from_nested, to_nested
 
 FORMAT = 'ocp_ros-actor-2'
 KEY = 'ocp_ros'
+#: The largest weight: those that are learned stay below 100, and much larger ones make the numbers
+#: in the network overflow.
+LARGEST_WEIGHT = 1e4
+#: The most letters of a run's name, and the most gradient steps that are counted.
+LONGEST_RUN, MOST_UPDATES = 100, 1 << 53
 
 
 @dataclass(frozen=True)
@@ -45,7 +50,7 @@ class Checkpoint:
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse weights that do not fit the network or are not finite."""
+        """Refuse weights that do not fit the network, or overflow in it."""
         # On the meta device: only shapes are compared, nothing is allocated.
         with torch.device('meta'):
             expected = Actor(self.config).state_dict()
@@ -60,9 +65,11 @@ class Checkpoint:
                 raise CheckpointError(
                     f'weights: found {name} as {tensor.dtype} {tuple(tensor.shape)}; expected '
                     f'float32 {tuple(expected[name].shape)}')
-            if not torch.isfinite(tensor).all():
-                raise CheckpointError(f'weights: found NaN or inf in {name}; expected finite '
-                                      'numbers; the training that made them has diverged')
+            # NaN is within nothing, and refused as well.
+            if not (tensor.abs() <= LARGEST_WEIGHT).all():
+                raise CheckpointError(
+                    f'weights: found NaN, inf or more than {LARGEST_WEIGHT:g} in {name}; expected '
+                    'smaller finite numbers; the training that made them has diverged')
 
     def to_bytes(self) -> bytes:
         """Write the checkpoint as one safetensors blob."""
@@ -104,6 +111,8 @@ class Checkpoint:
             config = from_nested(AgentConfig, card['config'], what)
             known = {'updates': int(card['updates']), 'run': str(card['run']),
                      'provenance': dict(card['provenance'])}
+            if len(known['run']) > LONGEST_RUN or not 0 <= known['updates'] <= MOST_UPDATES:
+                raise ValueError('the name of its run is too long, or its updates are no count')
             weights = safetensors.torch.load(bytes(blob))
         except (SafetensorError, KeyError, TypeError, ValueError, AttributeError, ArithmeticError,
                 RecursionError) as error:
