@@ -11,7 +11,6 @@ policies are asked to wait.
 from dataclasses import dataclass
 import sys
 
-import numpy as np
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
@@ -25,7 +24,6 @@ from ocp_ros.ros.runtime import diagnostics
 from ocp_ros.ros.runtime.node_main import run
 from ocp_ros.ros.runtime.parameters import declare
 from ocp_ros.ros.training_source import Source
-from ocp_ros.training.encoded_environment import encoded_space
 from ocp_ros.training.learner import Learner, LearnerConfig
 from ocp_ros.training.training_config import SacConfig
 from ocp_ros.util.resources import find_model
@@ -48,12 +46,6 @@ class TrainerNodeConfig(LearnerConfig):
         100, 'policies wait while so many gradient steps are due', 1, 1 << 31)
     agent: AgentConfig = group(AgentConfig)
     sac: SacConfig = group(SacConfig)
-
-
-def arrays_of(agent: AgentConfig) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
-    """Return shape, for one camera, and type of each array of an observation."""
-    return {name: (space.shape, space.dtype)
-            for name, space in encoded_space(agent, 1).spaces.items() if name != 'present'}
 
 
 class TrainerNode(Node):
@@ -84,7 +76,7 @@ class TrainerNode(Node):
     def _add(self, namespace: str) -> None:
         """Learn from a namespace from now on."""
         source = self.sources[namespace] = Source(
-            self, namespace, arrays_of(self.config.agent), self.learner.cameras, self.learner.add)
+            self, namespace, self.config.agent, self.learner.cameras, self.learner.add)
         if self._blob:
             source.send_weights(self._blob)
 
