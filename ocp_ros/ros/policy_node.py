@@ -245,7 +245,8 @@ class PolicyNode(Node):
     def _status(self) -> diagnostics.Status:
         """Say what the planner is doing."""
         message = 'placement is final' if self._settled else 'answering turns'
-        wrong, live = ('', {}) if self._live is None else self._live.status()
+        wrong, live = self._live.status() if self._live else (
+            diagnostics.crowd(self, topics.OBSERVATION), {})
         wrong = wrong or '; '.join(self._decider.held)
         wrong = self._commander.wrong() or wrong
         run, updates = '-', 0

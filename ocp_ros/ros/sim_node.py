@@ -223,8 +223,9 @@ class SimNode(Node):
         """Say how the loop is."""
         turn = self.episode.turn
         waiting = 'episode over' if turn.truncated else 'waiting for commands'
-        return diagnostics.OK, waiting, {'episode': self._episodes, 'step': turn.step,
-                                         **self._counts}
+        wrong = diagnostics.crowd(self, topics.OBSERVATION)
+        return diagnostics.WARN if wrong else diagnostics.OK, wrong or waiting, {
+            'episode': self._episodes, 'step': turn.step, **self._counts}
 
 
 def main(args: list[str] | None = None) -> int:
