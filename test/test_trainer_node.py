@@ -35,6 +35,7 @@ from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.training.encoded_environment import CameraByCamera, EncodedObservation
 from ocp_ros.training.experience import Choice, Experience, to_bytes
 from ocp_ros.training.transitions import Transition
+from ocp_ros.util.settings import ConfigurationError
 
 SIM = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
        'engine__coverage_cell': 0.5}
@@ -411,6 +412,12 @@ def test_messages_never_wait_for_a_gradient_step(loop, monkeypatch):
         assert trainer.learner.transitions == 1
     finally:
         release.set()
+
+
+def test_a_folder_that_cannot_be_written_is_named(graph, tmp_path):
+    (tmp_path / 'taken').write_text('')
+    with pytest.raises(ConfigurationError, match='folder: found .*taken/run, where nothing'):
+        graph.add(TrainerNode, folder=str(tmp_path / 'taken' / 'run'))
 
 
 def test_a_trainer_starts_from_a_model_of_its_own_sizes(start, small_agent, tmp_path):

@@ -9,6 +9,7 @@ policies are asked to wait.
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 import sys
 
 from rclpy.clock import Clock
@@ -26,6 +27,7 @@ from ocp_ros.ros.runtime.parameters import declare
 from ocp_ros.ros.training_source import Source
 from ocp_ros.training.learner import Learner, LearnerConfig
 from ocp_ros.training.training_config import SacConfig
+from ocp_ros.util.files import folder_to_write
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import group, setting, to_nested
 
@@ -54,6 +56,7 @@ class TrainerNode(Node):
     def __init__(self, **kwargs) -> None:
         super().__init__('trainer_node', **kwargs)
         self.config = declare(self, TrainerNodeConfig)
+        folder_to_write(Path(self.config.folder), 'folder')
         torch.set_num_threads(self.config.threads)
         start = Checkpoint.load(find_model(self.config.model)) if self.config.model else None
         self.learner = Learner(self.config, self.config.agent, self.config.sac, start)
