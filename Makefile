@@ -43,8 +43,8 @@ bench: $(READY)  ## measure fidelity and speed of the engine, and the nodes: how
 	$(RUN) -m ocp_ros.report.drawing.visibility_picture --out docs/visibility.png
 	PYTHONPATH=test $(RUN) -m system.node_bench --out "$(OUT)/bench_ros.json"
 
-fuzz: $(READY)  ## send nodes messages that lie: make fuzz [MESSAGES=100000]
-	PYTHONPATH=test $(RUN) -m system.fuzz --out "$(OUT)" $(if $(MESSAGES),--messages $(MESSAGES))
+fuzz: $(READY)  ## send nodes messages that lie: make fuzz [MESSAGES=100000, or MINUTES=10 in their place]
+	PYTHONPATH=test $(RUN) -m system.fuzz --out "$(OUT)" $(if $(MESSAGES),--messages $(MESSAGES)) $(if $(MINUTES),--minutes $(MINUTES))
 
 soak: $(READY)  ## play, kill nodes and lie to them: make soak [MINUTES=5] [KILLS=100, in place of minutes]
 	PYTHONPATH=test $(RUN) -m system.soak --out "$(OUT)" $(if $(MINUTES),--minutes $(MINUTES)) $(if $(KILLS),--kills $(KILLS))

@@ -46,6 +46,7 @@ def test_a_damaged_blob_is_refused_and_nothing_else_happens(small_agent, data):
 
 @pytest.mark.parametrize(('name', 'value'), [
     ('updates', 'Infinity'), ('updates', 'NaN'), ('updates', '"many"'), ('updates', '[1]'),
+    ('updates', '-1'), ('updates', '1' + 300 * '0'), ('run', f'"{"x" * 101}"'),
     ('run', 'null'), ('provenance', '7'), ('config', '[]'), ('format', 'null'),
     ('config', '{"points": 1e999}'), ('provenance', '[' * 5000 + ']' * 5000)])
 def test_a_card_with_odd_values_is_refused_and_nothing_else_happens(small_agent, name, value):
@@ -72,8 +73,9 @@ def test_weights_of_another_network_are_refused(small_agent):
         Checkpoint(small_agent, {n: v for n, v in good.weights.items() if n != 'head.out.bias'})
     with pytest.raises(CheckpointError, match='head.out.bias as .*expected float32'):
         Checkpoint(small_agent, {**good.weights, 'head.out.bias': torch.zeros(5)})
-    with pytest.raises(CheckpointError, match='NaN or inf in head.out.bias'):
-        Checkpoint(small_agent, {**good.weights, 'head.out.bias': torch.full((4,), torch.nan)})
+    for wrong in (torch.nan, -torch.inf, 3e38, -1e5):
+        with pytest.raises(CheckpointError, match='NaN, inf or more than 10000 in head.out.bias'):
+            Checkpoint(small_agent, {**good.weights, 'head.out.bias': torch.full((4,), wrong)})
 
 
 def test_huge_sizes_in_a_card_cost_nothing(small_agent):

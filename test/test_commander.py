@@ -109,3 +109,16 @@ def test_a_node_that_thinks_goes_on_saying_that_it_is_there(graph, probe, monkey
     finally:
         thinks.destroy_node()
     assert not thinks._commander._thread.is_alive()
+
+
+def test_two_simulations_on_the_same_topics_are_noticed(graph, probe, capfd):
+    sim, policy = graph.add(SimNode, **SMALL), graph.add(PolicyNode)
+    graph.until(lambda: policy.count_publishers('/observation') == 1)
+    assert (sim._status()[0], policy._status()[0]) == (diagnostics.OK, diagnostics.OK)
+    other = probe.node.create_publisher(PointCloud2, topics.OBSERVATION, qos.LOOP)
+    for node in (sim, policy):
+        graph.until(lambda one=node: one._status()[0] == diagnostics.WARN)
+        assert 'found 2 nodes that publish observation; expected one' in node._status()[1]
+    assert 'give each its own namespace' in capfd.readouterr().err
+    probe.node.destroy_publisher(other)
+    graph.until(lambda: policy._status()[0] == diagnostics.OK)

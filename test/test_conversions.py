@@ -30,6 +30,7 @@ from ocp_ros.ros.interface.conversions import (
     msg_to_positions,
     ns_to_stamp,
     positions_to_msg,
+    shortened,
     stamp_to_ns,
 )
 
@@ -294,3 +295,11 @@ def test_named_numbers_come_back_and_lies_are_refused():
 
 def test_blobs_come_back():
     assert msg_to_bytes(bytes_to_msg(bytes(range(256)))) == bytes(range(256))
+
+
+def test_an_error_quotes_no_more_of_a_message_than_a_log_can_take():
+    cloud = PointCloud2(fields=[PointField(name='x' * 1_000_000)])
+    with pytest.raises(MessageError) as caught:
+        msg_to_cloud(cloud)
+    assert len(shortened(caught.value)) < 700
+    assert shortened(MessageError('cloud: found nothing')) == 'cloud: found nothing'

@@ -117,6 +117,16 @@ def test_bad_input_gets_a_reason_and_code_2(tmp_path, capsys, arguments, words):
     assert words in capsys.readouterr().err
 
 
+@pytest.mark.parametrize('program', [demo, train_demo])
+def test_a_place_where_nothing_can_be_written_is_named(tmp_path, capsys, program):
+    (tmp_path / 'taken').write_text('')
+    for out in (tmp_path / 'taken', tmp_path / 'taken' / 'out'):
+        assert program.main(['--out', str(out)]) == 2
+        error = capsys.readouterr().err
+        assert f'--out: found {out}, where nothing can be written' in error
+        assert error.count('\n') == 1
+
+
 @pytest.mark.system
 def test_trained_weights_arrive_in_every_policy(tmp_path):
     assert train_demo.main(['--out', str(tmp_path), '--turns', '100', '--pairs', '2']) == 0

@@ -17,6 +17,7 @@ from system.fuzz_targets import (
     PolicyTarget,
     SimTarget,
 )
+from system.fuzz_trainer import TrainerTarget
 from system.malformed import known_lies, spoilt_weights
 
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
@@ -53,6 +54,19 @@ def test_a_policy_and_its_trainer_outlive_lies(graph, fuzzer, tmp_path):
     assert policy._counts['weights_refused'] > 6
     assert trainer.sources['/turns'].counts['refused'] > 12 * BATCH / 2
     assert trainer.sources['/turns'].counts['transitions'] == 0
+
+
+def test_a_trainer_goes_on_learning_whatever_it_is_told(graph, fuzzer, tmp_path, small_agent):
+    agent = {f'agent__{name}': value for name, value in vars(small_agent).items()}
+    trainer = graph.add(partial(TrainerNode, namespace='learn'), folder=str(tmp_path / 'run'),
+                        sac__learning_starts=4, sac__batch_size=8, sac__buffer_size=100,
+                        sac__device='cpu', **agent)
+    target = TrainerTarget(fuzzer, '/learn')
+    for _ in range(4):
+        target.batch()
+    assert trainer.sources['/learn'].counts['refused'] > 10
+    graph.until(lambda: trainer.learner.updates >= 4)
+    assert trainer.learner.failure is None
 
 
 def test_live_cameras_outlive_lies(graph, fuzzer):

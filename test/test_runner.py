@@ -210,6 +210,44 @@ def test_nobody_outside_this_machine_is_heard_unless_asked(monkeypatch, said, va
         assert profiles == (value if said == 'FASTRTPS_DEFAULT_PROFILES_FILE' else '')
 
 
+BOUND = """
+import os, socket, struct, sys
+from pathlib import Path
+import rclpy
+from ocp_ros.ros.runtime.network import ASKED, stay_local
+
+for name in ASKED:
+    os.environ.pop(name, None)
+assert stay_local()
+rclpy.init()
+node = rclpy.create_node('bound')
+mine = set()
+for number in os.listdir('/proc/self/fd'):
+    try:
+        mine.add(os.readlink(f'/proc/self/fd/{number}'))
+    except OSError:
+        pass
+for table in ('udp', 'udp6', 'tcp', 'tcp6'):
+    for line in Path('/proc/net', table).read_text().splitlines()[1:]:
+        words = line.split()
+        if f'socket:[{words[9]}]' in mine:
+            address = words[1].partition(':')[0]
+            print(table, socket.inet_ntoa(struct.pack('=I', int(address, 16)))
+                  if len(address) == 8 else address)
+node.destroy_node()
+rclpy.try_shutdown()
+"""
+
+
+@pytest.mark.skipif(sys.platform != 'linux', reason='sockets are listed by Linux')
+def test_nodes_bind_this_machine_alone():
+    done = subprocess.run([sys.executable, '-c', BOUND], capture_output=True, text=True,
+                          timeout=HANGS, check=False)
+    assert done.returncode == 0, done.stderr
+    # The second is the group of discovery, which is joined on the loopback interface.
+    assert set(done.stdout.splitlines()) == {'udp 127.0.0.1', 'udp 239.255.0.1'}
+
+
 def test_what_a_user_can_put_right_is_told_in_one_sentence(capsys):
     def make_node():
         raise SceneError('room.ply: found nothing; expected points')

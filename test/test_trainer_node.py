@@ -35,6 +35,7 @@ from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.training.encoded_environment import CameraByCamera, EncodedObservation
 from ocp_ros.training.experience import Choice, Experience, to_bytes
 from ocp_ros.training.transitions import Transition
+from ocp_ros.util.settings import ConfigurationError
 
 SIM = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
        'engine__coverage_cell': 0.5}
@@ -72,13 +73,14 @@ class Loop:
         self.poses = publisher(PoseArray, topics.CAMERA_POSES)
         self.rewards = publisher(Float64MultiArray, topics.REWARD)
 
-    def experience(self, stamp, turn, targets=POSITIONS):
-        """Send what a policy chose."""
+    def experience(self, stamp, turn, targets=POSITIONS, spoil=lambda experience: None):
+        """Send what a policy chose, maybe spoilt."""
         choices = [Choice(observation(self.agent, 1, 10 * stamp + number),
                           np.full((1, 2), 0.1 * number, np.float32))
                    for number in range(len(targets))]
-        self.experiences.publish(bytes_to_msg(to_bytes(
-            Experience(stamp, turn, targets, choices))))
+        made = Experience(stamp, turn, targets, choices)
+        spoil(made)
+        self.experiences.publish(bytes_to_msg(to_bytes(made)))
 
     def pose(self, stamp, at=POSITIONS):
         """Send where the cameras are."""
@@ -224,6 +226,30 @@ def test_malformed_parts_are_refused_and_the_node_lives(loop):
     for stamp in (1, 2):
         loop.turn(stamp)
     loop.graph.until(lambda: loop.trainer.learner.transitions == 2)
+
+
+@pytest.mark.parametrize(('name', 'wrong'), [
+    ('keys_1', 64), ('groups_1', -1), ('keys_2', 8), ('groups_2', 500), ('points', 3e38),
+    ('directions', 1e20), ('own', -3e38), ('actions', 1e30), ('actions', -20.0)])
+def test_numbers_that_no_policy_reads_or_chooses_are_refused(probe, start, name, wrong):
+    def spoil(experience):
+        choice = experience.choices[1]
+        array = choice.actions if name == 'actions' else choice.observation[name]
+        array.flat[0] = wrong
+
+    trainer = start(agent__inputs='both')
+    Loop(probe, trainer.config.agent).experience(1, 0, spoil=spoil)
+    probe.graph.until(lambda: trainer.sources['/'].counts['refused'] == 1)
+
+
+@pytest.mark.parametrize('wrong', [1e308, -3e38, np.nan, -np.inf])
+def test_rewards_that_would_undo_a_training_are_refused(loop, wrong):
+    for stamp in range(1, 12):
+        loop.experience(stamp, stamp - 1)
+        loop.pose(stamp)
+        loop.reward(stamp - 1, stamp, stamp - 1, (wrong if stamp == 4 else 0.2, 0.3))
+    loop.graph.until(lambda: loop.trainer.learner.updates >= 4)
+    assert loop.source.counts['refused'] == 1 and loop.trainer.learner.failure is None
 
 
 def test_stamps_may_begin_anew(loop):
@@ -386,6 +412,12 @@ def test_messages_never_wait_for_a_gradient_step(loop, monkeypatch):
         assert trainer.learner.transitions == 1
     finally:
         release.set()
+
+
+def test_a_folder_that_cannot_be_written_is_named(graph, tmp_path):
+    (tmp_path / 'taken').write_text('')
+    with pytest.raises(ConfigurationError, match='folder: found .*taken/run, where nothing'):
+        graph.add(TrainerNode, folder=str(tmp_path / 'taken' / 'run'))
 
 
 def test_a_trainer_starts_from_a_model_of_its_own_sizes(start, small_agent, tmp_path):

@@ -33,6 +33,7 @@ from ocp_ros.cli.replay_command import add_replay
 from ocp_ros.cli.rooms_command import add_rooms
 from ocp_ros.util.files import folder_to_write
 from ocp_ros.util.own_files import note_own
+from ocp_ros.util.resources import find_config
 
 
 def _train(arguments: argparse.Namespace) -> Found:
@@ -124,7 +125,8 @@ def _add_train(commands: Commands) -> None:
     train = commands.add(
         LEARN, 'train', 'train a policy',
         'ocp train --config config/train/default.yaml --out out/train --model mine.safetensors')
-    train.add_argument('--config', type=Path, required=True, help='YAML of training settings')
+    train.add_argument('--config', type=find_config, required=True,
+                       help='YAML of training settings')
     train.add_argument('--out', type=Path, required=True,
                        help='folder of the run; an interrupted one goes on')
     train.add_argument('--model', type=Path, help='write the best weights here as well')
@@ -143,8 +145,8 @@ def _add_benchmark(commands: Commands) -> None:
                          'rotations, up to 10,000 evaluations')
     compare.add_argument('--rooms', type=Path, help='folder of scans to take instead')
     add_units(compare, 'of the scans')
-    compare.add_argument('--rig', type=Path, help='cameras and what is asked of them, in place of '
-                         'omnidirectional ones: docs/rig.md')
+    compare.add_argument('--rig', type=find_config, help='cameras and what is asked of them, in '
+                         'place of omnidirectional ones: docs/rig.md')
     compare.add_argument('--planners', type=names,
                          help='names with commas between; all unless named')
     compare.add_argument('--budgets', type=whole_numbers, help='evaluations, with commas between')
@@ -190,8 +192,8 @@ def _add_evaluate(commands: Commands) -> None:
                         help='degrees, with commas between')
     judged.add_argument('--cameras', type=camera_counts,
                         help='how many, with commas between; 4 unless told otherwise')
-    judged.add_argument('--rig', type=Path, help='the cameras and their constraints instead: '
-                        'docs/rig.md')
+    judged.add_argument('--rig', type=find_config, help='the cameras and their constraints '
+                        'instead: docs/rig.md')
     judged.add_argument('--budgets', type=whole_numbers, default=(1000,),
                         help='evaluations of offline planners, with commas between')
     judged.add_argument('--seeds', type=at_least(1), default=1, help='runs of each')
@@ -211,7 +213,7 @@ def _add_score(commands: Commands) -> None:
     judged.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
     judged.add_argument('placement', type=Path, metavar='PLACEMENT',
                         help='YAML or JSON: docs/placement.md')
-    judged.add_argument('--rig', type=Path,
+    judged.add_argument('--rig', type=find_config,
                         help='what is asked for, in place of what the placement says: docs/rig.md')
     judged.add_argument('--out', '--export', type=Path, metavar='DIR',
                         help='write report, placement, CSV, launch file, xacro and more here')
@@ -228,7 +230,7 @@ def _add_view(commands: Commands) -> None:
     seen.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
     seen.add_argument('placement', type=Path, nargs='?', metavar='PLACEMENT',
                       help='cameras in it: docs/placement.md')
-    seen.add_argument('--rig', type=Path,
+    seen.add_argument('--rig', type=find_config,
                       help='what is asked for, in place of what the placement says: docs/rig.md')
     seen.add_argument('--out', type=Path, default=Path('out/view.html'), help='page to write')
     seen.add_argument('--open', action='store_true', help='open it in a browser')

@@ -16,6 +16,7 @@ from ocp_ros.cli.arguments import (
     share,
 )
 from ocp_ros.cli.common import Commands, Found, PLAN
+from ocp_ros.util.resources import find_config
 from ocp_ros.util.settings import ConfigurationError, current_name
 
 #: What counting cameras goes by unless told otherwise.
@@ -47,7 +48,8 @@ def add_plan(commands: Commands) -> None:
                            'ocp plan room.ply --cameras 4 --model d455 --out out/plan')
     planned.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
     rig = planned.add_mutually_exclusive_group()
-    rig.add_argument('--rig', type=Path, help='cameras and what is asked of them: docs/rig.md')
+    rig.add_argument('--rig', type=find_config,
+                     help='cameras and what is asked of them: docs/rig.md')
     rig.add_argument('--model', metavar='SENSOR', default='omnidirectional',
                      help='the sensor of all cameras, or a part of its name such as d455')
     planned.add_argument('--cameras', '--count', dest='count', type=count, metavar='N',

@@ -29,7 +29,8 @@ from ocp_ros.ros.interface.conversions import (
 )
 from ocp_ros.ros.interface.qos import LATCHED, RECORDER
 from ocp_ros.ros.runtime.network import local_transport
-from ocp_ros.util.files import write_atomically
+from ocp_ros.util.files import folder_to_write, write_atomically
+from ocp_ros.util.settings import ConfigurationError
 
 
 class Watcher(Node):
@@ -155,6 +156,11 @@ def run_watched(name: str, out: Path, play: Callable[[int, Watch], dict[str, Any
     :returns: exit code: 2 after such an error or with faults, 130 after an interrupt.
     """
     end_on_signals()
+    try:
+        folder_to_write(out)
+    except ConfigurationError as error:
+        print(f'{name}: {error}', file=sys.stderr)
+        return 2
     before = dict(os.environ)
     os.environ.update(local_transport())
     domain, holder = free_domain()

@@ -27,6 +27,7 @@ from ocp_ros.ros.interface.conversions import (
     MessageError,
     msg_to_bytes,
     msg_to_positions,
+    shortened,
     stamp_to_ns,
 )
 from ocp_ros.ros.interface.qos import LATCHED, LOOP
@@ -226,7 +227,8 @@ class PolicyNode(Node):
             checkpoint.check_replaces(running)
         except CheckpointError as error:
             self._counts['weights_refused'] += 1
-            self.get_logger().warning(f'weights refused: {error}')
+            self.get_logger().warning(
+                f'weights refused: {shortened(error)}', throttle_duration_sec=1.0)
             return
         # What the encoder remembers is the episode's, not the weights'.
         self._decider.learned.policy = type(self.policy)(checkpoint, self.policy.encoder)
@@ -237,12 +239,14 @@ class PolicyNode(Node):
     def _refuse(self, error: MessageError) -> None:
         """Count a message that cannot be used and say why."""
         self._counts['refused_messages'] += 1
-        self.get_logger().warning(f'message refused: {error}', throttle_duration_sec=1.0)
+        self.get_logger().warning(
+            f'message refused: {shortened(error)}', throttle_duration_sec=1.0)
 
     def _status(self) -> diagnostics.Status:
         """Say what the planner is doing."""
         message = 'placement is final' if self._settled else 'answering turns'
-        wrong, live = ('', {}) if self._live is None else self._live.status()
+        wrong, live = self._live.status() if self._live else (
+            diagnostics.crowd(self, topics.OBSERVATION), {})
         wrong = wrong or '; '.join(self._decider.held)
         wrong = self._commander.wrong() or wrong
         run, updates = '-', 0

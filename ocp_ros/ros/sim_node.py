@@ -30,6 +30,7 @@ from ocp_ros.ros.interface.conversions import (
     ns_to_stamp,
     positions_to_msg,
     rotation_of,
+    shortened,
     stamp_to_ns,
 )
 from ocp_ros.ros.interface.qos import LATCHED, LOOP
@@ -183,7 +184,8 @@ class SimNode(Node):
                                    f'expected {self.config.frame_id!r}')
         except MessageError as error:
             self._counts['refused_commands'] += 1
-            self.get_logger().warning(f'command refused: {error}', throttle_duration_sec=1.0)
+            self.get_logger().warning(
+                f'command refused: {shortened(error)}', throttle_duration_sec=1.0)
             return
         self._answered = True
         if self.episode.turn.truncated:
@@ -221,8 +223,9 @@ class SimNode(Node):
         """Say how the loop is."""
         turn = self.episode.turn
         waiting = 'episode over' if turn.truncated else 'waiting for commands'
-        return diagnostics.OK, waiting, {'episode': self._episodes, 'step': turn.step,
-                                         **self._counts}
+        wrong = diagnostics.crowd(self, topics.OBSERVATION)
+        return diagnostics.WARN if wrong else diagnostics.OK, wrong or waiting, {
+            'episode': self._episodes, 'step': turn.step, **self._counts}
 
 
 def main(args: list[str] | None = None) -> int:

@@ -9,9 +9,9 @@ policies are asked to wait.
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 import sys
 
-import numpy as np
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
@@ -25,10 +25,9 @@ from ocp_ros.ros.runtime import diagnostics
 from ocp_ros.ros.runtime.node_main import run
 from ocp_ros.ros.runtime.parameters import declare
 from ocp_ros.ros.training_source import Source
-from ocp_ros.training.encoded_environment import encoded_space
 from ocp_ros.training.learner import Learner, LearnerConfig
 from ocp_ros.training.training_config import SacConfig
-from ocp_ros.util.files import write_atomically
+from ocp_ros.util.files import folder_to_write, write_atomically
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import group, setting, to_nested
 
@@ -51,18 +50,13 @@ class TrainerNodeConfig(LearnerConfig):
     sac: SacConfig = group(SacConfig)
 
 
-def arrays_of(agent: AgentConfig) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
-    """Return shape, for one camera, and type of each array of an observation."""
-    return {name: (space.shape, space.dtype)
-            for name, space in encoded_space(agent, 1).spaces.items() if name != 'present'}
-
-
 class TrainerNode(Node):
     """Learn from many sources, train, publish weights."""
 
     def __init__(self, **kwargs) -> None:
         super().__init__('trainer_node', **kwargs)
         self.config = declare(self, TrainerNodeConfig)
+        folder_to_write(Path(self.config.folder), 'folder')
         torch.set_num_threads(self.config.threads)
         start = Checkpoint.load(find_model(self.config.model)) if self.config.model else None
         self.learner = Learner(self.config, self.config.agent, self.config.sac, start)
@@ -85,7 +79,7 @@ class TrainerNode(Node):
     def _add(self, namespace: str) -> None:
         """Learn from a namespace from now on."""
         source = self.sources[namespace] = Source(
-            self, namespace, arrays_of(self.config.agent), self.learner.cameras, self.learner.add)
+            self, namespace, self.config.agent, self.learner.cameras, self.learner.add)
         if self._blob:
             source.send_weights(self._blob)
 

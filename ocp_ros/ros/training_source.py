@@ -8,6 +8,7 @@ import numpy as np
 from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
+from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import (
     bytes_to_msg,
@@ -17,16 +18,57 @@ from ocp_ros.ros.interface.conversions import (
     msg_to_fields,
     msg_to_positions,
     ns_of,
+    shortened,
     stamp_to_ns,
 )
 from ocp_ros.ros.interface.qos import LATCHED, RECORDER
-from ocp_ros.training.experience import ExperienceError, from_bytes
+from ocp_ros.training.encoded_environment import encoded_space
+from ocp_ros.training.encoded_environment import LARGEST as LARGEST_INPUT
+from ocp_ros.training.experience import Experience, ExperienceError, from_bytes
 from ocp_ros.training.transitions import Assembler, Reward, Transition
 
 REWARD_FIELDS = ('stamp_sec', 'stamp_nanosec', 'previous_sec', 'previous_nanosec', 'step',
                  'reward', 'terminated')
 #: The largest experience that is read, bytes.
 LARGEST = 1 << 24
+#: The largest reward that is learned from: the paper's penalty, at the most that it can be set to.
+#: Much larger ones make the networks' numbers overflow, and all that was learned is lost.
+LARGEST_REWARD = 1e9
+#: Actions are moves in units of the longest step; chance may take them a little beyond.
+LARGEST_ACTION = 10.0
+
+
+def arrays_of(agent: AgentConfig) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
+    """Return shape, for one camera, and type of each array of an observation."""
+    return {name: (space.shape, space.dtype)
+            for name, space in encoded_space(agent, 1).spaces.items() if name != 'present'}
+
+
+def ends_of(agent: AgentConfig) -> dict[str, tuple[float, float]]:
+    """Return the lowest and the highest number of each array of an experience."""
+    last = {'keys_1': agent.points - 1, 'groups_1': agent.points - 1,
+            'keys_2': agent.keys_1 - 1, 'groups_2': agent.keys_1 - 1}
+    return {'actions': (-LARGEST_ACTION, LARGEST_ACTION), **{
+        name: (0, last[name]) if name in last else (-LARGEST_INPUT, LARGEST_INPUT)
+        for name in arrays_of(agent)}}
+
+
+def check_ends(experience: Experience, ends: dict[str, tuple[float, float]]) -> Experience:
+    """
+    Refuse numbers that no policy reads or chooses: one of them can undo a whole training.
+
+    :param ends: see :func:`ends_of`.
+    :returns: the experience.
+    :raises ExperienceError: if there is one.
+    """
+    for choice in experience.choices:
+        for name, values in {**choice.observation, 'actions': choice.actions}.items():
+            low, high = ends[name]
+            if values.size and not (values.min() >= low and values.max() <= high):
+                raise ExperienceError(
+                    f'experience: found {name} from {values.min():g} to {values.max():g}; '
+                    f'expected {low:g} to {high:g}; look who else publishes on this topic')
+    return experience
 
 
 def topic_of(namespace: str, name: str) -> str:
@@ -40,16 +82,16 @@ class Source:
 
     :param node: gets the subscriptions and publishers, and tells its log what goes wrong.
     :param namespace: full name.
-    :param expected: what an observation is, see :func:`ocp_ros.training.experience.from_bytes`.
+    :param agent: what the policies read.
     :param together: how many cameras choose together.
     :param learn: takes a transition; returns whether there was room for it.
     :ivar counts: what was heard.
     """
 
-    def __init__(self, node: Node, namespace: str, expected: dict, together: int,
+    def __init__(self, node: Node, namespace: str, agent: AgentConfig, together: int,
                  learn: Callable[[Transition], bool]) -> None:
         self._node, self.namespace, self._learn = node, namespace, learn
-        self._expected, self._together = expected, together
+        self._expected, self._ends, self._together = arrays_of(agent), ends_of(agent), together
         self.assembler = Assembler()
         self.counts = {'transitions': 0, 'refused': 0, 'dropped': 0}
         self._newest = 0
@@ -75,7 +117,8 @@ class Source:
             except (MessageError, ExperienceError) as error:
                 self.counts['refused'] += 1
                 self._node.get_logger().warning(
-                    f'{self.namespace}: message refused: {error}', throttle_duration_sec=1.0)
+                    f'{self.namespace}: message refused: {shortened(error)}',
+                    throttle_duration_sec=1.0)
         return guarded
 
     def _on_experience(self, message: UInt8MultiArray) -> list[Transition]:
@@ -83,8 +126,8 @@ class Source:
         if len(message.data) > LARGEST:
             raise MessageError(f'experience: found {len(message.data)} bytes; expected at most '
                                f'{LARGEST}')
-        return self.assembler.add_experience(
-            from_bytes(msg_to_bytes(message), self._expected, self._together))
+        found = from_bytes(msg_to_bytes(message), self._expected, self._together)
+        return self.assembler.add_experience(check_ends(found, self._ends))
 
     def _on_poses(self, message: PoseArray) -> list[Transition]:
         """Take where the cameras are in a turn."""
@@ -104,8 +147,12 @@ class Source:
         shares = []
         while (name := topics.share(len(shares))) in fields:
             shares.append(fields[name])
-        if not np.isfinite(shares).all():
-            raise MessageError(f'reward: found the shares {shares}; expected finite numbers')
+        worth = [fields['reward'], *shares]
+        # NaN is within nothing, and refused as well.
+        if not (np.abs(worth) <= LARGEST_REWARD).all():
+            raise MessageError(
+                f'reward: found reward and shares from {min(worth):g} to {max(worth):g}; expected '
+                f'finite numbers within {LARGEST_REWARD:g}')
         return self.assembler.add_reward(Reward(
             previous, stamp, int(fields['step']), fields['reward'], tuple(shares),
             bool(fields['terminated'])))

@@ -8,7 +8,7 @@ import safetensors.torch
 from stable_baselines3 import SAC
 import torch
 
-from ocp_ros.agent.checkpoint import CheckpointError, LARGEST, read_metadata
+from ocp_ros.agent.checkpoint import CheckpointError, LARGEST_WEIGHT, read_metadata
 from ocp_ros.util.files import write_atomically
 
 #: Nothing that a run counts is larger.
@@ -117,6 +117,6 @@ def _check(tensors: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]) 
             raise ValueError(f'{name} is {tensor.dtype} {tuple(tensor.shape)}, not '
                              f'{expected[name].dtype} {tuple(expected[name].shape)}')
         low = 0.0 if name.endswith(('.exp_avg_sq', '.step')) or 'counter.' in name else -torch.inf
-        most = LARGEST if name.startswith('policy.') else MOST
+        most = LARGEST_WEIGHT if name.startswith('policy.') else MOST
         if not ((tensor >= low) & (tensor.abs() <= most)).all():
             raise ValueError(f'{name} has numbers that no training ends with')

@@ -1,20 +1,51 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Models and configuration that come with the package, wherever it is installed."""
+"""
+Models and configuration that come with the package, wherever it is installed.
 
+They lie in one folder: the source tree, or ``share/ocp_ros`` where the package is installed.
+"""
+
+from collections.abc import Iterator
 from pathlib import Path
 
+#: How many folders lie at most between the package and the prefix that it is installed in:
+#: site-packages, python3.x, lib, and the prefix itself.
+HEIGHT = 4
+#: A file of that folder, and of no other package's.
+MARK = Path('config', 'fastdds_local.xml')
 
-def share_folders() -> list[Path]:
-    """Return where the package's files may be: the ament index's share, then the source tree."""
-    folders = []
+
+def share_folder() -> Path:
+    """
+    Return the folder that holds ``models`` and ``config``.
+
+    That of the code that runs comes first, so that both are of one version: the source tree, or
+    the nearest ``share/ocp_ros`` above the package, as pip (in a virtual environment, ``--user``,
+    ``--prefix`` or ``--target``), colcon and Debian put it. Then ROS's index is asked.
+
+    :raises FileNotFoundError: if there is none: the package is not whole.
+    """
+    for folder in _places():
+        if (folder / MARK).is_file():
+            return folder
+    raise FileNotFoundError(
+        f'ocp_ros: found no folder share/ocp_ros above {Path(__file__).parents[1]}; expected one '
+        'with the models and the configuration of the package; install the package again')
+
+
+def _places() -> Iterator[Path]:
+    """Return where that folder may be, the likeliest first."""
+    # Some installers link to files that lie elsewhere, without the rest of the prefix.
+    for file in (Path(__file__).absolute(), Path(__file__).resolve()):
+        above = file.parents[2:2 + HEIGHT]
+        yield above[0]
+        yield from (folder / 'share' / 'ocp_ros' for folder in above)
     try:
         from ament_index_python.packages import get_package_share_directory
-        folders.append(Path(get_package_share_directory('ocp_ros')))
+        yield Path(get_package_share_directory('ocp_ros'))
     except (ImportError, LookupError, ValueError, OSError):
         # No ROS, the package is not installed in its index, or no index is set at all.
-        pass
-    folders.append(Path(__file__).resolve().parents[2])
-    return folders
+        return
 
 
 def find_model(name: str) -> Path:
@@ -26,24 +57,22 @@ def find_model(name: str) -> Path:
     """
     if Path(name).is_file():
         return Path(name)
-    known = set()
-    for folder in share_folders():
-        found = {path.stem: path for path in (folder / 'models').glob('*.safetensors')}
-        if name in found:
-            return found[name]
-        known |= found.keys()
+    known = {path.stem: path for path in (share_folder() / 'models').glob('*.safetensors')}
+    if name in known:
+        return known[name]
     raise FileNotFoundError(f'model: found no file {name!r} and no model of that name; expected a '
                             f'path to .safetensors or one of {sorted(known)}')
 
 
-def find_config(name: str) -> Path:
+def find_config(path: str | Path) -> Path:
     """
-    Find a file of ``config/``.
+    Find a file by its path or, where there is none, among those that come with the package.
 
-    :raises FileNotFoundError: if it is not there: the package is not whole.
+    :param path: such as ``config/train/default.yaml``.
+    :returns: the path itself where the file is nowhere: who reads it says so.
     """
-    for folder in share_folders():
-        if (folder / 'config' / name).is_file():
-            return folder / 'config' / name
-    raise FileNotFoundError(f'config: found no file {name!r}; expected it in one of '
-                            f'{", ".join(map(str, share_folders()))}; install the package again')
+    path = Path(path)
+    if path.exists():
+        return path
+    shipped = share_folder() / path
+    return shipped if shipped.is_file() else path

@@ -20,6 +20,7 @@ from ocp_ros.demo.node_processes import grown, NodeProcess, rss_of, stopped_at_t
 from ocp_ros.demo.watcher import run_watched, show_json, Watch
 from ocp_ros.util.resources import find_model
 from system.fuzz_targets import Fuzzer, LiveTarget, PolicyTarget, shell, SimTarget
+from system.fuzz_trainer import TrainerTarget
 
 #: Seconds to wait for an answer.
 PATIENCE = 120.0
@@ -29,6 +30,7 @@ def parser() -> argparse.ArgumentParser:
     """Build the parser."""
     top = argparse.ArgumentParser(prog='fuzz', description=__doc__)
     top.add_argument('--messages', type=int, default=100_000, help='messages that lie')
+    top.add_argument('--minutes', type=float, help='so long, in place of so many')
     top.add_argument('--seed', type=int, default=0, help='of everything')
     top.add_argument('--points', type=int, default=5_000_000, help='of one huge cloud')
     top.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
@@ -41,7 +43,12 @@ def start(options: argparse.Namespace, domain: int) -> Iterator[NodeProcess]:
     for namespace, name, parameters in (
             ('turns', 'policy_node', {'planner': 'learned', 'turns': 100000,
                                       'convergence_distance': 0.0}),
-            ('turns', 'trainer_node', {'folder': str(options.out / 'fuzz_trainer')}),
+            ('turns', 'trainer_node', {'folder': str(options.out / 'fuzz_trainer'),
+                                       'sources': 'turns'}),
+            ('learn', 'trainer_node', {'folder': str(options.out / 'fuzz_learner'),
+                                       'sources': 'learn',
+                                       'sac.learning_starts': 20, 'sac.buffer_size': 1000,
+                                       'most_behind': 1000000}),
             ('live', 'policy_node', {'cloud_topics': 'a,b', 'turns': 100000, 'cloud_timeout': 0.3,
                                      'arrival_timeout': 0.5}),
             ('sim', 'sim_node', {'scene.points': 3000, 'rig.cameras': 3, 'auto_reset': True})):
@@ -62,17 +69,25 @@ def fuzz(options: argparse.Namespace, domain: int, watch: Watch) -> dict:
         fuzzer = Fuzzer(watch.node, until, options.seed, weights)
         policy = PolicyTarget(fuzzer, '/turns')
         live, sim = LiveTarget(fuzzer, '/live', ['a', 'b']), SimTarget(fuzzer, '/sim')
+        learn = TrainerTarget(fuzzer, '/learn')
         huge = policy.ping(shell(fuzzer.rng, options.points))
-        task = progress.add_task('messages', total=options.messages)
+        task = progress.add_task('messages', total=1.0)
         began, before, rounds = time.monotonic(), None, 0
-        while fuzzer.sent < options.messages:
+
+        def done() -> float:
+            if options.minutes is not None:
+                return (time.monotonic() - began) / (60.0 * options.minutes)
+            return fuzzer.sent / options.messages
+
+        while done() < 1.0:
             policy.batch(again=rounds % 10 > 0)
             sim.batch()
             if rounds % 20 == 0:
                 live.batch()
+                learn.batch()
             rounds += 1
-            progress.update(task, completed=fuzzer.sent)
-            if before is None and fuzzer.sent >= 0.2 * options.messages:
+            progress.update(task, completed=done())
+            if before is None and done() >= 0.2:
                 before = {one.name: rss_of(one.process.pid) for one in processes}
         growth = {one.name: rss_of(one.process.pid) - before[one.name] for one in processes}
         seconds = time.monotonic() - began

@@ -65,6 +65,7 @@ class Fuzzer:
     :param weights: of the policy that runs, and of its trainer.
     :ivar sent: messages that lie so far.
     :ivar answered: good messages that were answered.
+    :ivar choices: what a policy would choose, and has read.
     :ivar readable: lies that were answered with a command, which was within bounds.
     """
 
@@ -81,9 +82,9 @@ class Fuzzer:
         """Return an experience that the trainer could use."""
         encoder = Encoder(self.weights.config)
         turn = encoder.turn(self._cloud, np.array(START), 0, 30)
-        choices = [Choice(turn.inputs(camera), np.zeros((1, 2), np.float32))
-                   for camera in range(len(START))]
-        return to_bytes(Experience(1, 0, np.array(START), choices))
+        self.choices = [Choice(turn.inputs(camera), np.zeros((1, 2), np.float32))
+                        for camera in range(len(START))]
+        return to_bytes(Experience(1, 0, np.array(START), self.choices))
 
     def publisher(self, kind: type, topic: str, profile=LOOP) -> Publisher:
         """Return a publisher that somebody listens to already."""

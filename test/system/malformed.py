@@ -19,10 +19,11 @@ from std_msgs.msg import Float64MultiArray, Header
 
 from ocp_ros.agent.checkpoint import Checkpoint, KEY
 from ocp_ros.ros.interface.conversions import cloud_to_msg, fields_to_msg, positions_to_msg
+from ocp_ros.training.experience import Choice
 
 #: What numbers of a message are made to be.
 NUMBERS = (0, 1, 3, 12, 255, 65536, 2 ** 31 - 1, 2 ** 31, 2 ** 32 - 1)
-FLOATS = (0.0, -0.0, 1.0, np.nan, np.inf, -np.inf, 1e300, 5e-324, -1e-7, 1e9)
+FLOATS = (0.0, -0.0, 1.0, np.nan, np.inf, -np.inf, 1e308, -3e38, 5e-324, -1e-7, 1e9)
 
 
 def spoilt_cloud(rng: np.random.Generator, messages: Sequence[PointCloud2]) -> PointCloud2:
@@ -139,7 +140,7 @@ def spoilt_weights(rng: np.random.Generator, good: Checkpoint) -> bytes:
     :param good: those that run: of no more updates, and of another architecture, are no good.
     """
     blob = good.to_bytes()
-    kind = rng.integers(6)
+    kind = rng.integers(7)
     if kind == 0:
         return blob[:rng.integers(len(blob))]
     if kind == 1:
@@ -154,6 +155,10 @@ def spoilt_weights(rng: np.random.Generator, good: Checkpoint) -> bytes:
         return _unchecked(good, good.weights, updates=int(rng.integers(-5, good.updates + 1)))
     if kind == 4:
         return rng.bytes(rng.integers(200))
+    if kind == 5:
+        size = float(rng.choice([3e38, -3e38, 1e19]))
+        return _unchecked(good, {name: value * 0.0 + size for name, value in good.weights.items()},
+                          updates=good.updates + 1)
     (length,) = struct.unpack('<Q', blob[:8])
     torn = bytearray(blob)
     # Within the header: what happens to a single weight may leave a number.
@@ -177,3 +182,12 @@ def spoilt_blob(rng: np.random.Generator, blob: bytes) -> bytes:
     for at in rng.integers(len(blob) if rng.random() < 0.5 else min(len(blob), 300), size=3):
         torn[at] = int(rng.integers(256))
     return bytes(torn)
+
+
+def spoilt_numbers(rng: np.random.Generator, choices: Sequence[Choice]) -> None:
+    """Put a number that no policy reads or chooses into one array of a choice."""
+    choice = choices[rng.integers(len(choices))]
+    arrays = [*choice.observation.values(), choice.actions]
+    array = arrays[rng.integers(len(arrays))]
+    wrong = (-1, 32767) if array.dtype.kind == 'i' else (3e38, -3e38, 1e30, np.nan, np.inf)
+    array.flat[rng.integers(array.size)] = rng.choice(wrong)

@@ -17,12 +17,20 @@ from ocp_ros.geometry.cameras import Pose as CameraPose
 NUMPY_TYPES = {PointField.FLOAT32: 'f4', PointField.FLOAT64: 'f8'}
 #: Metres: no camera is farther from the origin, be it that of a country's survey.
 FARTHEST = 1e7
+#: Letters of an error that are logged: what it quotes, such as a name, may be of any length.
+LONGEST_ERROR = 600
 #: Quaternions that are shorter say nothing about a direction.
 SHORTEST = 1e-6
 
 
 class MessageError(ValueError):
     """A message that cannot be used; the text says what was found and what was expected."""
+
+
+def shortened(error: Exception) -> str:
+    """Return what an error says, without the most of what a message may have brought into it."""
+    text = str(error)
+    return text if len(text) <= LONGEST_ERROR else f'{text[:LONGEST_ERROR]} ...'
 
 
 def stamp_to_ns(stamp: Time) -> int:

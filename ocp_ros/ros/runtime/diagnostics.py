@@ -14,6 +14,24 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 Status = tuple[bytes, str, Mapping[str, object]]
 
 
+def crowd(node: Node, topic: str) -> str:
+    """
+    Say so, here and in the log, if several nodes publish on a topic that is one simulation's.
+
+    :param node: knows who is there.
+    :param topic: relative name.
+    :returns: a sentence, empty if there is one at most.
+    """
+    count = node.count_publishers(node.resolve_topic_name(topic))
+    if count < 2:
+        return ''
+    wrong = (f'found {count} nodes that publish {topic}; expected one simulation, or their turns '
+             'get mixed up; end the others, or give each its own namespace (one that was killed '
+             'counts for 20 s more)')
+    node.get_logger().warning(wrong, throttle_duration_sec=10.0)
+    return wrong
+
+
 class Health:
     """
     Publish a node's status on ``/diagnostics``.

@@ -3,7 +3,7 @@
 
 import os
 
-from ocp_ros.util.resources import find_config
+from ocp_ros.util.resources import share_folder
 
 #: What keeps nodes of any middleware to this machine.
 LOCALHOST = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
@@ -27,7 +27,7 @@ def local_transport() -> dict[str, str]:
     if not middleware.startswith('rmw_fastrtps') or os.environ.get('ROS_STATIC_PEERS'):
         return LOCALHOST
     return {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SYSTEM_DEFAULT',
-            'FASTRTPS_DEFAULT_PROFILES_FILE': str(find_config('fastdds_local.xml'))}
+            'FASTRTPS_DEFAULT_PROFILES_FILE': str(share_folder() / 'config' / 'fastdds_local.xml')}
 
 
 def stay_local() -> bool:

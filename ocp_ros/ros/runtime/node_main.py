@@ -142,9 +142,10 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     logging.basicConfig(format='[%(levelname)s] [%(name)s]: %(message)s')
     logging.getLogger('ocp_ros').setLevel(logging.INFO)
     logging.captureWarnings(True)
-    name, node, executor, alone = make_node.__name__, None, None, stay_local()
+    name, node, executor = make_node.__name__, None, None
     received, code = interrupt_on_signals(), 2
     try:
+        alone = stay_local()
         end_with_parent()
         left = remove_ros_args(sys.argv if args is None else ['', *args])[1:]
         if left:

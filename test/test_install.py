@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The wheel, installed where the source tree is not: what users type works from every folder."""
+
+import os
+from pathlib import Path
+import shutil
+import site
+import subprocess
+import sys
+import tarfile
+
+from conftest import HUNG, ROOT
+import pytest
+
+#: What stands beside the sources of somebody who works on them, and is no part of them.
+LEFT_OUT = shutil.ignore_patterns(
+    '.git', '.venv', '.hypothesis', '.*_cache', '__pycache__', 'build', 'install', 'log', 'out',
+    '*.egg-info')
+#: What a node says once it is there and has found which interfaces are this machine's.
+READY = 'nodes of this machine are heard, and no others'
+
+
+def call(*command, **options):
+    """Run a command that has to end well; return what it printed."""
+    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, timeout=HUNG,
+                          check=False, **options)
+    assert done.returncode == 0, f'{command}: {done.stdout}{done.stderr}'
+    return done.stdout
+
+
+@pytest.fixture(scope='module')
+def built(tmp_path_factory):
+    """Return a folder with the wheel and the archive of the sources."""
+    place = tmp_path_factory.mktemp('built')
+    shutil.copytree(ROOT, place / 'src', ignore=LEFT_OUT)
+    call(sys.executable, '-m', 'pip', 'wheel', '--quiet', '--no-deps', '--no-build-isolation',
+         '--no-index', '--wheel-dir', place, place / 'src')
+    call(sys.executable, 'setup.py', '--quiet', 'sdist', '--dist-dir', place, cwd=place / 'src')
+    return place
+
+
+@pytest.fixture(scope='module')
+def installed(built, tmp_path_factory):
+    """Return the folder of a virtual environment with the wheel, and a way to run things there."""
+    place = tmp_path_factory.mktemp('env')
+    call(sys.executable, '-m', 'venv', '--without-pip', place)
+    (packages,) = place.glob('lib/python3*/site-packages')
+    # The libraries are those that are installed here: nothing is downloaded.
+    lines = [f'import site; site.addsitedir({folder!r})' for folder in site.getsitepackages()]
+    (packages / 'libraries.pth').write_text('\n'.join(lines) + '\n')
+    (wheel,) = built.glob('*.whl')
+    call(sys.executable, '-m', 'pip', '--python', place / 'bin' / 'python', 'install', '--quiet',
+         '--no-deps', '--no-index', '--ignore-installed', wheel)
+    return place
+
+
+@pytest.fixture
+def elsewhere(tmp_path, monkeypatch):
+    """Go to an empty folder, and let nothing lead to the source tree."""
+    monkeypatch.chdir(tmp_path)
+    for name in ('PYTHONPATH', 'AMENT_PREFIX_PATH', 'FASTRTPS_DEFAULT_PROFILES_FILE',
+                 'ROS_AUTOMATIC_DISCOVERY_RANGE'):
+        monkeypatch.delenv(name, raising=False)
+    return tmp_path
+
+
+@pytest.mark.system
+def test_commands_of_the_wheel_find_what_comes_with_it(installed, elsewhere):
+    code = call(installed / 'bin' / 'python', '-c', 'import ocp_ros; print(ocp_ros.__file__)')
+    assert Path(code.strip()).is_relative_to(installed)
+    ocp = installed / 'bin' / 'ocp'
+    call(ocp, 'plan', '7', '--planner', 'learned', '--cameras', '2', '--seconds', '1',
+         '--out', 'plan')
+    assert (elsewhere / 'plan' / 'placement.yaml').is_file()
+    call(ocp, 'plan', '7', '--rig', 'config/rig/four_d455.yaml', '--evaluations', '20')
+    call(ocp, 'rooms', 'make', '1', '--out', 'rooms')
+    room = elsewhere / 'rooms' / 'room-1.ply'
+    call(ocp, 'evaluate', '--rooms', room, '--cameras', '2', '--workers', '1')
+    # The settings are found; what is wrong is the folder.
+    done = subprocess.run([ocp, 'train', '--config', 'config/train/quick.yaml', '--out', room],
+                          capture_output=True, text=True, timeout=HUNG, check=False)
+    assert done.returncode == 2 and 'it is a file' in done.stderr
+
+
+@pytest.mark.system
+@pytest.mark.parametrize('name', ['sim_node', 'policy_node', 'trainer_node'])
+def test_nodes_of_the_wheel_play_and_end(installed, elsewhere, domain, name):
+    environment = {key: value for key, value in os.environ.items()
+                   if not key.startswith(('FASTRTPS', 'ROS_AUTOMATIC'))}
+    log = elsewhere / 'log'
+    with open(log, 'wb') as file:
+        node = subprocess.Popen(
+            [installed / 'bin' / name], stdout=file, stderr=subprocess.STDOUT,
+            env={**environment, 'ROS_DOMAIN_ID': str(domain), 'PYTHONUNBUFFERED': '1'})
+    try:
+        while READY not in log.read_text():
+            assert node.poll() is None, log.read_text()
+            try:
+                node.wait(timeout=0.1)
+            except subprocess.TimeoutExpired:
+                continue
+        node.terminate()
+        assert node.wait(timeout=HUNG) == 0, log.read_text()
+    finally:
+        node.kill()
+        node.wait()
+
+
+@pytest.mark.system
+def test_the_layout_is_that_of_ros(installed):
+    share = installed / 'share'
+    assert (share / 'ament_index' / 'resource_index' / 'packages' / 'ocp_ros').is_file()
+    for folder in ('config', 'config/rig', 'config/train', 'launch', 'models'):
+        names = {path.name for path in (ROOT / folder).iterdir() if path.is_file()}
+        assert names == {path.name for path in (share / 'ocp_ros' / folder).iterdir()
+                         if path.is_file()}, folder
+    assert (share / 'ocp_ros' / 'package.xml').is_file()
+
+
+@pytest.mark.system
+def test_the_archive_of_the_sources_is_whole(built):
+    (path,) = built.glob('*.tar.gz')
+    with tarfile.open(path) as archive:
+        names = {name.partition('/')[2] for name in archive.getnames()}
+    known = subprocess.run(['git', '-C', ROOT, 'ls-files'], capture_output=True, text=True,
+                           check=False)
+    if known.returncode:
+        pytest.skip('there is no git, or the sources are no repository')
+    missing = set(known.stdout.splitlines()) - names
+    assert not {name for name in missing if not name.startswith(('.', 'docs/benchmark/'))}

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Models and configuration are found wherever the package is installed."""
+
+import importlib.util
+from pathlib import Path
+import shutil
+
+from conftest import ROOT
+import pytest
+
+from ocp_ros.cli.main import main
+from ocp_ros.util import resources
+from ocp_ros.util.resources import find_config, find_model, share_folder
+
+#: Where installers put the package, and its other files, below some prefix.
+LAYOUTS = {
+    'the source tree': ('', ''),
+    'a virtual environment': ('lib/python3.12/site-packages', 'share/ocp_ros'),
+    'pip --user': ('.local/lib/python3.12/site-packages', '.local/share/ocp_ros'),
+    'pip --target': ('vendor', 'vendor/share/ocp_ros'),
+    'Debian, by pip': ('local/lib/python3.12/dist-packages', 'local/share/ocp_ros'),
+    'Debian, by apt': ('usr/lib/python3/dist-packages', 'usr/share/ocp_ros'),
+    'Windows': ('Lib/site-packages', 'share/ocp_ros'),
+    'colcon': ('install/ocp_ros/lib/python3.12/site-packages', 'install/ocp_ros/share/ocp_ros')}
+
+
+def installed(prefix, code, share):
+    """Put the module, and what marks the files, where an installer does; return both."""
+    module = prefix / code / 'ocp_ros' / 'util' / 'resources.py'
+    module.parent.mkdir(parents=True)
+    shutil.copy(resources.__file__, module)
+    for name in ('config/fastdds_local.xml', 'models/default.safetensors'):
+        path = prefix / share / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(name)
+    return loaded(module), prefix / share
+
+
+def loaded(module):
+    """Import the module as it lies there."""
+    spec = importlib.util.spec_from_file_location('moved_resources', module)
+    made = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(made)
+    return made
+
+
+@pytest.mark.parametrize('layout', LAYOUTS)
+def test_files_are_found_in_every_layout(tmp_path, monkeypatch, layout):
+    monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
+    module, share = installed(tmp_path, *LAYOUTS[layout])
+    assert module.share_folder() == share
+    assert module.find_model('default') == share / 'models' / 'default.safetensors'
+
+
+def test_links_to_files_elsewhere_are_those_of_the_prefix(tmp_path, monkeypatch):
+    monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
+    _, share = installed(tmp_path, *LAYOUTS['a virtual environment'])
+    package, cache = tmp_path / LAYOUTS['a virtual environment'][0] / 'ocp_ros', tmp_path / 'cache'
+    package.rename(cache)
+    package.symlink_to(cache)
+    assert loaded(package / 'util' / 'resources.py').share_folder() == share
+
+
+def test_a_link_to_the_source_tree_has_the_files_of_that_tree(tmp_path, monkeypatch):
+    monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
+    # As colcon build --symlink-install has it.
+    (tmp_path / 'ocp_ros').symlink_to(ROOT / 'ocp_ros')
+    assert loaded(tmp_path / 'ocp_ros' / 'util' / 'resources.py').share_folder() == ROOT
+
+
+def test_the_index_of_ros_is_asked_last(tmp_path, monkeypatch):
+    pytest.importorskip('ament_index_python', reason='the index needs ROS 2')
+    module, share = installed(tmp_path / 'here', 'code', 'elsewhere/share/ocp_ros')
+    prefix = tmp_path / 'here' / 'elsewhere'
+    marker = prefix / 'share' / 'ament_index' / 'resource_index' / 'packages' / 'ocp_ros'
+    marker.parent.mkdir(parents=True)
+    marker.touch()
+    monkeypatch.setenv('AMENT_PREFIX_PATH', str(prefix))
+    assert module.share_folder() == share
+    # What runs from a source tree takes the files of that tree.
+    assert share_folder() == ROOT
+
+
+def test_a_package_that_is_not_whole_says_so(tmp_path, monkeypatch):
+    monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
+    module, share = installed(tmp_path, *LAYOUTS['pip --target'])
+    shutil.rmtree(share)
+    with pytest.raises(FileNotFoundError, match='found no folder share/ocp_ros above .*; expected '
+                       '.*; install the package again'):
+        module.find_model('default')
+
+
+def test_shipped_files_are_found_from_every_folder(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    shipped = Path('config', 'rig', 'four_d455.yaml')
+    assert find_config(shipped) == ROOT / shipped
+    assert find_config('none.yaml') == Path('none.yaml')
+    assert find_model('default') == ROOT / 'models' / 'default.safetensors'
+    # The rig file is read, and then the room is missed.
+    assert main(['plan', 'none.ply', '--rig', str(shipped)]) == 2
+    assert 'none.ply: found no such file' in capsys.readouterr().err
+    # One's own comes first.
+    shipped.parent.mkdir(parents=True)
+    shipped.write_text('cameras: none')
+    assert find_config(shipped) == shipped
