@@ -18,7 +18,7 @@ WORDS = 4096
 READER = 'ocp_ros.scenes.reading_process'
 
 
-class Limits(NamedTuple):
+class ReadingLimits(NamedTuple):
     """
     What reading a file may take.
 
@@ -32,7 +32,7 @@ class Limits(NamedTuple):
     output: int
 
 
-def read_guarded(kind: str, path: Path, columns: int, limits: Limits) -> np.ndarray:
+def read_guarded(kind: str, path: Path, columns: int, limits: ReadingLimits) -> np.ndarray:
     """
     Read a file in a process of its own, which costs about half a second.
 

@@ -7,7 +7,7 @@ import struct
 
 import numpy as np
 
-from ocp_ros.scenes.guarded_reading import Limits, read_guarded, WORDS
+from ocp_ros.scenes.guarded_reading import ReadingLimits, read_guarded, WORDS
 
 #: Bytes of the longest header that is looked at.
 HEADER = 255
@@ -35,7 +35,7 @@ def read_las_points(path: Path) -> np.ndarray:
     count, compressed = _declared(path, size)
     if not find_spec('laspy') or compressed and not (find_spec('lazrs') or find_spec('laszip')):
         raise ImportError('laspy and lazrs; pip install "laspy[lazrs]"')
-    limits = Limits(MEMORY + 3 * size, SECONDS + SECONDS_PER_MB * size // 1_000_000,
+    limits = ReadingLimits(MEMORY + 3 * size, SECONDS + SECONDS_PER_MB * size // 1_000_000,
                     24 * count + WORDS)
     points = read_guarded('las', path, 3, limits)
     if len(points) != count:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ocp_ros.scenes.guarded_reading import Limits, read_guarded, WORDS
+from ocp_ros.scenes.guarded_reading import ReadingLimits, read_guarded, WORDS
 from ocp_ros.scenes.mesh_sampling import SAMPLES
 
 #: Formats of meshes. PLY files are meshes where they have faces.
@@ -34,7 +34,7 @@ def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
     if not find_spec('open3d'):
         raise ImportError('open3d; pip install open3d')
     size = path.stat().st_size
-    limits = Limits(MEMORY + MEMORY_PER_BYTE * size,
+    limits = ReadingLimits(MEMORY + MEMORY_PER_BYTE * size,
                     SECONDS + SECONDS_PER_MB * size // 1_000_000,
                     ROW * (SAMPLES + size) + WORDS)
     rows = read_guarded('mesh', path, 6, limits)

@@ -44,6 +44,7 @@ from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import ConfigurationError, from_nested, to_nested
 from ocp_ros.util.threads import cores
 from ocp_ros.util.worker_pool import WorkerPool
+from ocp_ros.util.yaml_files import read_plain
 
 #: Settings with which a run may go on though it was begun with others.
 MAY_CHANGE = ('interactions', 'workers', 'evaluate_every')
@@ -59,16 +60,8 @@ def read_config(path: Path) -> TrainingConfig:
 
     :raises ConfigurationError: for an unknown name or a bad value.
     """
-    try:
-        content = yaml.safe_load(Path(path).read_text())
-    except OSError as error:
-        raise ConfigurationError(f'{path}: found no file that can be read ({error.strerror}); '
-                                 'expected YAML such as config/train/default.yaml') from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        reason = ' '.join(str(error).split())
-        raise ConfigurationError(f'{path}: found no valid YAML ({reason}); expected settings, '
-                                 'one "name: value" per line') from error
-    return from_nested(TrainingConfig, content or {}, str(path))
+    content = read_plain(path).data
+    return from_nested(TrainingConfig, {} if content is None else content, str(path))
 
 
 @dataclass
