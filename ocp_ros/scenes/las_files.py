@@ -7,7 +7,7 @@ import struct
 
 import numpy as np
 
-from ocp_ros.scenes.guarded_reading import ReadingLimits, read_guarded, WORDS
+from ocp_ros.scenes.guarded_reading import read_guarded, ReadingLimits, WORDS
 
 #: Bytes of the longest header that is looked at.
 HEADER = 255

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ocp_ros.scenes.guarded_reading import ReadingLimits, read_guarded, WORDS
+from ocp_ros.scenes.guarded_reading import read_guarded, ReadingLimits, WORDS
 from ocp_ros.scenes.mesh_sampling import SAMPLES
 
 #: Formats of meshes. PLY files are meshes where they have faces.

@@ -33,6 +33,7 @@ def las_rows(path: str) -> Iterator[np.ndarray]:
 def mesh_rows(path: str) -> Iterator[np.ndarray]:
     """Yield points and normals (N, 6) on the faces of a mesh, in the file's unit and axes."""
     import open3d
+
     from ocp_ros.scenes.mesh_sampling import sampled
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     vertices, triangles = _mesh(open3d.io, path)
@@ -92,7 +93,7 @@ def main(arguments: list[str]) -> int:
         except MemoryError:
             print('more memory than such a file needs', file=sys.stderr)
             return 1
-        except Exception as error:  # Broken files make the libraries raise almost anything.
+        except BaseException as error:  # Of broken files, and lazrs raises what is no Exception.
             print((str(error).splitlines() or [''])[0] or type(error).__name__, file=sys.stderr)
             return 1
     return 0

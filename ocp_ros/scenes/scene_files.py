@@ -170,7 +170,7 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
         raise SceneError(f'{path.name}: found a file that cannot be read ({error}); expected one '
                          'that may be opened; check its permissions and the disk') from error
     except Exception as error:  # A broken file makes the libraries raise almost anything.
-        reason = (str(error).splitlines() or [''])[0] or type(error).__name__
+        reason = (str(error).splitlines() or [''])[0][:200] or type(error).__name__
         raise SceneError(f'{path.name}: found content that cannot be read ({reason}); expected a '
                          f'plain, complete {path.suffix} file; copy or export it again') from error
 

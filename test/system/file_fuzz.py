@@ -51,9 +51,15 @@ class ForkedProcesses:
         """Run the reader in a copy of this process."""
         child = os.fork()
         if child == 0:
-            os.dup2(stdout.fileno(), 1)
-            os.dup2(stderr.fileno(), 2)
-            os._exit(self._main(command[3:]))
+            # Whatever happens, the copy must not go on as the original does.
+            try:
+                os.dup2(stdout.fileno(), 1)
+                os.dup2(stderr.fileno(), 2)
+                code = self._main(command[3:])
+            except BaseException:
+                code = 1
+            finally:
+                os._exit(code)
         _, status, used = os.wait4(child, 0)
         self.memory = max(self.memory, used.ru_maxrss)
         return subprocess.CompletedProcess(command, os.waitstatus_to_exitcode(status))

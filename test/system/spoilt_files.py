@@ -153,7 +153,8 @@ def _read_config(path: Path):
 def _write_bags(folder: Path) -> dict[str, Callable]:
     """Write a text in a bag of each kind; returns the names of their files and what reads them."""
     from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.rosbag2 import StoragePlugin, Writer as Writer2
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as Writer2
     from rosbags.typesys import get_typestore, Stores
 
     kind = 'geometry_msgs/msg/PoseArray'
