@@ -31,7 +31,7 @@ OUTCOMES = ('read', 'refused', 'wrong', 'crashed', 'hung')
 #: Seconds after which a file hangs, and until a process is ready.
 PATIENCE, START = 15.0, 120.0
 #: Bytes of address space of the process that reads, and characters of a sentence.
-MOST, SENTENCE = 4_000_000_000, 900
+MOST, SENTENCE = 4_000_000_000, 2500
 
 
 class ForkedProcesses:
