@@ -183,7 +183,7 @@ def test_metadata_of_a_bag_may_not_grow(good, tmp_path):
         pytest.skip('bags need rosbags (pip install rosbags)')
     text = (folder / 'metadata.yaml').read_text()
     path = tmp_path / 'metadata.yaml'
-    path.write_text(text.replace("custom_data: null", "custom_data: {note: a *star, '*b': 1}"))
+    path.write_text(text.replace('custom_data: null', "custom_data: {note: a *star, '*b': 1}"))
     readers['metadata.yaml'](path)
     grown = ''.join(f'\n  x{k}: &a{k} [*a{k - 1}, *a{k - 1}]' for k in range(1, 40))
     path.write_text(text.replace("compression_format: ''", f'x0: &a0 [1]{grown}\n  '
@@ -203,7 +203,8 @@ def test_a_file_of_unknown_size_is_read_up_to_a_limit():
     ('a: &a [1]\nb: [*a, *a]\n', 'line 2: found an alias'),
     ('seed: ' + '[' * 50_000, 'lists in lists'),
     ('seed: 2024-13-45\n', "found '2024-13-45' (str); expected int"),
-    ('seed: ' + '9' * 6000 + '\n', '(str); expected int'), (f'? {"s" * 6000}\n: 1', 'unknown name'),
+    ('seed: ' + '9' * 6000 + '\n', '(str); expected int'),
+    (f'? {"s" * 6000}\n: 1', 'unknown name'),
     ('seed: !!python/name:os.system\n', 'found the tag'), ('seed: 1\nseed: 2\n', 'twice'),
     ('#' * 2_000_000, 'found 2,000,000 bytes; expected at most 1,000,000')])
 def test_settings_of_a_training_that_are_no_plain_data_are_refused(tmp_path, text, found):
