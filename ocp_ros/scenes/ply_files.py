@@ -19,11 +19,13 @@ class PlyPart(NamedTuple):
 
     :ivar count: rows.
     :ivar properties: of each row.
+    :ivar lists: how many of them are lists.
     """
 
     name: str
     count: int
-    properties: int
+    properties: int = 0
+    lists: int = 0
 
 
 def read_ply_fields(path: Path) -> dict[str, np.ndarray]:
@@ -35,7 +37,7 @@ def read_ply_fields(path: Path) -> dict[str, np.ndarray]:
     :raises ValueError: if the file is broken.
     """
     parts = _parts(path)
-    if any(part.name == 'face' and part.count for part in parts):
+    if any(part.name == 'face' and part.count and part.lists for part in parts):
         return dict(zip(('x', 'y', 'z', 'nx', 'ny', 'nz'), np.hstack(read_mesh(path)).T))
     content = PlyData.read(str(path))
     if 'vertex' not in content:
@@ -57,9 +59,10 @@ def _parts(path: Path) -> list[PlyPart]:
     for line in header.split(end_of_line):
         words = line.split()
         if words[:1] == [b'element'] and len(words) == 3:
-            parts.append(PlyPart(words[1].decode('ascii'), int(words[2]), 0))
+            parts.append(PlyPart(words[1].decode('ascii'), int(words[2])))
         elif words[:1] == [b'property'] and parts:
-            parts[-1] = parts[-1]._replace(properties=parts[-1].properties + 1)
+            parts[-1] = parts[-1]._replace(properties=parts[-1].properties + 1,
+                                           lists=parts[-1].lists + (words[1:2] == [b'list']))
     # Each number takes a byte or more, and a row without any is none.
     least = sum(part.count * max(part.properties, 1) for part in parts)
     if min((part.count for part in parts), default=0) < 0 or least > path.stat().st_size:
