@@ -5,7 +5,7 @@ RUN := $(VENV)/bin/python
 READY := $(VENV)/.ready
 OUT ?= out
 
-.PHONY: help demo train-demo train test test-system lint format bench fuzz soak endings benchmark rooms colcon clean
+.PHONY: help demo train-demo train test test-system lint format bench fuzz fuzz-files soak endings benchmark rooms colcon clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 14
@@ -45,6 +45,9 @@ bench: $(READY)  ## measure fidelity and speed of the engine, and the nodes: how
 
 fuzz: $(READY)  ## send nodes messages that lie: make fuzz [MESSAGES=100000, or MINUTES=10 in their place]
 	PYTHONPATH=test $(RUN) -m system.fuzz --out "$(OUT)" $(if $(MESSAGES),--messages $(MESSAGES)) $(if $(MINUTES),--minutes $(MINUTES))
+
+fuzz-files: $(READY)  ## read files with errors in them, of every format: make fuzz-files [FILES=2000]
+	PYTHONPATH=test $(RUN) -m system.file_fuzz --out "$(OUT)" $(if $(FILES),--mutations $(FILES))
 
 soak: $(READY)  ## play, kill nodes and lie to them: make soak [MINUTES=5] [KILLS=100, in place of minutes]
 	PYTHONPATH=test $(RUN) -m system.soak --out "$(OUT)" $(if $(MINUTES),--minutes $(MINUTES)) $(if $(KILLS),--kills $(KILLS))

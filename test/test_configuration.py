@@ -63,7 +63,7 @@ def test_something_else_than_a_mapping_is_refused(tmp_path):
 
 def test_yaml_that_is_none_is_refused_in_one_line(tmp_path):
     (tmp_path / 'c.yaml').write_text('a: [1, 2\nb: }')
-    with pytest.raises(ConfigurationError, match='c.yaml: found no valid YAML') as caught:
+    with pytest.raises(ConfigurationError, match='c.yaml: line 2: found no valid YAML') as caught:
         read_config(tmp_path / 'c.yaml')
     assert '\n' not in str(caught.value)
 

@@ -224,7 +224,7 @@ def test_a_bad_rig_file_is_refused_in_one_sentence(tmp_path, old, new, place, re
 @pytest.mark.parametrize(('content', 'words'), [
     (None, 'rig.yaml: found no file that can be read .*; expected YAML or JSON; check the path'),
     (b'cameras:\n- \xff\xfe', 'rig.yaml: line 2: found bytes that are no text; .* save it as UTF'),
-    (b'#' * 5_000_000, 'found 5,000,000 bytes; expected at most 4,000,000; name the right file')])
+    (b'#' * 5_000_000, 'found 5,000,000 bytes; expected at most 1,000,000; name the right file')])
 def test_a_file_that_is_no_text_is_refused(tmp_path, content, words):
     if content is not None:
         (tmp_path / 'rig.yaml').write_bytes(content)

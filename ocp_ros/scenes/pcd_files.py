@@ -7,6 +7,11 @@ import numpy as np
 
 from ocp_ros.scenes.text_tables import read_table
 
+#: Bytes of a line of the header, and lines of a header.
+LONGEST, LINES = 1 << 16, 1000
+#: Bytes that LibLZF makes of one, at most: it copies up to 264 bytes for three.
+EXPANSION = 88
+
 
 def read_pcd_fields(path: Path) -> dict[str, np.ndarray]:
     """
@@ -39,14 +44,14 @@ def read_pcd_fields(path: Path) -> dict[str, np.ndarray]:
 def _pcd_header(file) -> tuple[dict[str, list[str]], int]:
     """Read the header of a PCD file up to its last line; return it and its number of lines."""
     header, lines = {}, 0
-    while 'DATA' not in header:
-        line = file.readline()
-        if not line:
+    while 'DATA' not in header and lines < LINES:
+        line = file.readline(LONGEST)
+        if not line.endswith(b'\n'):
             raise ValueError('no DATA line')
         lines += 1
         key, *values = line.decode('ascii').split() or ['']
         header[key] = values
-    missing = {'FIELDS', 'SIZE', 'TYPE', 'POINTS'} - header.keys()
+    missing = {'FIELDS', 'SIZE', 'TYPE', 'POINTS', 'DATA'} - header.keys()
     if missing:
         raise ValueError(f'no {" ".join(sorted(missing))} in the header')
     return header, lines
@@ -73,6 +78,8 @@ def _pcd_ascii(path: Path, layout: np.dtype, skip: int) -> dict[str, np.ndarray]
 def _pcd_compressed(body: bytes, layout: np.dtype, count: int) -> dict[str, np.ndarray]:
     """Unpack the fields of a compressed PCD file, which lie one after the other."""
     packed, size = (int(number) for number in np.frombuffer(body, '<u4', 2))
+    if size > EXPANSION * len(body) or layout.itemsize * count > size:
+        raise ValueError(f'{count:,} points in {size:,} bytes, packed to {len(body):,}')
     body, start, fields = _lzf(body[8:8 + packed], size), 0, {}
     for field in layout.names:
         kind = layout[field]
@@ -84,7 +91,7 @@ def _pcd_compressed(body: bytes, layout: np.dtype, count: int) -> dict[str, np.n
 def _lzf(packed: bytes, size: int) -> bytes:
     """Unpack LibLZF: a control byte below 32 precedes literals, any other a copy from before."""
     out, i = bytearray(), 0
-    while i < len(packed):
+    while i < len(packed) and len(out) <= size:
         control = packed[i]
         i += 1
         if control < 32:

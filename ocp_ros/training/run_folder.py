@@ -15,6 +15,7 @@ from ocp_ros.util.files import write_atomically
 from ocp_ros.util.own_files import is_own, note_own
 from ocp_ros.util.settings import ConfigurationError, from_nested, to_nested
 from ocp_ros.util.shown_text import printable
+from ocp_ros.util.yaml_files import read_plain
 
 CONFIG, ROOMS, PROGRESS = 'config.yaml', 'rooms.json', 'progress.jsonl'
 BEST, STATE, SHOWN = 'best.safetensors', 'state.safetensors', 'demonstrations'
@@ -33,21 +34,8 @@ def read_config(path: Path) -> TrainingConfig:
 
     :raises ConfigurationError: for an unknown name or a bad value.
     """
-    content = _content(path)
+    content = read_plain(path).data
     return from_nested(TrainingConfig, {} if content is None else content, str(path))
-
-
-def _content(path: Path) -> Any:
-    """Return what a YAML file says."""
-    try:
-        return yaml.safe_load(Path(path).read_text(encoding='utf-8'))
-    except OSError as error:
-        raise ConfigurationError(f'{path}: found no file that can be read ({error.strerror}); '
-                                 'expected YAML such as config/train/default.yaml') from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        reason = ' '.join(str(error).split())
-        raise ConfigurationError(f'{path}: found no valid YAML ({reason}); expected settings, '
-                                 'one "name: value" per line') from error
 
 
 def claim(folder: Path, config: TrainingConfig) -> None:
@@ -113,7 +101,7 @@ def _refuse_strangers(folder: Path) -> None:
 def _settings(path: Path) -> TrainingConfig:
     """Read the settings of a run, which are never empty."""
     try:
-        if not _content(path):
+        if not read_plain(path).data:
             raise ConfigurationError(f'{path}: found no settings; expected those of the run')
         return read_config(path)
     except ConfigurationError as error:

@@ -1,11 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files that are whole or absent, whenever the process ends, and places to write them to."""
 
+import errno
 import os
 from pathlib import Path
+import stat
 import tempfile
 
 from ocp_ros.util.settings import ConfigurationError
+
+
+def read_regular(path: str | Path, most: int) -> bytes:
+    """
+    Read a file that should not be large; pipes and devices, which may never end, are refused.
+
+    :param most: bytes that it may have.
+    :raises OSError: if it cannot be read, is no regular file, or has more; ``EFBIG`` with the
+        number of bytes for the last.
+    """
+    with open(path, 'rb', opener=_open_at_once) as file:
+        state = os.fstat(file.fileno())
+        if not stat.S_ISREG(state.st_mode):
+            raise OSError(errno.EINVAL, 'it is a pipe or a device, not a regular file')
+        # Of files in /proc the size is not known before they are read.
+        content = file.read(most + 1) if state.st_size <= most else b''
+    size = max(state.st_size, len(content))
+    if size > most:
+        raise OSError(errno.EFBIG, f'{size:,} bytes')
+    return content
+
+
+def _open_at_once(path: str, flags: int) -> int:
+    """Open a file without waiting for somebody who writes to it, if it is a pipe."""
+    return os.open(path, flags | os.O_NONBLOCK)
 
 
 def write_atomically(path: str | Path, content: bytes | str) -> None:

@@ -79,7 +79,13 @@ def check_known(names, known, what: str) -> None:
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
             hint = f'; did you mean {near[0]!r}?' if near else f'; expected one of {sorted(known)}'
-            raise ConfigurationError(f'{what}: found the unknown name {name!r}{hint}')
+            raise ConfigurationError(f'{what}: found the unknown name {_brief(name)}{hint}')
+
+
+def _brief(value: Any) -> str:
+    """Return a value as messages show it, not too long."""
+    text = repr(value)
+    return text if len(text) <= 60 else f'{text[:57]}...'
 
 
 def _checked(name: str, item: Field, value: Any) -> Any:
@@ -89,14 +95,14 @@ def _checked(name: str, item: Field, value: Any) -> Any:
         value = float(value)
     if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
         raise ConfigurationError(
-            f'{name}: found {value!r} ({type(value).__name__}); expected {kind.__name__}')
+            f'{name}: found {_brief(value)} ({type(value).__name__}); expected {kind.__name__}')
     if kind is str:
         value = current_name(value)
     low, high, choices = (item.metadata[key] for key in ('low', 'high', 'choices'))
     if choices and value not in choices:
-        raise ConfigurationError(f'{name}: found {value!r}; expected one of {list(choices)}')
+        raise ConfigurationError(f'{name}: found {_brief(value)}; expected one of {list(choices)}')
     if (low is not None and not value >= low) or (high is not None and not value <= high):
-        raise ConfigurationError(f'{name}: found {value}; expected {low} to {high}')
+        raise ConfigurationError(f'{name}: found {_brief(value)}; expected {low} to {high}')
     return value
 
 

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 import difflib
+import errno
 import json
 from pathlib import Path
 import re
@@ -19,6 +20,7 @@ from jsonschema import Draft202012Validator, ValidationError
 from jsonschema.validators import extend
 import yaml
 
+from ocp_ros.util.files import read_regular
 from ocp_ros.util.settings import ConfigurationError
 
 
@@ -36,7 +38,7 @@ Validator = extend(
 #: Keys and places in lists that lead to a value.
 Way = tuple[str | int, ...]
 #: Bytes, and keys and values: files with more are something else.
-LARGEST, MOST = 4_000_000, 20_000
+LARGEST, MOST = 1_000_000, 20_000
 NUMBER = re.compile(r'[-+]?(\d{1,300}(\.\d*)?|\.\d+)([eE][-+]?\d{1,2})?')
 WORDS = {'': None, '~': None, 'null': None, 'true': True, 'false': False}
 PLAIN_TAGS = {f'tag:yaml.org,2002:{kind}' for kind in ('str', 'seq', 'map')}
@@ -120,6 +122,22 @@ def read_document(path: str | Path, schema: dict[str, Any]) -> Document:
     :param schema: what it has to be, JSON Schema 2020-12; see :func:`check`.
     :raises ConfigurationError: if it cannot be read or is something else, in one sentence.
     """
+    document = read_plain(path)
+    if document.data is None:
+        raise ConfigurationError(f'{document.name}: line 1: found an empty file; expected '
+                                 f'{schema["description"]}; write it, or name another file')
+    check(document, schema)
+    return document
+
+
+def read_plain(path: str | Path) -> Document:
+    """
+    Read a YAML or JSON file of any content.
+
+    :param path: of the file, in UTF-8.
+    :returns: its data, None where it is empty.
+    :raises ConfigurationError: if it cannot be read, in one sentence.
+    """
     path = Path(path)
     lines: dict[Way, int] = {}
     text = _text(path)
@@ -141,23 +159,18 @@ def read_document(path: str | Path, schema: dict[str, Any]) -> Document:
         raise ConfigurationError(
             f'{path.name}: line 1: found lists in lists without end; expected a few levels; write '
             'them out') from error
-    if data is None:
-        raise ConfigurationError(f'{path.name}: line 1: found an empty file; expected '
-                                 f'{schema["description"]}; write it, or name another file')
-    document = Document(path.name, data, lines)
-    check(document, schema)
-    return document
+    return Document(path.name, data, lines)
 
 
 def _text(path: Path) -> str:
     """Read a file that should be text of a reasonable length."""
     try:
-        if path.stat().st_size > LARGEST:
-            raise ConfigurationError(
-                f'{path.name}: line 1: found {path.stat().st_size:,} bytes; expected at most '
-                f'{LARGEST:,}; name the right file')
-        return path.read_bytes().decode('utf-8-sig')
+        return read_regular(path, LARGEST).decode('utf-8-sig')
     except OSError as error:
+        if error.errno == errno.EFBIG:
+            raise ConfigurationError(
+                f'{path.name}: line 1: found {error.strerror}; expected at most {LARGEST:,}; name '
+                'the right file') from error
         raise ConfigurationError(f'{path}: found no file that can be read ({error.strerror}); '
                                  'expected YAML or JSON; check the path') from error
     except UnicodeDecodeError as error:

@@ -5,9 +5,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
+import re
 import struct
 from typing import Any, NamedTuple
 
+import yaml
+
+from ocp_ros.util.files import read_regular
 from ocp_ros.util.settings import ConfigurationError
 
 CLOUD, POSES = 'sensor_msgs/msg/PointCloud2', 'geometry_msgs/msg/PoseArray'
@@ -16,6 +20,10 @@ TRANSFORMS = 'tf2_msgs/msg/TFMessage'
 KINDS = {CLOUD: CLOUD, POSES: POSES, TRANSFORMS: TRANSFORMS, 'tf/msg/tfMessage': TRANSFORMS}
 #: Messages of a topic that are asked for their frame, and the longest name of one.
 ASKED, LONGEST = 20, 1000
+#: Bytes of metadata, which is text: a bag of hundreds of topics and files has a tenth of it.
+METADATA = 10_000_000
+#: What may be an alias in YAML; whether it is one, only a parser knows.
+ALIAS = re.compile(rb'(^|[\s,\[{])\*\w')
 #: What a file begins with that is a ROS 1 bag, and how files of ROS 2 bags are called.
 ROS1, ROS2_FILES = b'#ROSBAG V', ('.mcap', '.db3')
 
@@ -178,16 +186,26 @@ def _reader(path: Path):
         path = path.parent
     if path.is_dir():
         if (path / 'metadata.yaml').is_file():
+            _check_metadata(path / 'metadata.yaml')
             return Reader2(path), False
         recorded = any(file.suffix in ROS2_FILES for file in path.iterdir())
         inside, remedy = ('recorded files without metadata.yaml', 'run ros2 bag reindex') if (
             recorded) else ('a folder that is no bag', 'name the folder that ros2 bag record made')
         raise ConfigurationError(f'{path}: found {inside}; {expected}; {remedy}')
+    if not path.is_file():
+        raise ConfigurationError(f'{path}: found a pipe or a device; {expected}; correct the path')
     with open(path, 'rb') as file:
         if file.read(len(ROS1)) != ROS1:
             raise ConfigurationError(f'{path}: found a file that is no bag; {expected}; correct '
                                      'the path')
     return Reader1(path), True
+
+
+def _check_metadata(path: Path) -> None:
+    """Refuse metadata in which values stand for others: written out, they may fill the memory."""
+    text = read_regular(path, METADATA)
+    if ALIAS.search(text) and any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):
+        raise ValueError('metadata.yaml has an alias, which ROS never writes')
 
 
 def _frame(raw: bytes, is_ros1: bool) -> str:

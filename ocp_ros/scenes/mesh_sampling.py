@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Points on the faces of a mesh, as even as those of a careful scan."""
+
+import numpy as np
+
+#: Points on a mesh, whatever its size: 2 cm apart in an office, 5 cm in a hall.
+SAMPLES = 300_000
+#: Shares whose multiples fill a square evenly (M. Roberts, 2018: the sequence R2).
+SPREAD = np.array([0.7548776662466927, 0.5698402909980532])
+
+
+def sampled(vertices: np.ndarray, triangles: np.ndarray, samples: int = SAMPLES, seed: int = 0
+            ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Spread points evenly by area over the faces of a mesh; the same mesh gives the same points.
+
+    A face with NaN or inf gives one point of NaN: whoever reads the points refuses those, or
+    leaves them out.
+
+    :param vertices: (V, 3), in any unit.
+    :param triangles: (T, 3), indices into the vertices.
+    :param samples: how many points.
+    :param seed: of where within its share of the area each point lies.
+    :returns: (N, 3) points and (N, 3) unit normals of their faces, float64.
+    :raises ValueError: if there are no faces, if they have no area, or name vertices that are not
+        there.
+    """
+    if len(triangles) == 0:
+        raise ValueError('no faces')
+    if triangles.min() < 0 or triangles.max() >= len(vertices):
+        raise ValueError('faces with vertices that are not there')
+    with np.errstate(over='ignore', invalid='ignore'):
+        corners = np.asarray(vertices, dtype=np.float64)[triangles]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        areas = np.linalg.norm(normals, axis=1)
+    finite = np.isfinite(areas)
+    kept = finite & (areas > 0.0)
+    if finite.any() and not kept.any():
+        raise ValueError('faces without area')
+    points, faces = _spread(corners[kept], areas[kept], samples, np.random.default_rng(seed))
+    normals = (normals[kept] / areas[kept, None])[faces]
+    broken = np.full((np.count_nonzero(~finite), 3), np.nan)
+    return np.concatenate([points, broken]), np.concatenate([normals, broken])
+
+
+def _spread(corners: np.ndarray, areas: np.ndarray, samples: int, rng: np.random.Generator
+            ) -> tuple[np.ndarray, np.ndarray]:
+    """Return points (N, 3) on triangles (T, 3, 3) of some areas (T,), and which each is on."""
+    if len(areas) == 0:
+        return np.empty((0, 3)), np.empty(0, dtype=np.int64)
+    ends = np.cumsum(areas / areas.max())
+    # One point in each of as many equal shares of the area, in the order of the faces.
+    places = (np.arange(samples) + rng.random(samples)) * (ends[-1] / samples)
+    faces = np.minimum(np.searchsorted(ends, places, side='right'), len(ends) - 1)
+    shares = np.arange(samples)[:, None] * SPREAD % 1.0
+    # What lies beyond the diagonal of the square is turned into the triangle.
+    shares = np.where(shares.sum(axis=1, keepdims=True) > 1.0, 1.0 - shares, shares)
+    first, second, third = (corners[faces, corner] for corner in range(3))
+    return (first + shares[:, :1] * (second - first) + shares[:, 1:] * (third - first)), faces

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The formats of files that rooms are read from, by suffix."""
+
+from pathlib import Path
+
+import numpy as np
+
+from ocp_ros.scenes.las_files import read_las_points
+from ocp_ros.scenes.mesh_files import MESHES, read_mesh
+from ocp_ros.scenes.pcd_files import read_pcd_fields
+from ocp_ros.scenes.ply_files import read_ply_fields
+from ocp_ros.scenes.scene import SceneError
+from ocp_ros.scenes.text_tables import read_table
+
+
+def _from_fields(fields: dict[str, np.ndarray], name: str):
+    """Take points and normals out of named columns."""
+    missing = [axis for axis in 'xyz' if axis not in fields]
+    if missing:
+        raise SceneError(f'{name}: found the fields {" ".join(fields) or "(none)"} and no '
+                         f'{" ".join(missing)}; expected x, y and z; export the coordinates too')
+    points = np.stack([np.ravel(fields[axis]).astype(np.float64) for axis in 'xyz'], axis=-1)
+    for names in (('nx', 'ny', 'nz'), ('normal_x', 'normal_y', 'normal_z')):
+        if all(axis in fields for axis in names):
+            return points, np.stack([np.ravel(fields[axis]).astype(np.float64)
+                                     for axis in names], axis=-1)
+    return points, None
+
+
+def _read_ply(path: Path):
+    """Read the vertices of a PLY file, or points on its faces if it has any."""
+    fields = read_ply_fields(path)
+    if not fields:
+        raise SceneError(f'{path.name}: found no vertices; expected the element vertex with x, y '
+                         'and z; export the points, not only faces')
+    return _from_fields(fields, path.name)
+
+
+def _read_npy(path: Path):
+    """Read a NumPy array of x y z and more columns, or of records; never unpickle."""
+    with path.open('rb') as file:
+        array = np.lib.format.read_array(file, allow_pickle=False)
+    if array.dtype.names:
+        return _from_fields({field: array[field] for field in array.dtype.names}, path.name)
+    if array.ndim != 2 or array.shape[1] < 3 or array.dtype.kind not in 'fiu':
+        raise SceneError(f'{path.name}: found {array.dtype} of shape {array.shape}; expected '
+                         'numbers of shape (N, 3) or wider, one row x y z per point; save it so')
+    return array[:, :3].astype(np.float64), None
+
+
+def _read_las(path: Path):
+    """Read a LAS file, compressed or not."""
+    return read_las_points(path), None
+
+
+def _read_xyz(path: Path):
+    """Read text with x y z at the start of each line."""
+    return read_table(path), None
+
+
+def _read_pcd(path: Path):
+    """Read a PCD file: ascii, binary or binary_compressed."""
+    return _from_fields(read_pcd_fields(path), path.name)
+
+
+#: Each returns points (N, 3), and normals (N, 3) or None, in the unit and the axes of the file.
+READERS = {'.las': _read_las, '.laz': _read_las, '.npy': _read_npy, '.pcd': _read_pcd,
+           '.ply': _read_ply, '.txt': _read_xyz, '.xyz': _read_xyz,
+           **dict.fromkeys(MESHES, read_mesh)}

@@ -1,0 +1,242 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that lie about themselves: refused soon, in one sentence, and without much memory."""
+
+import os
+from pathlib import Path
+import struct
+import subprocess
+import sys
+import warnings
+
+import numpy as np
+import pytest
+from system.file_fuzz import main as fuzz_main
+from system.file_fuzz import read_one, SENTENCE
+from system.spoilt_files import good_files, spoilt, write_las, write_packed_pcd, write_ply
+
+from ocp_ros.rig.placement_file import load_placement
+from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.ros.bags.bag_files import Bag
+from ocp_ros.scenes.guarded_reading import read_guarded, ReadingLimits
+from ocp_ros.scenes.scene import SceneError
+from ocp_ros.scenes.scene_files import load_scene
+from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.training.train import read_config
+from ocp_ros.util.files import read_regular
+from ocp_ros.util.settings import ConfigurationError
+
+ROOM = generate_room(3, 2500).points
+LIMITS = ReadingLimits(600_000_000, 20, 1_000_000)
+#: Spoilt files of each format; of those that a process of its own reads only one, for time's sake.
+FILES, GUARDED = 60, 1
+GUARDED_FORMATS = ('las.las', 'laz.laz', 'mesh.ply', 'obj.obj', 'off.off', 'stl.stl', 'glb.glb')
+
+
+def refusal(path, read=load_scene) -> str:
+    with pytest.raises((SceneError, ConfigurationError)) as caught:
+        read(path)
+    message = str(caught.value)
+    assert path.name in message and '\n' not in message and len(message) < SENTENCE
+    return message
+
+
+def put(path, at, form, *values):
+    """Write numbers into a file."""
+    content = bytearray(path.read_bytes())
+    struct.pack_into(form, content, at, *values)
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize('name', ['scan.las', 'scan.laz'])
+@pytest.mark.parametrize(('at', 'form', 'value'), [
+    (107, '<I', 0xFFFFFFFF), (100, '<I', 0xFFFFFFFF), (96, '<I', 0xFFFFFFF0)])
+def test_sizes_in_a_las_header_that_cannot_be_are_refused_before_anything_is_read(
+        tmp_path, monkeypatch, name, at, form, value):
+    path = tmp_path / name
+    write_las(path, ROOM)
+    put(path, at, form, value)
+    monkeypatch.setattr(subprocess, 'run', lambda *_, **__: pytest.fail('a process was started'))
+    assert 'cannot be read' in refusal(path)
+
+
+def test_a_laz_file_that_asks_for_all_memory_is_refused_and_nothing_ends(tmp_path):
+    path = tmp_path / 'scan.laz'
+    write_las(path, ROOM)
+    content = path.read_bytes()
+    start, = struct.unpack_from('<I', content, 96)
+    table, = struct.unpack_from('<q', content, start)
+    # The number of chunks, 16 bytes of memory each.
+    put(path, table + 4, '<I', 0xFFFFFFFF)
+    assert 'cannot be read' in refusal(path)
+
+
+def test_a_process_that_takes_too_much_is_stopped(tmp_path):
+    path = tmp_path / 'scan.laz'
+    write_las(path, ROOM)
+    assert read_guarded('las', path, 3, LIMITS).shape == ROOM.shape
+    for limits in (LIMITS._replace(memory=20_000_000), LIMITS._replace(output=1000)):
+        with pytest.raises(ValueError, match='.'):
+            read_guarded('las', path, 3, limits)
+    with pytest.raises(ValueError, match='too long'):
+        read_guarded('las', path, 3, LIMITS._replace(seconds=0))
+
+
+def test_the_process_that_reads_imports_neither_learning_nor_ros(tmp_path):
+    path = tmp_path / 'scan.laz'
+    write_las(path, ROOM)
+    code = ('import sys; from ocp_ros.scenes.reading_process import las_rows; '
+            f'print(sum(map(len, las_rows({str(path)!r})))); '
+            "assert not {'torch', 'rclpy', 'numba', 'open3d'} & set(sys.modules)")
+    ended = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
+                           env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)})
+    assert ended.stdout.split() == [str(len(ROOM))], ended.stderr
+
+
+def test_the_process_that_reads_imports_nothing_of_the_folder_around(tmp_path, monkeypatch):
+    write_las(tmp_path / 'scan.laz', ROOM)
+    (tmp_path / 'laspy.py').write_text('raise SystemExit(7)')
+    monkeypatch.chdir(tmp_path)
+    assert len(load_scene('scan.laz')) == len(ROOM)
+
+
+def test_a_packed_pcd_does_not_grow_beyond_what_it_says(tmp_path):
+    path = tmp_path / 'scan.pcd'
+    write_packed_pcd(path, ROOM)
+    content = path.read_bytes()
+    head, _, body = content.partition(b'DATA binary_compressed\n')
+    # Copies of 264 bytes of the byte before: 23 MB, where 30 kB are said to be.
+    bomb = b'\x00a' + b'\xe0\xff\x00' * 90_000
+    packed = struct.pack('<II', len(bomb), 12 * len(ROOM)) + bomb
+    path.write_bytes(head + b'DATA binary_compressed\n' + packed)
+    message = refusal(path)
+    assert f'of {12 * len(ROOM):,} bytes' in message
+    assert int(message.partition('(')[2].split()[0].replace(',', '')) < 12 * len(ROOM) + 300
+    path.write_bytes(head + b'DATA binary_compressed\n'
+                     + struct.pack('<II', len(body) - 8, 0xFFFFFFFF) + body[8:])
+    assert 'cannot be read' in refusal(path)
+
+
+def test_a_pcd_header_without_end_is_refused(tmp_path):
+    path = tmp_path / 'scan.pcd'
+    path.write_bytes(b'VERSION 0.7\nFIELDS x' + b' ' * 1_000_000)
+    assert 'no DATA line' in refusal(path)
+    path.write_bytes(b'#\n' * 5000)
+    assert 'cannot be read' in refusal(path)
+
+
+@pytest.mark.parametrize('header', [
+    'ply\n' + 'x' * 2_000_000, 'ply\nformat ascii 1.0\n' + 'comment a\n' * 200_000,
+    'ply\nformat binary_little_endian 1.0\nelement a 4000000000\nend_header\n',
+    'ply\nformat ascii 1.0\nelement vertex 4000000000\nproperty float x\nend_header\n1\n',
+    'ply\nformat ascii 1.0\nelement vertex -1\nproperty float x\nend_header\n1\n',
+    'ply\nformat ascii 1.0\nend_header' + 'x' * 2_000_000])
+def test_ply_headers_that_lie_are_refused(tmp_path, header):
+    path = tmp_path / 'scan.ply'
+    path.write_text(header)
+    assert 'cannot be read' in refusal(path)
+
+
+@pytest.mark.parametrize('ends', [b'\r\n', b'\r'])
+def test_ply_headers_may_end_their_lines_as_other_systems_do(tmp_path, ends):
+    path = tmp_path / 'scan.ply'
+    write_ply(path, ROOM)
+    header, end, body = path.read_bytes().partition(b'end_header\n')
+    path.write_bytes((header + end).replace(b'\n', ends) + body)
+    np.testing.assert_array_equal(load_scene(path).points, ROOM)
+
+
+@pytest.fixture(scope='module')
+def good(tmp_path_factory):
+    """Return the folder of good files, and what reads them."""
+    folder = tmp_path_factory.mktemp('good')
+    return folder, good_files(folder)
+
+
+@pytest.fixture(params=['pipe', 'device'])
+def endless(request, tmp_path):
+    """Return a file that never ends, or that nobody writes to."""
+    path = tmp_path / 'endless.yaml'
+    if request.param == 'pipe':
+        os.mkfifo(path)
+    else:
+        path.symlink_to('/dev/zero')
+    return path
+
+
+@pytest.mark.parametrize('read', [load_rig, load_placement, read_config])
+def test_pipes_and_devices_are_no_settings(endless, read):
+    assert 'not a regular file' in refusal(endless, read)
+
+
+def test_pipes_and_devices_are_no_rooms(endless):
+    assert 'found a folder or device' in refusal(endless.rename(endless.with_suffix('.ply')))
+
+
+def test_pipes_and_devices_are_no_bags(endless):
+    pytest.importorskip('rosbags', reason='bags need rosbags (pip install rosbags)')
+    assert 'found a pipe or a device' in refusal(endless, Bag)
+
+
+def test_metadata_of_a_bag_may_not_grow(good, tmp_path):
+    folder, readers = good
+    if 'metadata.yaml' not in readers:
+        pytest.skip('bags need rosbags (pip install rosbags)')
+    text = (folder / 'metadata.yaml').read_text()
+    path = tmp_path / 'metadata.yaml'
+    path.write_text(text.replace('custom_data: null', "custom_data: {note: a *star, '*b': 1}"))
+    readers['metadata.yaml'](path)
+    grown = ''.join(f'\n  x{k}: &a{k} [*a{k - 1}, *a{k - 1}]' for k in range(1, 40))
+    path.write_text(text.replace("compression_format: ''", f'x0: &a0 [1]{grown}\n  '
+                                 'compression_format: *a39').replace(
+        "compression_mode: ''", 'compression_mode: file'))
+    assert 'has an alias' in refusal(path, readers['metadata.yaml'])
+
+
+def test_a_file_of_unknown_size_is_read_up_to_a_limit():
+    # Files in /proc say that they have no bytes.
+    assert read_regular('/proc/self/status', 100_000).startswith(b'Name:')
+    with pytest.raises(OSError, match='11 bytes'):
+        read_regular('/proc/self/status', 10)
+
+
+@pytest.mark.parametrize(('text', 'found'), [
+    ('a: &a [1]\nb: [*a, *a]\n', 'line 2: found an alias'),
+    ('seed: ' + '[' * 50_000, 'lists in lists'),
+    ('seed: 2024-13-45\n', "found '2024-13-45' (str); expected int"),
+    ('seed: ' + '9' * 6000 + '\n', '(str); expected int'),
+    (f'? {"s" * 6000}\n: 1', 'unknown name'),
+    ('seed: !!python/name:os.system\n', 'found the tag'), ('seed: 1\nseed: 2\n', 'twice'),
+    ('#' * 2_000_000, 'found 2,000,000 bytes; expected at most 1,000,000')])
+def test_settings_of_a_training_that_are_no_plain_data_are_refused(tmp_path, text, found):
+    path = tmp_path / 'train.yaml'
+    path.write_text(text)
+    assert found in refusal(path, read_config)
+
+
+NAMES = sorted(['npy.npy', 'records.npy', 'pcd_ascii.pcd', 'pcd_binary.pcd', 'pcd_packed.pcd',
+                'ply_ascii.ply', 'ply_binary.ply', 'txt.txt', 'xyz.xyz', 'rig.yaml',
+                'placement.yaml', 'train.yaml', 'ros1.bag', 'mcap.mcap', 'sqlite3.db3',
+                'metadata.yaml', *GUARDED_FORMATS])
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_spoilt_files_are_read_or_refused_in_one_sentence(tmp_path, good, name):
+    folder, readers = good
+    if name not in readers:
+        pytest.skip('bags need rosbags (pip install rosbags)')
+    guarded = name in GUARDED_FORMATS
+    assert guarded or read_one(readers[name], folder / name) == ('read', '')
+    path, content = tmp_path / f'spoilt_{name}', (folder / name).read_bytes()
+    for number in range(GUARDED if guarded else FILES):
+        path.write_bytes(spoilt(np.random.default_rng([1, number]), content))
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore')
+            outcome, said = read_one(readers[name], path)
+        assert outcome in ('read', 'refused'), f'{number}: {said}'
+
+
+@pytest.mark.system
+def test_many_spoilt_files_harm_no_process(tmp_path, monkeypatch):
+    monkeypatch.setenv('PYTHONPATH', os.pathsep.join(sys.path))
+    assert fuzz_main(['--mutations', '200', '--jobs', '2', '--out', str(tmp_path)]) == 0
+    assert Path(tmp_path / 'file_fuzz.json').exists()

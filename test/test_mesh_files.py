@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Meshes as rooms: points on their faces, in every format and scene graph."""
+
+import json
+import logging
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+from system.spoilt_files import (
+    gltf_of,
+    write_glb,
+    write_obj,
+    write_off,
+    write_ply_mesh,
+    write_stl,
+)
+
+from ocp_ros.scenes.mesh_sampling import sampled, SAMPLES
+from ocp_ros.scenes.scene import Mesh, Scene, SceneError
+from ocp_ros.scenes.scene_files import load_scene, scans_in
+from ocp_ros.scenes.synthetic.generator import generate_room
+
+ROOM = generate_room(7, 3000)
+WRITERS = {'mesh.ply': write_ply_mesh, 'text.ply': lambda *a: write_ply_mesh(*a, text=True),
+           'mesh.obj': write_obj, 'mesh.off': write_off, 'MESH.STL': write_stl,
+           'mesh.glb': write_glb}
+#: A floor of 2 m by 3 m, and a wall of 2 m by 1 m on its first edge.
+VERTICES = np.array([[0, 0, 0], [2, 0, 0], [2, 3, 0], [0, 3, 0], [0, 0, 1], [2, 0, 1]], float)
+TRIANGLES = np.array([[0, 1, 2], [0, 2, 3], [0, 1, 5], [0, 5, 4]])
+
+
+def refusal(path, **options) -> str:
+    with pytest.raises(SceneError) as caught:
+        load_scene(path, **options)
+    message = str(caught.value)
+    assert path.name in message and '\n' not in message and 'found' in message
+    return message
+
+
+def test_samples_lie_evenly_on_the_faces_and_have_their_normals():
+    points, normals = sampled(VERTICES, TRIANGLES, 8000)
+    floor = abs(points[:, 2]) < 1e-9
+    assert np.count_nonzero(floor) == pytest.approx(6000, abs=2)
+    np.testing.assert_allclose(points[~floor, 1], 0.0, atol=1e-9)
+    np.testing.assert_allclose(abs(normals[floor]), np.tile([0, 0, 1], (floor.sum(), 1)))
+    np.testing.assert_allclose(abs(normals[~floor]), np.tile([0, 1, 0], ((~floor).sum(), 1)))
+    # Chance would leave every fourth of these cells, which hold ten points each, below seven.
+    counts = np.histogram2d(*points[floor, :2].T, bins=[20, 30], range=[[0, 2], [0, 3]])[0]
+    assert counts.min() >= 6 and counts.max() <= 14
+
+
+def test_the_same_mesh_gives_the_same_samples():
+    for one, other in zip(sampled(VERTICES, TRIANGLES, 500), sampled(VERTICES, TRIANGLES, 500)):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_small_faces_get_their_share():
+    rng = np.random.default_rng(0)
+    x, y = np.meshgrid(np.arange(101), np.arange(101), indexing='ij')
+    vertices = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3).astype(float)
+    corner = (101 * np.arange(100)[:, None] + np.arange(100)).ravel()
+    triangles = np.concatenate([np.stack([corner, corner + 101, corner + 102], axis=1),
+                                np.stack([corner, corner + 102, corner + 1], axis=1)])
+    points, _ = sampled(vertices, rng.permutation(triangles), 2000)
+    counts = np.histogram2d(*points[:, :2].T, bins=10, range=[[0, 100], [0, 100]])[0]
+    assert counts.min() >= 8 and counts.max() <= 36
+
+
+@pytest.mark.parametrize(('triangles', 'found'), [
+    (np.empty((0, 3), int), 'no faces'), ([[0, 1, 6]], 'not there'), ([[0, 1, -1]], 'not there'),
+    ([[0, 1, 1]], 'without area')])
+def test_faces_that_are_none_are_refused(triangles, found):
+    with pytest.raises(ValueError, match=found):
+        sampled(VERTICES, np.array(triangles))
+
+
+def test_a_face_with_nan_gives_a_point_of_nan():
+    for bad in (np.nan, np.inf, 1e300):
+        vertices = VERTICES.copy()
+        vertices[5, 0] = bad
+        points, _ = sampled(vertices, TRIANGLES, 500)
+        # The faces of that vertex are two, one of which it only stretches without end.
+        assert 1 <= np.isnan(points).all(axis=1).sum() <= 2
+        assert np.isfinite(points[:500]).all()
+
+
+@pytest.mark.parametrize('name', WRITERS)
+def test_every_format_of_meshes_shows_what_a_scan_of_the_room_shows(tmp_path, name):
+    path = tmp_path / name
+    WRITERS[name](path, ROOM.mesh)
+    scene = load_scene(path)
+    assert scene.name == path.stem and 0.99 * SAMPLES < len(scene) <= SAMPLES
+    distances, _ = cKDTree(scene.points).query(ROOM.points)
+    assert np.quantile(distances, 0.99) < 0.04
+    assert np.median(abs(scene.normals).max(axis=1)) > 0.999
+
+
+def test_a_mesh_is_thinned_as_scans_are(tmp_path):
+    path = tmp_path / 'room.ply'
+    write_ply_mesh(path, ROOM.mesh)
+    scene = load_scene(path, max_points=4000)
+    assert 3000 < len(scene) <= 4000 and scene.normals is None
+    np.testing.assert_allclose(scene.bounds, Scene(ROOM.mesh.vertices).bounds, atol=0.05)
+
+
+def test_faces_with_many_corners_are_whole(tmp_path):
+    # As Blender writes them.
+    path = tmp_path / 'room.obj'
+    path.write_text('mtllib none.mtl\n' + ''.join(f'v {x} {y} {z}\n' for x, y, z in VERTICES)
+                    + 'f 1 2 3 4\nf 1 2 6\nf 1 6 5\n')
+    scene = load_scene(path)
+    np.testing.assert_allclose(scene.size, [2, 3, 1], atol=0.01)
+    assert np.mean(scene.points[:, 2] < 1e-6) == pytest.approx(0.75, abs=0.01)
+
+
+@pytest.mark.parametrize('name', ['room.glb', 'room.gltf'])
+def test_parts_of_a_scene_graph_stand_where_it_puts_them(tmp_path, name):
+    half = np.sqrt(0.5)
+    nodes = [{'children': [1, 2], 'translation': [10, 0, 0]}, {'mesh': 0, 'scale': [2, 2, 2]},
+             {'mesh': 0, 'rotation': [0, 0, half, half], 'translation': [0, 0, 5]}]
+    mesh, path = Mesh(VERTICES.astype(np.float32), TRIANGLES), tmp_path / name
+    if name == 'room.glb':
+        write_glb(path, mesh, nodes)
+    else:
+        document, buffer = gltf_of(mesh, nodes)
+        document['buffers'][0]['uri'] = 'room.bin'
+        path.write_text(json.dumps(document))
+        (tmp_path / 'room.bin').write_bytes(buffer)
+    points = load_scene(path).points
+    first = points[points[:, 2] < 3.0]
+    np.testing.assert_allclose(first.max(axis=0), [14, 6, 2], atol=0.05)
+    # Turned by 90 degrees: what was long along y is now along -x.
+    second = points[points[:, 2] > 3.0]
+    np.testing.assert_allclose(second.min(axis=0), [7, 0, 5], atol=0.05)
+    np.testing.assert_allclose(second.max(axis=0), [10, 2, 6], atol=0.05)
+    assert len(first) == pytest.approx(4 * len(second), rel=0.02)
+
+
+def test_faces_with_nan_are_refused_or_left_out(tmp_path, caplog):
+    vertices = np.concatenate([ROOM.mesh.vertices, [[np.nan, 0.0, 0.0]]]).astype(np.float32)
+    triangles = np.concatenate([ROOM.mesh.triangles, [[0, 1, len(vertices) - 1]]])
+    path = tmp_path / 'room.ply'
+    write_ply_mesh(path, Mesh(vertices, triangles.astype(np.int32)))
+    assert 'found 1 of 300,001 points with NaN' in refusal(path)
+    with caplog.at_level(logging.INFO):
+        assert len(load_scene(path, drop_nonfinite=True)) > 0.99 * SAMPLES
+    assert '300000 of 300001 points kept' in caplog.text
+
+
+@pytest.mark.parametrize(('name', 'text'), [
+    ('room.obj', 'v 0 0 0\nv 1 0 0\nv 0 1 0\n'),
+    ('room.obj', 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 1 1\n'),
+    ('room.off', 'OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n'),
+    ('room.off', 'OFF\n4000000000 1 0\n0 0 0\n'),
+    ('room.stl', 'solid\nendsolid\n'), ('room.gltf', '{"asset": {}}'), ('room.glb', 'glTF')])
+def test_meshes_that_are_none_are_refused(tmp_path, name, text):
+    path = tmp_path / name
+    path.write_text(text)
+    assert 'cannot be read' in refusal(path)
+
+
+def test_a_mesh_that_its_reader_would_round_is_refused(tmp_path):
+    far = Mesh(ROOM.mesh.vertices.astype(np.float64) + [389000.0, 3956000.0, 0.0],
+               ROOM.mesh.triangles)
+    write_obj(tmp_path / 'room.obj', far)
+    assert 'move it near the origin' in refusal(tmp_path / 'room.obj')
+
+
+def test_units_and_axes_are_those_asked_for(tmp_path):
+    path = tmp_path / 'room.obj'
+    vertices = 1000.0 * ROOM.mesh.vertices[:, [0, 2, 1]] * [1, 1, -1]
+    write_obj(path, Mesh(vertices, ROOM.mesh.triangles))
+    scene = load_scene(path, scale=0.001, up='y')
+    np.testing.assert_allclose(
+        scene.bounds, [ROOM.mesh.vertices.min(axis=0), ROOM.mesh.vertices.max(axis=0)], atol=0.01)
+
+
+def test_a_mesh_beside_its_scan_is_not_a_second_room(tmp_path):
+    for name in ('room.ply', 'room_mesh.ply', 'other.obj'):
+        (tmp_path / name).write_text('')
+    assert [path.name for path in scans_in(tmp_path)] == ['other.obj', 'room.ply']
