@@ -359,7 +359,7 @@ def write_half(path):
 BAD_ROOMS = {
     'not there': ('none.ply', lambda path: None, 'none.ply: found no such file', 'check the path'),
     'a folder': ('folder.ply', lambda path: path.mkdir(), 'found a folder', 'give the path'),
-    'of a kind nobody knows': ('room.stl', lambda path: path.write_text('x'), "suffix '.stl'",
+    'of a kind nobody knows': ('room.e57', lambda path: path.write_text('x'), "suffix '.e57'",
                                'CloudCompare'),
     'empty': ('empty.ply', lambda path: path.write_bytes(b''), 'empty.ply: found an empty file',
               'copy or export it again'),
@@ -368,7 +368,7 @@ BAD_ROOMS = {
     'a ply that broke off': ('half.ply', write_half, 'half.ply: found content', 'export it again'),
     'a ply without vertices': ('faces.ply', lambda path: path.write_text(
         'ply\nformat ascii 1.0\nelement face 1\nproperty list uchar int vertex_indices\n'
-        'end_header\n3 0 1 2\n'), 'faces.ply: found no vertices', 'export the points'),
+        'end_header\n3 0 1 2\n'), 'faces.ply: found content', 'export it again'),
     'a word in a line': ('word.xyz', lambda path: path.write_text(
         '1 2 3\n' * 4 + '1 two 3\n' + '1 2 3\n' * 200), 'line 5', 'correct the line or delete it'),
     'a line that broke off': ('line.xyz', lambda path: path.write_text(

@@ -21,7 +21,7 @@ from ocp_ros.scenes.guarded_reading import read_guarded, ReadingLimits
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.scenes.synthetic.generator import generate_room
-from ocp_ros.training.train import read_config
+from ocp_ros.training.run_folder import read_config
 from ocp_ros.util.files import read_regular
 from ocp_ros.util.settings import ConfigurationError
 

@@ -29,15 +29,16 @@ def verdict(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
 
     :param problem: the rig in the room.
     :param poses: (K, 6) metres, map frame, and radians.
-    :returns: ``scores``, ``broken``, ``missed`` and ``one_more``, and ``notes``: what makes the
-        room or the answer doubtful.
+    :returns: ``scores``, ``broken``, ``missed`` and ``one_more``; ``notes``: what makes the room
+        or the answer doubtful; and ``remarks``: what was mended.
     """
     views = problem.look(poses)
     scores = scores_of(problem.objective, views)
     better = improvements(problem, poses, views)
     scene = problem.objective.simulator.scene
     return {'scores': scores, 'broken': broken_by(problem.region, poses, scores), **better,
-            'notes': [*scene.notes, *room_notes(scene), *_share_notes(better['missed'])]}
+            'notes': [*scene.notes, *room_notes(scene), *_share_notes(better['missed'])],
+            'remarks': list(scene.remarks)}
 
 
 def _share_notes(missed: dict[str, Any]) -> list[str]:

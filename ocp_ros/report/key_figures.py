@@ -39,6 +39,7 @@ def figures_of(judged: Assessment) -> Figures:
     title = f'{scene.name}: {len(cameras)} camera{"s" * (len(cameras) != 1)}'
     subtitle = f'{width:.1f} x {depth:.1f} x {scene.size[2]:.1f} m, {len(scene):,} points; ' + \
         ', '.join(f'{count} x {sensor.replace("_", " ")}' for sensor, count in sensors.items())
+    subtitle = '; '.join([subtitle, *scene.remarks])
     verdict = 'every constraint is kept' if not broken else (
         f'{len(broken)} constraint{"s" * (len(broken) != 1)} broken')
     made = judged.placement.created

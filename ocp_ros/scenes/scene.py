@@ -54,6 +54,7 @@ class Scene:
     :ivar mesh: the surfaces behind the points where they are known.
     :ivar source: the frame of the file that the points were read from.
     :ivar notes: what reading it found that may not be as meant, a sentence each.
+    :ivar remarks: what reading it mended, a sentence each.
     :raises SceneError: if the points are not a room (see :func:`check_points`).
     """
 
@@ -63,6 +64,7 @@ class Scene:
     mesh: Mesh | None = field(default=None, repr=False)
     source: SourceFrame = field(default_factory=SourceFrame, repr=False)
     notes: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Hold the points as float32 in C order and refuse what is not a room."""
@@ -131,7 +133,7 @@ def turned(scene: Scene, degrees: float) -> Scene:
         mesh = Mesh((mesh.vertices @ rotation.T).astype(np.float32), mesh.triangles)
     normals = None if scene.normals is None else scene.normals @ rotation.T
     return Scene(scene.points @ rotation.T, f'{scene.name}@{degrees:g}', normals, mesh,
-                 scene.source.rotated(rotation), scene.notes)
+                 scene.source.rotated(rotation), scene.notes, scene.remarks)
 
 
 def check_points(points: np.ndarray, name: str, up: str = 'z') -> None:

@@ -51,7 +51,8 @@ def load_cached(path: str | Path, **options) -> Scene:
         with kept.open('rb') as file, np.load(file, allow_pickle=False) as arrays:
             source = SourceFrame(float(arrays['scale']), arrays['rotation'], arrays['shift'])
             return Scene(arrays['points'], str(arrays['name']), arrays.get('normals'),
-                         source=source, notes=tuple(map(str, arrays['notes'])))
+                         source=source, notes=tuple(map(str, arrays['notes'])),
+                         remarks=tuple(map(str, arrays['remarks'])))
     except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile):
         # Not there, or not whole.
         scene = load_scene(path, **options)
@@ -63,7 +64,8 @@ def _keep(path: Path, scene: Scene) -> None:
     """Write a scene whole or not at all; a full disk or a folder of others does not matter."""
     source = scene.source
     arrays = {'points': scene.points, 'name': np.array(scene.name),
-              'notes': np.array(scene.notes, dtype=str), 'scale': np.array(source.scale),
+              'notes': np.array(scene.notes, dtype=str),
+              'remarks': np.array(scene.remarks, dtype=str), 'scale': np.array(source.scale),
               'rotation': source.rotation, 'shift': source.shift}
     if scene.normals is not None:
         arrays['normals'] = scene.normals

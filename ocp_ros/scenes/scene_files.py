@@ -48,7 +48,7 @@ def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: flo
     :func:`~ocp_ros.scenes.stray_points.stray_points`). Coordinates farther than 1 km from the
     origin, such as UTM, are moved near it by whole hundreds of metres, since float32 would round
     them. All are logged; ``source`` leads back to the file's coordinates, and ``notes`` say what
-    may not be as meant.
+    may not be as meant, and ``remarks`` what was left out.
     Normals are kept where the file has them and no point is merged with another.
 
     Of a mesh (.obj, .stl, .off, .glb, .gltf, and .ply with faces) 300,000 points on its faces are
@@ -73,9 +73,9 @@ def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: flo
     with np.errstate(over='ignore'):
         points = points * scale
     check_numbers(points, path.name)
-    points, normals, notes = _without_strays(points, normals, path.name)
+    points, normals, remarks = _without_strays(points, normals, path.name)
     check_points(points, path.name, up)
-    notes += _size_notes(points, up)
+    notes = _size_notes(points, up)
     axes, signs = UP_AXES[up]
     rotation = np.eye(3)[axes] * np.array(signs)[:, None]
     points, shift = _near_origin(points[:, axes] * signs, path.name)
@@ -87,7 +87,8 @@ def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: flo
         warnings.warn(f'{path.name}: {note}', SceneWarning, stacklevel=2)
     merged = _merge(points, voxel_size, max_points, path.name)
     return Scene(merged, _scene_name(path), normals if merged is points else None,
-                 source=SourceFrame(scale, rotation, shift), notes=tuple(notes))
+                 source=SourceFrame(scale, rotation, shift), notes=tuple(notes),
+                 remarks=remarks)
 
 
 def save_scene(scene: Scene, path: str | Path) -> None:
@@ -212,19 +213,18 @@ def _without_nonfinite(points: np.ndarray, normals: np.ndarray | None, name: str
 
 
 def _without_strays(points: np.ndarray, normals: np.ndarray | None, name: str
-                    ) -> tuple[np.ndarray, np.ndarray | None, list[str]]:
+                    ) -> tuple[np.ndarray, np.ndarray | None, tuple[str, ...]]:
     """Leave out points that are no part of the room, and their normals; say which these were."""
     stray = stray_points(points)
     if not stray.any():
-        return points, normals, []
-    _log.info('%s: %d of %d points kept, the others are stray', name, (~stray).sum(), len(stray))
+        return points, normals, ()
     low, high = corners_of(points[~stray])
     found = points[stray]
     away = np.linalg.norm(np.maximum(np.maximum(low - found, found - high), 0.0), axis=1).max()
-    several = len(found) > 1
-    return (points[~stray], None if normals is None else normals[~stray], [
-        f'found {len(found):,} stray point{"s" * several}, up to {away:.3g} m outside of the '
-        f'rest; left {"them" if several else "it"} out'])
+    remark = (f'{len(found):,} stray point{"s" * (len(found) > 1)} left out, up to {away:.3g} m '
+              'outside of the rest')
+    _log.warning('%s: %s', printable(name), remark)
+    return points[~stray], None if normals is None else normals[~stray], (remark,)
 
 
 def _near_origin(points: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]:

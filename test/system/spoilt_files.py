@@ -146,7 +146,7 @@ def _placement(path: Path) -> None:
 
 def _read_config(path: Path):
     """Read training settings."""
-    from ocp_ros.training.train import read_config
+    from ocp_ros.training.run_folder import read_config
     return read_config(path)
 
 
