@@ -96,6 +96,7 @@ def test_the_judge_is_the_engine_at_its_best(room):
     assert Protocol().simulation.engine.error_rows >= 128
 
 
+@pytest.mark.system
 def test_a_task_runs_every_budget_and_seed():
     rows = run_task(SMALL, BenchmarkTask('3', 0.0, 'annealing'))
     assert [(row['budget'], row['seed']) for row in rows] == [(5, 0), (5, 1), (30, 0), (30, 1)]

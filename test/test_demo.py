@@ -108,6 +108,7 @@ def test_an_impatient_interrupt_loses_nothing_that_was_learned(domain, tmp_path)
     assert node.wait() == 0, node.log.read_text()
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(('arguments', 'words'), [
     (['--room', 'nowhere.ply'], 'nowhere.ply: found no such file'),
     (['--cameras', '0'], 'rig.cameras'),

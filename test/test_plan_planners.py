@@ -308,6 +308,7 @@ def test_more_cameras_are_worth_no_less_by_any_planner(furnished):
     assert (np.diff([plan.worth.loss for plan in plans]) <= 0.0).all()
 
 
+@pytest.mark.system
 def test_the_report_and_the_files_name_the_planner(files, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     command = ['plan', str(files / 'room.ply'), '--rig', str(files / 'rig.yaml'),

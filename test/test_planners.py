@@ -175,6 +175,7 @@ def test_no_camera_is_left_out_where_fewer_would_do(name):
     assert len(run(name, 300, score=flat).placement) == 3
 
 
+@pytest.mark.system
 def test_differential_evolution_begins_anew_when_all_are_alike():
     asked = []
 
@@ -202,6 +203,7 @@ def test_greedy_coverage_keeps_its_bound(seed):
     assert score([placed]).space_coverage[0] == 40.0 - error >= (1.0 - 1.0 / np.e) * best
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(('cameras', 'rate'), [(30, 3.0), (4, 4.0)])
 def test_tdsa_without_energy_is_a_poisson_process(cameras, rate):
     """The number of cameras follows Poisson(lambda), cut off at K; their places are uniform."""

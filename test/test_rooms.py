@@ -61,7 +61,7 @@ def test_more_points_are_of_the_same_room():
     assert len(few) < len(many)
 
 
-@settings(deadline=None, max_examples=15)
+@settings(deadline=None, max_examples=10)
 @given(seed=SEEDS)
 def test_a_generated_room_is_a_furnished_room(seed):
     plan, scene = plan_of(seed), generate_room(seed, 6000)

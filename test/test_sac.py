@@ -91,6 +91,7 @@ def seen_turned(scene, agent, matrix):
     return encoder(cloud, (positions + moves) @ whole.T, 1, 30)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize('number', range(8))
 def test_a_symmetry_is_what_the_turned_room_would_have_given(agent, number):
     scene = made_room(8, 5000)
