@@ -107,8 +107,8 @@ def _settings(path: Path) -> TrainingConfig:
     except ConfigurationError as error:
         where = '' if str(path) in str(error) else f'{path.parent}: '
         raise ConfigurationError(
-            f'{where}{error}; nothing of the run is lost: remove the file, and the run goes on with '
-            'the settings asked for') from error
+            f'{where}{error}; nothing of the run is lost: remove the file, and the run goes on '
+            'with the settings asked for') from error
 
 
 def _sets(path: Path) -> dict[str, list[str]]:
