@@ -3,6 +3,7 @@
 
 import os
 import signal
+import struct
 import subprocess
 import sys
 
@@ -280,6 +281,26 @@ def read_all(path):
             bag.frames(topic)
         return [item for item in bag.messages([topic.name for topic in bag.topics])
                 if isinstance(item, Recorded)]
+
+
+def test_lists_that_are_longer_than_their_message_are_left_out(tmp_path):
+    """The library would count to four billion."""
+    cloud = ROS2.cdr_to_ros1(serialize_message(cloud_to_msg(
+        np.zeros((3, 3), dtype=np.float32), Header(frame_id='map'))), CLOUD)
+    poses = ROS2.cdr_to_ros1(serialize_message(positions_to_msg(PLACES, Header())), POSES)
+    transforms = struct.pack('<I', 1) + bytes(80)
+    path = tmp_path / 'long.bag'
+    with Writer1(path) as writer:
+        for topic, kind, raw, at in (('/cloud', CLOUD, cloud, 12 + 4 + 3 + 8),
+                                     ('/poses', POSES, poses, 12 + 4),
+                                     ('/tf', OLD_TRANSFORMS, transforms, 0)):
+            spoilt = bytearray(raw)
+            struct.pack_into('<I', spoilt, at, 0xFFFFFFF0)
+            writer.write(writer.add_connection(topic, kind, typestore=ROS1), S, bytes(spoilt))
+    with Bag(path) as bag:
+        left_out = list(bag.messages(['/cloud', '/poses', '/tf']))
+    assert len(left_out) == 3
+    assert all('4,294,967,280 parts in' in str(one) for one in left_out)
 
 
 def test_a_bag_that_was_cut_or_overwritten_is_an_error_of_one_sentence(good_bag):

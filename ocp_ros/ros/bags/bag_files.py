@@ -22,6 +22,8 @@ KINDS = {CLOUD: CLOUD, POSES: POSES, TRANSFORMS: TRANSFORMS, 'tf/msg/tfMessage':
 ASKED, LONGEST = 20, 1000
 #: Bytes of metadata, which is text: a bag of hundreds of topics and files has a tenth of it.
 METADATA = 10_000_000
+#: Bytes that a field of a cloud, a pose and a transform take at least in ROS 1.
+PARTS = {CLOUD: 13, POSES: 56, TRANSFORMS: 76}
 #: What may be an alias in YAML; whether it is one, only a parser knows.
 ALIAS = re.compile(rb'(^|[\s,\[{])\*\w')
 #: What a file begins with that is a ROS 1 bag, and how files of ROS 2 bags are called.
@@ -148,6 +150,8 @@ class Bag:
             for connection, time, raw in self._reader.messages(connections, start, stop):
                 kind = KINDS[connection.msgtype]
                 try:
+                    if self._is_ros1:
+                        _check_count(raw, kind)
                     cdr = bytes(self._store.ros1_to_cdr(raw, kind) if self._is_ros1 else raw)
                 except Exception as error:
                     yield BrokenMessage(f'{connection.topic}: found a message that is no {kind} '
@@ -206,6 +210,21 @@ def _check_metadata(path: Path) -> None:
     text = read_regular(path, METADATA)
     if ALIAS.search(text) and any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):
         raise ValueError('metadata.yaml has an alias, which ROS never writes')
+
+
+def _check_count(raw: bytes, kind: str) -> None:
+    """
+    Refuse a ROS 1 message whose list is longer than its bytes: the library would go on for hours.
+
+    :raises ValueError: if so.
+    """
+    start = 0
+    if kind != TRANSFORMS:
+        length, = struct.unpack_from('<I', raw, 12)
+        start = 16 + length + (8 if kind == CLOUD else 0)
+    count, = struct.unpack_from('<I', raw, start)
+    if count * PARTS[kind] > len(raw):
+        raise ValueError(f'{count:,} parts in {len(raw):,} bytes')
 
 
 def _frame(raw: bytes, is_ros1: bool) -> str:
