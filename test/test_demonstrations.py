@@ -446,7 +446,7 @@ def test_the_best_place_of_a_toy_room_is_learned(tmp_path):
         fewest_cameras=1, simulation=simulation, agent=agent, sac=SAC,
         rooms=RoomsConfig(points=3000, rotations='0'), demonstrations=DemonstrationsConfig(
             episodes=16, expert='greedy_step', stray=0.15, batch_size=32, learning_rate=3e-3))
-    shown = kept([demonstrate(task) for task in tasks_of(config, [path], 0, b'')], tmp_path)
+    shown = kept([demonstrate(task) for task in tasks_of(config, [path], 0, b'')], tmp_path, agent)
     model = make_sac(SAC, agent, 1, seed=0)
     simulator = Simulator(make_room(path, 0.0, 3000), simulation)
     grid = space_of(simulator).grid(300)
