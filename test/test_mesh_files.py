@@ -148,6 +148,7 @@ def test_faces_with_nan_are_refused_or_left_out(tmp_path, caplog):
     assert '300000 of 300001 points kept' in caplog.text
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(('name', 'text'), [
     ('room.obj', 'v 0 0 0\nv 1 0 0\nv 0 1 0\n'),
     ('room.obj', 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 1 1\n'),

@@ -112,6 +112,7 @@ def test_every_constraint_holds_and_a_file_scores_the_same(planned, files, capsy
     assert plan.planner == name and plan.worth.loss == plan.answer.loss
 
 
+@pytest.mark.system
 @pytest.mark.parametrize('name', PLANNERS)
 def test_the_same_seed_gives_the_same_answer_within_the_budget(planned, name):
     one, again = planned(name), planned(name, again=1)
