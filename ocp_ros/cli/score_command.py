@@ -247,7 +247,8 @@ def show_verdict(found: dict[str, Any]) -> None:
 def _show_rest(console: Console, found: dict[str, Any]) -> None:
     """Print what is wrong and what would be better."""
     broken, missed, more = found['broken'], found['missed'], found['one_more']
-    console.print('every constraint is kept' if not broken else 'broken constraints:')
+    kept = 'every constraint is kept' + (', with doubts (notes below)' if found['notes'] else '')
+    console.print(kept if not broken else 'broken constraints:')
     for sentence in broken:
         console.print(f'  {sentence}', style='red', markup=False, highlight=False)
     console.print(f'missed: {percent(missed["share"])} of the points; '

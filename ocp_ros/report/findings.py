@@ -37,7 +37,7 @@ def verdict(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
     better = improvements(problem, poses, views)
     scene = problem.objective.simulator.scene
     return {'scores': scores, 'broken': broken_by(problem.region, poses, scores), **better,
-            'notes': [*scene.notes, *room_notes(scene), *_share_notes(better['missed'])],
+            'notes': [*room_notes(scene), *scene.notes, *_share_notes(better['missed'])],
             'remarks': list(scene.remarks)}
 
 

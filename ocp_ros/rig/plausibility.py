@@ -59,15 +59,17 @@ def room_notes(scene: Scene) -> list[str]:
     bare = layers.within(floor - LAYER, floor + LAYER) < LAYER_SHARE * layers.plan
     ceiling = ceiling_of(scene).points
     lidless = _area(scene, ceiling) < LAYER_SHARE * layers.plan
-    notes = [*_tilt(scene), *_height(top - floor), *_storeys(layers)]
-    if bare:
+    tilt = _tilt(scene)
+    notes = [*tilt, *_height(top - floor), *_storeys(layers)]
+    # What is tilted has neither a floor nor a ceiling at one height.
+    if bare and not tilt:
         notes.append('found no floor; expected a level one below everything; check which axis is '
                      'up (--up), or scan the floor as well')
     if lidless and layers.plan > LARGE and _area(scene, walls_of(scene).points) < (
             ENCLOSED * layers.plan):
         notes.append(f'found neither ceiling nor walls around {layers.plan:.0f} m²; expected a '
                      'room; depth errors mean little outdoors')
-    elif lidless:
+    elif lidless and not tilt:
         notes.append('found no ceiling; expected one above most of the floor; cameras on ceilings '
                      'find no place, and what is above the scan counts as far away')
     if not bare and not lidless and _overturned(scene, floor, float(np.median(ceiling[:, 2]))):
