@@ -264,7 +264,7 @@ def _show_rest(console: Console, found: dict[str, Any]) -> None:
                       f'pitch {more["pitch"]:.0f}: depth error {more["depth_error"]:.3f} m, '
                       f'{more["gain"]:.3f} m less')
     for remark in found['remarks']:
-        console.print(f'{remark}', markup=False, highlight=False)
+        console.print(remark, markup=False, highlight=False)
     for note in found['notes']:
         console.print(f'note: {note}', style='yellow', markup=False, highlight=False)
 

@@ -30,6 +30,17 @@ def corners_of(points: np.ndarray) -> np.ndarray:
     return np.stack([columns.min(axis=1), columns.max(axis=1)])
 
 
+def away_from(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """
+    Return how far points are outside of a box: (N,), 0 inside.
+
+    :param points: (N, D).
+    :param corners: (2, D), lowest and highest, see :func:`corners_of`.
+    """
+    low, high = corners
+    return np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0.0), axis=1)
+
+
 def cell_numbers(cells: np.ndarray) -> np.ndarray:
     """
     Number the cells of a grid that is anchored to the origin, whatever its extent.

@@ -175,9 +175,9 @@ class DepthError:
         self._count = len(points)
         self.viewpoints = viewpoints(bounds) if places is None else places
         more = len(self.viewpoints) / FIVE
-        rows = rows if more == 1.0 else max(FEWEST_ROWS, round(rows / np.sqrt(more)))
+        rows = max(min(rows, FEWEST_ROWS), round(rows / np.sqrt(more)))
         self.shape = (rows, 2 * rows)
-        self.pixels = rows * 2 * rows if more == 1.0 else rows * 2 * rows * more
+        self.pixels = rows * 2 * rows * more
         half_sides = (cube_scale * spacing).astype(np.float32)
         self._maps, grown = [], []
         for trees, depth_map in mapped(

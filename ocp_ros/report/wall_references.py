@@ -6,7 +6,7 @@ Walls A to D are the sides of the rectangle around the room, lettered clockwise;
 other walls that a camera is near, such as those of a niche, a partition or another room.
 """
 
-from collections.abc import Sequence
+from operator import itemgetter
 from string import ascii_uppercase
 from typing import NamedTuple
 
@@ -50,10 +50,6 @@ class ReferenceWall(NamedTuple):
     offset: float
     length: float
     stands: bool
-
-    def away(self, position: Sequence[float]) -> float:
-        """Return how far a position is from the wall, metres, at right angles."""
-        return float(self.offset - self.outward @ np.asarray(position[:2]))
 
 
 def walls_around(scene: Scene) -> list[ReferenceWall]:
@@ -168,10 +164,10 @@ class WallReferences:
         if contact.on[0]:
             ahead = -contact.normals[0, :2]
             hung = [(float(contact.distances[0]), ahead)]
-        found = [hung or self._either(position, ahead),
-                 self._either(position, np.array([ahead[1], -ahead[0]]))]
-        return [self._distance(position, *min(pair, key=lambda one: one[0]))
-                for pair in sorted(filter(None, found), key=min_away)]
+        across = self._either(position, np.array([ahead[1], -ahead[0]]))
+        nearest = [min(walls, key=itemgetter(0))
+                   for walls in (hung or self._either(position, ahead), across) if walls]
+        return [self._distance(position, *one) for one in sorted(nearest, key=itemgetter(0))]
 
     def _either(self, position: np.ndarray, way: np.ndarray) -> list[tuple[float, np.ndarray]]:
         """Return how far walls are one way and the other, where there are any."""
@@ -213,11 +209,6 @@ class WallReferences:
         letter = letter_of(len(self.sides) + len(self.inner))
         self.inner.append(InnerWall(letter, outward, float(outward @ at), at))
         return self.inner[-1]
-
-
-def min_away(found: list[tuple[float, np.ndarray]]) -> float:
-    """Return how far the nearest of some walls is, metres."""
-    return min(away for away, _ in found)
 
 
 def letter_of(number: int) -> str:

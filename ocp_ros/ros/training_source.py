@@ -22,7 +22,7 @@ from ocp_ros.ros.interface.conversions import (
     stamp_to_ns,
 )
 from ocp_ros.ros.interface.qos import LATCHED, RECORDER
-from ocp_ros.training.encoded_environment import encoded_space
+from ocp_ros.training.encoded_environment import encoded_space, index_counts
 from ocp_ros.training.encoded_environment import LARGEST as LARGEST_INPUT
 from ocp_ros.training.experience import Experience, ExperienceError, from_bytes
 from ocp_ros.training.transitions import Assembler, Reward, Transition
@@ -46,10 +46,9 @@ def arrays_of(agent: AgentConfig) -> dict[str, tuple[tuple[int, ...], np.dtype]]
 
 def ends_of(agent: AgentConfig) -> dict[str, tuple[float, float]]:
     """Return the lowest and the highest number of each array of an experience."""
-    last = {'keys_1': agent.points - 1, 'groups_1': agent.points - 1,
-            'keys_2': agent.keys_1 - 1, 'groups_2': agent.keys_1 - 1}
+    counts = index_counts(agent)
     return {'actions': (-LARGEST_ACTION, LARGEST_ACTION), **{
-        name: (0, last[name]) if name in last else (-LARGEST_INPUT, LARGEST_INPUT)
+        name: (0, counts[name] - 1) if name in counts else (-LARGEST_INPUT, LARGEST_INPUT)
         for name in arrays_of(agent)}}
 
 

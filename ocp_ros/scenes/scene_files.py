@@ -10,7 +10,7 @@ import warnings
 import numpy as np
 from plyfile import PlyData, PlyElement
 
-from ocp_ros.geometry.clouds import corners_of
+from ocp_ros.geometry.clouds import away_from, corners_of
 from ocp_ros.geometry.voxels import SMALLEST, voxel_downsample, voxel_size_for
 from ocp_ros.scenes.room_formats import READERS
 from ocp_ros.scenes.scene import (
@@ -218,11 +218,9 @@ def _without_strays(points: np.ndarray, normals: np.ndarray | None, name: str
     stray = stray_points(points)
     if not stray.any():
         return points, normals, ()
-    low, high = corners_of(points[~stray])
-    found = points[stray]
-    away = np.linalg.norm(np.maximum(np.maximum(low - found, found - high), 0.0), axis=1).max()
-    remark = (f'{len(found):,} stray point{"s" * (len(found) > 1)} left out, up to {away:.3g} m '
-              'outside of the rest')
+    away = away_from(points[stray], corners_of(points[~stray]))
+    remark = (f'{len(away):,} stray point{"s" * (len(away) > 1)} left out, up to '
+              f'{away.max():.3g} m outside of the rest')
     _log.warning('%s: %s', printable(name), remark)
     return points[~stray], None if normals is None else normals[~stray], (remark,)
 

@@ -6,7 +6,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ocp_ros.geometry.clouds import cell_numbers, cells_numbered, corners_of, REACH
+from ocp_ros.geometry.clouds import (
+    away_from,
+    cell_numbers,
+    cells_numbered,
+    corners_of,
+    REACH,
+)
 
 #: Edge of the cells that hang together: metres at least, and in multiples of the points' spacing.
 EDGE, SPACINGS = 0.25, 4.0
@@ -40,12 +46,11 @@ def stray_points(points: np.ndarray) -> np.ndarray:
     numbers, cell = np.unique(cell_numbers(cells), return_inverse=True)
     group = _groups(cells_numbered(numbers))[cell]
     sizes = np.bincount(group)
-    low, high = corners_of(points[group == np.argmax(sizes)])
+    corners = corners_of(points[group == np.argmax(sizes)])
     away = np.full(len(sizes), np.inf)
     with np.errstate(over='ignore'):
-        np.minimum.at(away, group, np.linalg.norm(
-            np.maximum(np.maximum(low - points, points - high), 0.0), axis=1))
-    share = np.where(away > np.linalg.norm(high - low), FAR_SHARE, SHARE)
+        np.minimum.at(away, group, away_from(points, corners))
+    share = np.where(away > np.linalg.norm(corners[1] - corners[0]), FAR_SHARE, SHARE)
     return ((away > max(AWAY, edge)) & (sizes <= share * len(points)))[group]
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ocp_ros.agent.agent_config import AgentConfig
-from ocp_ros.training.encoded_environment import encoded_space
+from ocp_ros.training.encoded_environment import encoded_space, index_counts
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.settings import UserError
 
@@ -75,7 +75,6 @@ def _check_round(arrays: dict[str, np.ndarray], agent: AgentConfig) -> None:
             raise ValueError(f'{name} has numbers that were never played')
     if not arrays[LAST][-1:].all() or arrays[LAST].all():
         raise ValueError('its episodes have no end, or no moves')
-    for name, count in {'keys_1': agent.points, 'groups_1': agent.points, 'keys_2': agent.keys_1,
-                        'groups_2': agent.keys_1}.items():
+    for name, count in index_counts(agent).items():
         if name in arrays and not ((arrays[name] >= 0) & (arrays[name] < count)).all():
             raise ValueError(f'{name} has indices beyond {count}')

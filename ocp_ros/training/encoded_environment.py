@@ -58,6 +58,12 @@ def encoded_space(agent: AgentConfig, cameras: int) -> spaces.Dict:
     return spaces.Dict(space)
 
 
+def index_counts(agent: AgentConfig) -> dict[str, int]:
+    """Return how many points or keys each array of indices chooses from."""
+    return {'keys_1': agent.points, 'groups_1': agent.points,
+            'keys_2': agent.keys_1, 'groups_2': agent.keys_1}
+
+
 def padded(encoded: dict[str, np.ndarray], cameras: int) -> dict[str, np.ndarray]:
     """
     Fill up an encoded observation with zeros for cameras that there are not.

@@ -34,7 +34,11 @@ def read_config(path: Path) -> TrainingConfig:
 
     :raises ConfigurationError: for an unknown name or a bad value.
     """
-    content = read_plain(path).data
+    return _config_of(read_plain(path).data, path)
+
+
+def _config_of(content: Any, path: Path) -> TrainingConfig:
+    """Return the settings that a file says."""
     return from_nested(TrainingConfig, {} if content is None else content, str(path))
 
 
@@ -101,9 +105,10 @@ def _refuse_strangers(folder: Path) -> None:
 def _settings(path: Path) -> TrainingConfig:
     """Read the settings of a run, which are never empty."""
     try:
-        if not read_plain(path).data:
+        content = read_plain(path).data
+        if not content:
             raise ConfigurationError(f'{path}: found no settings; expected those of the run')
-        return read_config(path)
+        return _config_of(content, path)
     except ConfigurationError as error:
         where = '' if str(path) in str(error) else f'{path.parent}: '
         raise ConfigurationError(
