@@ -36,7 +36,7 @@ def read_las_points(path: Path) -> np.ndarray:
     if not find_spec('laspy') or compressed and not (find_spec('lazrs') or find_spec('laszip')):
         raise ImportError('laspy and lazrs; pip install "laspy[lazrs]"')
     limits = ReadingLimits(MEMORY + 3 * size, SECONDS + SECONDS_PER_MB * size // 1_000_000,
-                    24 * count + WORDS)
+                           24 * count + WORDS)
     points = read_guarded('las', path, 3, limits)
     if len(points) != count:
         raise ValueError(f'{len(points):,} of {count:,} points')

@@ -35,7 +35,7 @@ def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
         raise ImportError('open3d; pip install open3d')
     size = path.stat().st_size
     limits = ReadingLimits(MEMORY + MEMORY_PER_BYTE * size,
-                    SECONDS + SECONDS_PER_MB * size // 1_000_000,
-                    ROW * (SAMPLES + size) + WORDS)
+                           SECONDS + SECONDS_PER_MB * size // 1_000_000,
+                           ROW * (SAMPLES + size) + WORDS)
     rows = read_guarded('mesh', path, 6, limits)
     return rows[:, :3], rows[:, 3:]
