@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Planners without a scan: they keep the rules, know only what was seen, and get somewhere."""
 
+from dataclasses import replace
+
 from conftest import box_room, flat_clouds
 import numpy as np
 import pytest
@@ -161,8 +163,10 @@ def test_lookahead_alone_in_the_last_turn_stays_within_reach(room):
 
 
 @pytest.mark.parametrize('name', ['greedy step', 'lookahead', 'then lookahead'])
-def test_what_nobody_has_seen_changes_no_move(name, engine, room):
-    episode = Episode(PlaneProblem(engine), np.random.default_rng(2))
+def test_what_nobody_has_seen_changes_no_move(name, room):
+    # Starts keep a clearance from all of the room, seen or not.
+    config = replace(CONFIG, episode=replace(CONFIG.episode, clearance=0.0))
+    episode = Episode(PlaneProblem(Simulator(room, config)), np.random.default_rng(2))
     # Disturb what is out of every camera's range, but not the bounds.
     way = room.points[:, None] - episode.turn.positions
     far = np.linalg.norm(way, axis=2).min(axis=1) > MAX_RANGE + 0.8
@@ -171,7 +175,7 @@ def test_what_nobody_has_seen_changes_no_move(name, engine, room):
     points = room.points.copy()
     points[far] = np.clip(points + noise, *room.bounds)[far]
     disturbed = Scene(points, normals=room.normals_or_estimate)
-    other = Episode(PlaneProblem(Simulator(disturbed, CONFIG)), np.random.default_rng(2))
+    other = Episode(PlaneProblem(Simulator(disturbed, config)), np.random.default_rng(2))
     assert far.sum() > 50 and other.turn.depth_error != episode.turn.depth_error
     np.testing.assert_array_equal(other.observed_cloud, episode.observed_cloud)
     one, two = (MADE[name]().move(either.observed_cloud, either.turn.positions, 0, 12)

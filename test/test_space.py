@@ -30,8 +30,8 @@ def in_room(positions, margin=-CORNER):
 
 @pytest.fixture(scope='module')
 def space():
-    """Return where three cameras may be in the L-shaped room."""
-    return FreePlane.of(l_shaped().points, 1.9, 3, 0.1)
+    """Return where three cameras may be in the L-shaped room, however near to its walls."""
+    return FreePlane.of(l_shaped().points, 1.9, 3, 0.1, clearance=0.0)
 
 
 def test_the_floor_is_the_room_and_not_its_bounding_box(space):
@@ -133,7 +133,7 @@ def test_a_move_stops_at_the_wall_and_never_is_too_long(space):
 @pytest.mark.parametrize('degrees', [30.0, 60.0, 120.0])
 def test_a_room_that_stands_askew_has_as_much_floor(space, degrees):
     scene = turned(l_shaped(), degrees)
-    askew = FreePlane.of(scene.points, 1.9, 3, 0.1)
+    askew = FreePlane.of(scene.points, 1.9, 3, 0.1, clearance=0.0)
     assert askew.area == pytest.approx(space.area, rel=0.12)
     back = np.deg2rad(-degrees)
     turn = np.array([[np.cos(back), -np.sin(back)], [np.sin(back), np.cos(back)]])
@@ -181,5 +181,5 @@ def test_where_no_floor_is_seen_the_rectangle_is_all_there_is():
     ceiling = l_shaped().points
     ceiling = ceiling[ceiling[:, 2] > 1.7]
     assert floor_of(ceiling, 1.9) is None
-    space = FreePlane.of(ceiling, 1.9, 3, 0.1)
+    space = FreePlane.of(ceiling, 1.9, 3, 0.1, clearance=0.0)
     assert space.floor is None and space.area == pytest.approx(np.prod(space.size))

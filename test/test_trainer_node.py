@@ -16,6 +16,7 @@ from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
 from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.agent.policy import Policy
+from ocp_ros.rig.free_plane import CLEARANCE
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import (
     bytes_to_msg,
@@ -145,7 +146,9 @@ def recorded(graph, tmp_path, monkeypatch, small_agent):
                             agent__inputs=inputs, **AGENT, **SAC)
         learned = []
         trainer.sources['/']._learn = lambda one: learned.append(one) or True
-        graph.add(PolicyNode, model=str(tmp_path / 'm.safetensors'), explore=True, turns=turns)
+        # A policy that reads the cloud alone knows of no clearance: its commands would be changed.
+        graph.add(PolicyNode, model=str(tmp_path / 'm.safetensors'), explore=True, turns=turns,
+                  clearance=0.0 if inputs == 'cloud' else CLEARANCE)
         sim = graph.add(SimNode, seed=3, rig__cameras=cameras, episode__turns=turns, **SIM)
         count = turns * (1 if inputs == 'cloud' else cameras)
         graph.until(lambda: len(learned) >= count)

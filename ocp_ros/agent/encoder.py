@@ -10,6 +10,7 @@ from ocp_ros.agent.move_effects import LONGEST, nothing_known, WorldInputs, Worl
 from ocp_ros.agent.observation import encode
 from ocp_ros.agent.rig_state import RigState
 from ocp_ros.geometry.clouds import corners_of
+from ocp_ros.rig.free_plane import CLEARANCE
 from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.scenes.scene import SceneError
 
@@ -89,12 +90,13 @@ class Encoder:
     :param max_range: effective range of the omnidirectional cameras, metres.
     :param max_step: farthest a camera moves in one turn, metres.
     :param wall_margin: cameras stay this far inside the observed bounding box, metres.
+    :param clearance: cameras stay this far from all points that were seen, metres.
     """
 
     def __init__(self, config: AgentConfig, max_range: float = 4.0, max_step: float = 0.5,
-                 wall_margin: float = 0.1) -> None:
+                 wall_margin: float = 0.1, clearance: float = CLEARANCE) -> None:
         self.config, self.max_step = config, max_step
-        self._world = WorldInputs(max_range, wall_margin) if config.world else None
+        self._world = WorldInputs(max_range, wall_margin, clearance) if config.world else None
 
     @property
     def unit(self) -> float:

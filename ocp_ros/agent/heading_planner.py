@@ -89,7 +89,7 @@ class HeadingPlanner:
         self._memory.visit(sight.placement, sight.lenses)
         now = sight.placement[:, 3:]
         try:
-            model, _ = self._kept(cloud, sight.placement[:sight.movable, :3], FAST)
+            model, _ = self._kept(cloud, sight.placement[:sight.movable, :3], FAST, clearance=0.0)
         except SceneError:
             goals = self._swept(now, max_turn)
         else:

@@ -12,10 +12,10 @@ room reverses that axis.
 import numpy as np
 
 from ocp_ros.agent.partial_map import KeptModel, LookHistory, PartialMap
-from ocp_ros.agent.rig_state import fixed_views, remember, RigState, view_from
+from ocp_ros.agent.rig_state import clearance_of, fixed_views, remember, RigState, view_from
 from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.geometry.visibility import FAST, FINE
-from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
 from ocp_ros.simulation.simulator import View
 from ocp_ros.util.threads import mapped
 
@@ -132,10 +132,12 @@ class WorldInputs:
 
     :param max_range: effective range of the omnidirectional cameras, metres.
     :param wall_margin: cameras stay this far inside the observed bounding box, metres.
+    :param clearance: cameras stay this far from all points that were seen, metres.
     """
 
-    def __init__(self, max_range: float, wall_margin: float) -> None:
-        self.max_range, self.wall_margin = max_range, wall_margin
+    def __init__(self, max_range: float, wall_margin: float, clearance: float = CLEARANCE
+                 ) -> None:
+        self.max_range, self.wall_margin, self.clearance = max_range, wall_margin, clearance
         #: What cameras see and how they are turned; None if all see all around.
         self.sight: RigState | None = None
         self.reset()
@@ -161,7 +163,8 @@ class WorldInputs:
             moved = (positions - self._last)[:, :2] / LONGEST
         self._last = positions.copy()
         remember(self._memory, positions, self.sight)
-        model, space = self._kept(cloud, positions, FINE if turn >= LATE * turns else FAST)
+        model, space = self._kept(cloud, positions, FINE if turn >= LATE * turns else FAST,
+                                  clearance_of(self.sight, self.clearance))
         return WorldTurn(model, self._memory.unseen(model), space, positions, moved, turn / turns,
                          self.sight)
 

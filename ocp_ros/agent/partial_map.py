@@ -17,7 +17,7 @@ from ocp_ros.geometry.packed_bits import no_bits, pack, unpack
 from ocp_ros.geometry.surfels import SurfelSettings
 from ocp_ros.geometry.visibility import FAST, SurfelVisibility
 from ocp_ros.geometry.voxels import voxel_downsample, voxel_size_for
-from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.simulator import ERROR_CUBE, View
 
@@ -54,13 +54,15 @@ class PartialMap:
     :param settings: rules of visibility.
     :param around: cells that are no farther from a camera count as well, seen from above, metres:
         cameras that look one way know of no air behind them.
+    :param folds: of the points, see :class:`~ocp_ros.geometry.depth_error.DepthError`.
     :ivar cells: (C,) int64, the number of each cell, in the order of the bits of a view.
     :ivar edge: of the cells, metres.
     :raises SceneError: if the points are too few or too flat to be a room.
     """
 
     def __init__(self, cloud: np.ndarray, positions: np.ndarray, max_range: float, most: int,
-                 rows: int, settings: SurfelSettings = FAST, around: float = 0.0) -> None:
+                 rows: int, settings: SurfelSettings = FAST, around: float = 0.0,
+                 folds: int = 1) -> None:
         scene = Scene(thinned(cloud, most), 'observed cloud')
         corners = smallest_rectangle(scene.points[:, :2])
         box = with_corners(scene.bounds, corners)
@@ -82,7 +84,7 @@ class PartialMap:
         order, places = self.visibility.order, self.visibility.place_order
         self.cells = np.append(np.where(inside, numbers, NO_CELL), [NO_CELL] * 4)[places]
         self.depth_error = DepthError(scene.points[order], scene.spacing[order], bounds,
-                                      rows, ERROR_CUBE)
+                                      rows, ERROR_CUBE, folds=folds)
 
     def _open(self, tests: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """Tell of four places that are listed last whether cameras near them see them."""
@@ -158,37 +160,40 @@ class KeptModel:
     :param most: of :class:`PartialMap`, like those that follow.
     :param rows: of the depth maps.
     :param around: metres.
+    :param folds: of the points.
     """
 
     def __init__(self, max_range: float, wall_margin: float, most: int, rows: int,
-                 around: float = 0.0) -> None:
+                 around: float = 0.0, folds: int = 1) -> None:
         self._max_range, self._wall_margin = max_range, wall_margin
-        self._sizes, self._around = (most, rows), around
+        self._sizes, self._around, self._folds = (most, rows), around, folds
         #: What was made last, if anything, and of how many points and cameras, at which height.
         self.made: tuple[PartialMap, FreePlane] | None = None
         self._of = 0, 0, 0.0
 
-    def __call__(self, cloud: np.ndarray, positions: np.ndarray, settings: SurfelSettings
-                 ) -> tuple[PartialMap, FreePlane]:
+    def __call__(self, cloud: np.ndarray, positions: np.ndarray, settings: SurfelSettings,
+                 clearance: float = CLEARANCE) -> tuple[PartialMap, FreePlane]:
         """Return the model, by some rules, and where cameras may be; see :meth:`make`."""
         if self.made is None or not self.lasts(cloud, positions):
-            self.make(cloud, positions, settings)
+            self.make(cloud, positions, settings, clearance)
         self.made[0].follow(settings)
         return self.made
 
-    def make(self, cloud: np.ndarray, positions: np.ndarray, settings: SurfelSettings) -> None:
+    def make(self, cloud: np.ndarray, positions: np.ndarray, settings: SurfelSettings,
+             clearance: float = CLEARANCE) -> None:
         """
         Make the model.
 
         :param cloud: (M, 3) float32, metres, map frame: the points seen so far.
         :param positions: (K, 3) metres: where the cameras are.
         :param settings: rules of visibility.
+        :param clearance: cameras stay this far from all points that were seen, metres.
         :raises SceneError: if the points are too few or too flat to be a room.
         """
         height = float(np.median(positions[:, 2]))
         self.made = (PartialMap(cloud, positions, self._max_range, *self._sizes, settings,
-                                self._around),
-                     FreePlane.of(cloud, height, len(positions), self._wall_margin))
+                                self._around, self._folds),
+                     FreePlane.around(cloud, positions, self._wall_margin, clearance))
         self._of = len(cloud), len(positions), height
 
     def lasts(self, cloud: np.ndarray, positions: np.ndarray) -> bool:

@@ -26,6 +26,8 @@ class RigState(NamedTuple):
     :ivar movable: K.
     :ivar pitch: radians, the least and the most that the K cameras look down.
     :ivar turns: whether they are turned at all.
+    :ivar clearance: metres that the K cameras have to stay from surfaces, as far as a horizontal
+        plane can tell; None for what planners are set to.
     """
 
     placement: np.ndarray
@@ -33,6 +35,7 @@ class RigState(NamedTuple):
     movable: int
     pitch: tuple[float, float] = (0.0, 0.5 * np.pi)
     turns: bool = True
+    clearance: float | None = None
 
     @property
     def lenses(self) -> list[Frustum | None]:
@@ -64,6 +67,13 @@ class RigState(NamedTuple):
         listed = directions(self.pitch, yaws, pitches)
         listed[:, 2] = self.placement[camera, 5]
         return listed
+
+
+def clearance_of(sight: RigState | None, otherwise: float) -> float:
+    """Return how far a plane keeps from surfaces, metres: a setting, or a rig's own if not 0."""
+    if not otherwise or sight is None or sight.clearance is None:
+        return otherwise
+    return sight.clearance
 
 
 def fixed_views(model: PartialMap, sight: RigState | None) -> list[View]:

@@ -15,8 +15,8 @@ from scipy.optimize import linear_sum_assignment
 from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.encoder import Encoder, order_of
 from ocp_ros.agent.move_effects import CHOICES, greedy
-from ocp_ros.agent.rig_state import RigState
-from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.agent.rig_state import clearance_of, RigState
+from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
 from ocp_ros.rig.motion import bounded_moves, towards
 
 if TYPE_CHECKING:
@@ -58,12 +58,13 @@ class Online(ABC):
     :param max_step: farthest a camera moves in one turn, metres.
     :param max_range: effective range of the omnidirectional cameras, metres.
     :param wall_margin: cameras stay this far inside the observed bounding box, metres.
+    :param clearance: cameras stay this far from all points that were seen, metres.
     """
 
     def __init__(self, rng: np.random.Generator, max_step: float, max_range: float,
-                 wall_margin: float) -> None:
-        self.rng, self.max_step = rng, max_step
-        self.max_range, self.wall_margin = max_range, wall_margin
+                 wall_margin: float, clearance: float = CLEARANCE) -> None:
+        self.rng, self.max_step, self.max_range = rng, max_step, max_range
+        self.wall_margin, self.clearance = wall_margin, clearance
         self.sight: RigState | None = None
 
     def know(self, sight: RigState | None) -> None:
@@ -97,8 +98,8 @@ class Online(ABC):
 
     def space(self, cloud: np.ndarray, positions: np.ndarray) -> FreePlane:
         """Return where the cameras may be as far as is known; the cloud is not empty."""
-        return FreePlane.of(cloud, float(np.median(positions[:, 2])), len(positions),
-                            self.wall_margin)
+        return FreePlane.around(cloud, positions, self.wall_margin,
+                                clearance_of(self.sight, self.clearance))
 
     def towards(self, positions: np.ndarray, targets: np.ndarray, steps: int = 1) -> np.ndarray:
         """
@@ -160,7 +161,7 @@ class GreedyStep(Online):
     def __init__(self, *settings) -> None:
         super().__init__(*settings)
         self._encoder = Encoder(AgentConfig(inputs='world'), self.max_range, self.max_step,
-                                self.wall_margin)
+                                self.wall_margin, self.clearance)
 
     def know(self, sight: RigState | None) -> None:
         """Tell what is read; see :meth:`Online.know`."""
@@ -191,7 +192,8 @@ class ThenLookahead(Online):
     """
 
     def __init__(self, first: Online, lookahead: Online) -> None:
-        super().__init__(first.rng, first.max_step, first.max_range, first.wall_margin)
+        super().__init__(first.rng, first.max_step, first.max_range, first.wall_margin,
+                         first.clearance)
         self.first, self.lookahead = first, lookahead
         self._playing = first
 

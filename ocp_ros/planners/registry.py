@@ -20,7 +20,7 @@ from ocp_ros.planners.online_planner import GreedyStep, Learned, Online, ThenLoo
 from ocp_ros.planners.particle_swarm import BinaryParticleSwarm
 from ocp_ros.planners.planner import Planner
 from ocp_ros.rig.free_plane import FreePlane
-from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.util.resources import find_model
 
 #: The weights of ``learned``, unless others are named, and of ``learned_paper``.
@@ -30,7 +30,7 @@ DEFAULT, PAPER = 'default', 'paper'
 def settings_of(config: SimulationConfig, rng: np.random.Generator) -> tuple:
     """Return what every online planner is told of its rig."""
     return (rng, config.episode.max_step, float(config.rig.ranges.max()),
-            config.episode.wall_margin)
+            config.episode.wall_margin, config.episode.clearance)
 
 
 def _greedy_step(config: SimulationConfig, rng: np.random.Generator, model: str = ''
@@ -47,8 +47,8 @@ def _learned(config: SimulationConfig, rng: np.random.Generator, model: str = DE
     from ocp_ros.agent.encoder import Encoder
     from ocp_ros.agent.policy import Policy
     checkpoint, settings = Checkpoint.load(find_model(model)), settings_of(config, rng)
-    _, max_step, max_range, wall_margin = settings
-    encoder = Encoder(checkpoint.config, max_range, max_step, wall_margin)
+    _, max_step, max_range, *margins = settings
+    encoder = Encoder(checkpoint.config, max_range, max_step, *margins)
     return Learned(Policy(checkpoint, encoder), *settings)
 
 
@@ -70,7 +70,7 @@ def _learned_lookahead(config: SimulationConfig, rng: np.random.Generator,
 
 def _learned_cma_es(space: FreePlane, rng: np.random.Generator, budget: int) -> WarmCmaEs:
     """Return CMA-ES that begins where the policy has gone, in the turns it was trained for."""
-    config = SimulationConfig()
+    config = SimulationConfig(episode=EpisodeConfig(clearance=space.clearance))
     return WarmCmaEs(_learned(config, rng), config.episode, space, rng, budget)
 
 

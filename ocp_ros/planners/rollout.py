@@ -18,7 +18,8 @@ def state_of(episode: Episode) -> RigState:
     problem, placement, count = episode.problem, episode.placement, len(episode.turn.positions)
     if problem.rig is None:
         return RigState(placement, problem.models[:count], count)
-    return RigState(placement, problem.models, count, problem.rig.pitch)
+    return RigState(placement, problem.models, count, problem.rig.pitch,
+                    clearance=problem.rig.clearance)
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,8 @@ def play(online: Online, episode: Episode, over: Callable[[int], bool] = lambda 
     :param clock: tells the seconds.
     """
     config, rig = episode.config, episode.problem.rig
-    step = OnlineStep(online, Limits(config.max_step, config.max_turn, config.wall_margin), rig)
+    step = OnlineStep(online, Limits(config.max_step, config.max_turn, config.wall_margin,
+                                     config.clearance), rig)
     step.reset()
     states, seconds = [episode.turn], []
     while not (episode.turn.truncated or over(episode.turn.step)):

@@ -12,10 +12,10 @@ import numpy as np
 
 from ocp_ros.agent.constraint_filter import ConstraintFilter
 from ocp_ros.agent.heading_planner import HeadingPlanner
-from ocp_ros.agent.rig_state import RigState
+from ocp_ros.agent.rig_state import clearance_of, RigState
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.planners.online_planner import Online
-from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
 from ocp_ros.rig.motion import kept_inside, towards
 from ocp_ros.rig.rig_file import Rig
 
@@ -27,11 +27,14 @@ class Limits(NamedTuple):
     :ivar max_step: farthest a camera moves, metres.
     :ivar max_turn: farthest a camera rotates, radians; 0 where none does.
     :ivar wall_margin: cameras stay this far inside the observed bounding box, metres.
+    :ivar clearance: cameras stay this far from all points that were seen, metres; those of a rig
+        file as far as it says.
     """
 
     max_step: float
     max_turn: float
     wall_margin: float
+    clearance: float = CLEARANCE
 
 
 class Command(NamedTuple):
@@ -128,8 +131,8 @@ class OnlineStep:
             targets[:, :2] = towards(positions[:, :2], positions[:, :2] + moves, limits.max_step)
             return targets, []
         # Nobody leaves the floor that was seen: beyond a wall one looks through its back.
-        plane = FreePlane.of(cloud, float(np.median(positions[:, 2])), len(positions),
-                             limits.wall_margin)
+        plane = FreePlane.around(cloud, positions, limits.wall_margin,
+                                 clearance_of(state, limits.clearance))
         targets[:, :2] = plane.moved(positions[:, :2], moves, limits.max_step)
         targets, _ = kept_inside(targets, corners_of(cloud).astype(np.float64),
                                  limits.wall_margin)

@@ -87,7 +87,7 @@ class FeasibleRegion:
         check_heights(scene, rig, top)
         high = self.top - self.floor if rig.mount.heights is None else rig.mount.heights[1]
         height = self.floor + max(high, LEAST_VIEW)
-        self.space = FreePlane.of(scene.points, height, len(rig.cameras), 0.0)
+        self.space = FreePlane.of(scene.points, height, len(rig.cameras), 0.0, clearance=0.0)
         self.air = Air(scene, self.space)
         self.surface = self._find_surface()
         self._tree = cKDTree(scene.points)

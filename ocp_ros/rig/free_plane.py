@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where cameras may be: over the floor of a room, at one height."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy import ndimage
 
 from ocp_ros.geometry.clouds import corners_of
+from ocp_ros.geometry.plane_cells import close_near, moved_into, nearest_rows
 from ocp_ros.rig.motion import kept_inside, towards
 from ocp_ros.scenes.scene import LARGEST
 
@@ -19,6 +20,14 @@ EDGE, BELOW = 0.2, 0.3
 RADII, LEAST_SHARE = (1, 2, 3, 5), 0.6
 #: Square metres: larger holes are no shadows, and the least floor that is believed.
 HOLE, LEAST = 10.0, 1.0
+#: Metres that cameras keep from every surface that has been scanned, unless a setting says
+#: otherwise: one inside a thin panel sees both sides of it.
+CLEARANCE = 0.15
+#: Metres: edge of the cells that are closed near surfaces, and how much farther than the clearance
+#: these are, for rounding. Where there are more cells than so many, their edge is doubled.
+FINE_EDGE, SLACK, MOST_CELLS = 0.05, 1e-4, 100_000
+#: Shares of a way that are tried one after the other where its end is too near to a surface.
+SHORTENED = (1.0, 0.75, 0.5, 0.25, 0.0)
 
 
 @dataclass(frozen=True)
@@ -28,28 +37,59 @@ class Floor:
 
     :ivar low: (2,) metres, corner of the first cell.
     :ivar open: (X, Y) bool; at least one cell is open.
+    :ivar edge: of the cells, metres.
     """
 
     low: np.ndarray
     open: np.ndarray
+    edge: float = EDGE
 
     @property
     def area(self) -> float:
         """Return the area of the open cells, square metres."""
-        return float(np.count_nonzero(self.open) * EDGE ** 2)
+        return float(np.count_nonzero(self.open) * self.edge ** 2)
 
     @cached_property
     def _nearest(self) -> np.ndarray:
-        """Return (2, X, Y) the indices of the open cell nearest to each."""
-        return ndimage.distance_transform_edt(~self.open, return_distances=False,
-                                              return_indices=True)
+        """Return (X, Y) which open cell of its column is nearest to each."""
+        return nearest_rows(self.open)
 
     def inside(self, positions: np.ndarray) -> np.ndarray:
         """Move positions (..., 2) that are over a closed cell into the nearest open one."""
-        cell = np.floor((positions - self.low) / EDGE).astype(np.int64)
-        cell = np.clip(cell, 0, np.array(self.open.shape) - 1)
-        low = self.low + EDGE * np.moveaxis(self._nearest[:, cell[..., 0], cell[..., 1]], 0, -1)
-        return np.clip(positions, low + 1e-6, low + EDGE - 1e-6)
+        moved = np.array(positions, dtype=np.float64, order='C')
+        moved_into(moved.reshape(-1, 2), self.low, self.edge, self._nearest)
+        return moved
+
+    def within(self, low: np.ndarray, high: np.ndarray) -> 'Floor | None':
+        """Keep the cells whose middle is in a rectangle; None if there is none."""
+        middles = [self.low[k] + self.edge * (np.arange(self.open.shape[k]) + 0.5)
+                   for k in (0, 1)]
+        within = np.logical_and.outer(*((middles[k] > low[k]) & (middles[k] < high[k])
+                                        for k in (0, 1)))
+        floor = replace(self, open=self.open & within)
+        return floor if floor.open.any() else None
+
+    def cleared(self, points: np.ndarray, heights: np.ndarray, clearance: float
+                ) -> 'Floor | None':
+        """
+        Close what is too near to surfaces, and what these cut off: the inside of furniture.
+
+        :param points: (N, 3) metres.
+        :param heights: (2,) metres, lowest and highest of the cameras.
+        :param clearance: metres; all places of the cells that stay open are as far from all
+            points.
+        :returns: the parts that are no smaller than the least floor that is believed, or the
+            largest one; None if nothing stays open.
+        """
+        cells = self.open.copy()
+        close_near(points, heights, clearance + SLACK, self.low, self.edge, cells)
+        parts, count = ndimage.label(cells)
+        if count == 0:
+            return None
+        sizes = np.bincount(parts.ravel())
+        sizes[0] = 0
+        large = sizes >= min(LEAST / self.edge ** 2, sizes.max())
+        return replace(self, open=large[parts])
 
 
 def floor_of(points: np.ndarray, height: float) -> Floor | None:
@@ -102,6 +142,31 @@ def _largest_part(seen: np.ndarray, radius: int) -> np.ndarray:
     return (parts == np.argmax(sizes)) & cells
 
 
+def _fine(floor: Floor | None, low: np.ndarray, high: np.ndarray) -> Floor | None:
+    """
+    Divide a floor, or all of a rectangle, into cells small enough to be closed one by one.
+
+    :param floor: None where none is known.
+    :param low: (2,) metres, corner of the rectangle.
+    :param high: (2,) metres, the other corner.
+    :returns: the cells whose middle is in the rectangle; None if there is none.
+    """
+    if floor is None:
+        edge = FINE_EDGE
+        while np.prod((high - low) / edge) > MOST_CELLS:
+            edge *= 2.0
+        shape = np.ceil((high - low) / edge).astype(int)
+        return Floor(low, np.ones(shape, dtype=bool), edge).within(low, high)
+    rows, columns = (np.flatnonzero(floor.open.any(axis=axis)) for axis in (1, 0))
+    cropped = floor.open[rows[0]:rows[-1] + 1, columns[0]:columns[-1] + 1]
+    times = round(EDGE / FINE_EDGE)
+    while times > 1 and cropped.size * times ** 2 > MOST_CELLS:
+        times //= 2
+    return Floor(floor.low + EDGE * np.array([rows[0], columns[0]]),
+                 cropped.repeat(times, axis=0).repeat(times, axis=1), EDGE / times
+                 ).within(low, high)
+
+
 @dataclass(frozen=True)
 class FreePlane:
     """
@@ -112,6 +177,8 @@ class FreePlane:
     :ivar height: z, metres.
     :ivar cameras: K, how many there are.
     :ivar floor: the cells they may be over; None for the whole rectangle.
+    :ivar clearance: metres that all places of the plane are from all points at least; 0 if they
+        may be anywhere.
     """
 
     low: np.ndarray
@@ -119,30 +186,52 @@ class FreePlane:
     height: float
     cameras: int
     floor: Floor | None = None
+    clearance: float = 0.0
 
     @classmethod
-    def of(cls, points: np.ndarray, height: float, cameras: int, margin: float) -> 'FreePlane':
+    def of(cls, points: np.ndarray, height: float, cameras: int, margin: float,
+           clearance: float = CLEARANCE, heights: tuple[float, float] | None = None
+           ) -> 'FreePlane':
         """
         Build the space of a room.
+
+        Where no place is as far from all surfaces as asked, the plane is as if nothing were asked.
 
         :param points: (N, 3) metres, the room.
         :param height: z of the cameras, metres.
         :param cameras: K.
         :param margin: cameras stay this far inside the bounding box, metres.
+        :param clearance: cameras stay this far from all points, metres; 0 for those that may
+            stand anywhere.
+        :param heights: of the lowest and the highest camera, metres, where they differ.
         """
         bounds = corners_of(points).astype(np.float64)
         corners, _ = kept_inside(bounds, bounds, margin)
         low, high = corners[:, :2]
-        floor = floor_of(points, height)
-        if floor is not None:
-            # A cell counts whose middle is in the rectangle.
-            middles = [floor.low[k] + EDGE * (np.arange(floor.open.shape[k]) + 0.5)
-                       for k in (0, 1)]
-            within = np.logical_and.outer(*((middles[k] > low[k]) & (middles[k] < high[k])
-                                            for k in (0, 1)))
-            floor = Floor(floor.low, floor.open & within)
-            floor = floor if floor.open.any() else None
+        known = floor_of(points, height)
+        floor = None if known is None else known.within(low, high)
+        if clearance > 0.0:
+            fine = _fine(floor and known, low, high)
+            open_cells = fine and fine.cleared(
+                points, np.array(heights or (height, height)), clearance)
+            if open_cells is not None:
+                return cls(low, high, height, cameras, open_cells, clearance)
         return cls(low, high, height, cameras, floor)
+
+    @classmethod
+    def around(cls, cloud: np.ndarray, positions: np.ndarray, margin: float, clearance: float
+               ) -> 'FreePlane':
+        """
+        Build the space of cameras from what they have seen, at their median height.
+
+        :param cloud: (M, 3) metres: the points seen so far, M >= 1.
+        :param positions: (K, 3) metres: where the cameras are.
+        :param margin: of :meth:`of`.
+        :param clearance: of :meth:`of`; it holds at the height of each camera.
+        """
+        z = positions[:, 2]
+        return cls.of(cloud, float(np.median(z)), len(positions), margin, clearance,
+                      (float(z.min()), float(z.max())))
 
     @property
     def size(self) -> np.ndarray:
@@ -176,14 +265,27 @@ class FreePlane:
         """
         Move cameras, but none away from where it may be.
 
-        :param positions: (K, 2) metres; who is not where it may be goes as it likes.
-        :param moves: (K, 2) metres.
+        :param positions: (K, 2) metres; who is not where it may be, and does not reach a place
+            near its way where it may, goes as it likes.
+        :param moves: (K, 2) metres; who does not move stays, wherever it is.
         :param max_step: no camera moves farther, metres.
         :returns: (K, 2) metres.
         """
         target = positions + moves
         good = self.contains(positions)[:, None]
-        return towards(positions, np.where(good, self.inside(target), target), max_step)
+        ended = towards(positions, np.where(good, self.inside(target), target), max_step)
+        return self._beside(positions, ended, max_step) if self.clearance else ended
+
+    def _beside(self, positions: np.ndarray, ended: np.ndarray, reach: float) -> np.ndarray:
+        """Move ends of ways (K, 2) that are too near to surfaces to places that are not."""
+        ended, moving = ended.copy(), (ended != positions).any(axis=1)
+        for camera in np.flatnonzero(moving & ~self.contains(ended)):
+            here = positions[camera]
+            places = self.inside(here + np.outer(SHORTENED, ended[camera] - here))
+            reached = np.linalg.norm(places - here, axis=1) <= reach
+            if reached.any():
+                ended[camera] = places[np.argmax(reached)]
+        return ended
 
     def folded(self, positions: np.ndarray) -> np.ndarray:
         """Fold positions (..., 2) back at the rectangle's edges: a symmetric step stays so."""

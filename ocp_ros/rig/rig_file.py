@@ -115,6 +115,15 @@ class Rig:
     document: Document
 
     @property
+    def clearance(self) -> float:
+        """
+        Return how far a horizontal plane of places has to be from surfaces, metres.
+
+        It is none where cameras hang on a surface, which a plane cannot tell from the others.
+        """
+        return self.keep_clear if self.mount.on in ('plane', 'free') else 0.0
+
+    @property
     def models(self) -> tuple[CameraModel, ...]:
         """Return the models of all cameras: K to be placed, then F in place."""
         return tuple(camera.model for camera in self.all_cameras)

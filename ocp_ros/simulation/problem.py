@@ -15,6 +15,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.rig.feasible_region import apart, FeasibleRegion
+from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.motion import drawn_near, kept_inside, nearest_place
 from ocp_ros.rig.mounts import first_headings
 from ocp_ros.rig.rig_config import RigConfig
@@ -60,6 +61,12 @@ def make_problem(scene: Scene, config: SimulationConfig) -> 'PlaneProblem | Prob
     return PlaneProblem(Simulator(scene, config))
 
 
+def plane_of(simulator: Simulator, config: EpisodeConfig, cameras: int) -> FreePlane:
+    """Return where cameras that move freely on a plane may be in a room."""
+    return FreePlane.of(simulator.scene.points, simulator.height, cameras, config.wall_margin,
+                        config.clearance)
+
+
 class PlaneProblem:
     """
     Cameras that move freely on a horizontal plane, within the bounding box of the room.
@@ -93,6 +100,8 @@ class PlaneProblem:
         """
         Draw where an episode begins, around the centre of the room.
 
+        Who would stand in furniture begins at the nearest place where planners may put it.
+
         :param cameras: how many there are, K.
         :returns: (K, 6) metres, map frame, and radians.
         """
@@ -102,6 +111,8 @@ class PlaneProblem:
         poses[:, :2] += drawn_near(rng, cameras, config.start_radius)
         poses[:, 2] = simulator.height
         poses[:, :3], _ = kept_inside(poses[:, :3], bounds, config.wall_margin)
+        if config.clearance:
+            poses[:, :2] = plane_of(simulator, config, cameras).inside(poses[:, :2])
         poses[:, 3:] = replace(simulator.config.rig, cameras=cameras).headings
         return poses
 
@@ -147,15 +158,17 @@ class Problem:
     region: FeasibleRegion
 
     @classmethod
-    def of(cls, scene: Scene, rig: Rig, config: SimulationConfig | None = None) -> 'Problem':
+    def of(cls, scene: Scene, rig: Rig, config: SimulationConfig | None = None,
+           engine: type[Simulator] = Simulator) -> 'Problem':
         """
         Put a rig into a room.
 
         :param config: the settings of engine, episode and reward.
+        :param engine: what the simulator is made by.
         :raises ConfigurationError: if the rig does not go with the room.
         """
         region = FeasibleRegion(scene, rig)
-        simulator = Simulator(scene, config or SimulationConfig(), rig.models, region.air)
+        simulator = engine(scene, config or SimulationConfig(), rig.models, region.air)
         return cls(Objective(simulator, rig), region)
 
     @property

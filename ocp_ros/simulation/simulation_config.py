@@ -4,6 +4,7 @@
 from dataclasses import dataclass
 
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.rig.free_plane import CLEARANCE
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.util.settings import group, setting
 
@@ -23,6 +24,9 @@ class EpisodeConfig:
     wall_margin: float = setting(
         0.1, 'cameras stay this far inside the bounding box, metres', 0.0, 5.0,
         running=True)
+    clearance: float = setting(
+        CLEARANCE, 'planners and starts keep cameras this far from every surface, metres; 0 for '
+        'cameras that may stand anywhere', 0.0, 5.0, running=True)
 
 
 @dataclass(frozen=True)

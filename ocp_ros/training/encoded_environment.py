@@ -90,7 +90,7 @@ def action_space(cameras: int) -> spaces.Box:
 def encoder_of(agent: AgentConfig, config: SimulationConfig) -> Encoder:
     """Return the encoder of a simulated rig."""
     return Encoder(agent, float(config.rig.ranges.max()), config.episode.max_step,
-                   config.episode.wall_margin)
+                   config.episode.wall_margin, config.episode.clearance)
 
 
 def tell(encoder: Encoder, episode: Episode) -> None:

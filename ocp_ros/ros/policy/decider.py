@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 def limits_of(config: PolicyNodeConfig) -> Limits:
     """Return what a rig can do in one turn."""
-    return Limits(config.max_step, config.max_turn, config.wall_margin)
+    return Limits(config.max_step, config.max_turn, config.wall_margin, config.clearance)
 
 
 class Decider:
@@ -133,7 +133,8 @@ class Decider:
                     rotation_of(pose.orientation, f'poses: camera {camera}'))
         if self.rig is not None and count == movable:
             rows = np.concatenate([rows, self.rig.fixed_poses])
-        return RigState(rows, models, movable, pitch, self._config.max_turn > 0.0)
+        return RigState(rows, models, movable, pitch, self._config.max_turn > 0.0,
+                        None if self.rig is None else self.rig.clearance)
 
     def decide(self, cloud: np.ndarray, poses: PoseArray, turn: int, settled: bool) -> PoseArray:
         """

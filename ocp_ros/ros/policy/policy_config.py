@@ -3,6 +3,7 @@
 
 from dataclasses import dataclass
 
+from ocp_ros.rig.free_plane import CLEARANCE
 from ocp_ros.util.settings import ConfigurationError, setting
 
 LEARNED, LOOKAHEAD, BOTH = PLANNERS = 'learned', 'lookahead', 'learned_lookahead'
@@ -31,6 +32,10 @@ class PolicyNodeConfig:
     wall_margin: float = setting(
         0.1, 'cameras stay this far inside the observed bounding box, metres', 0.0, 5.0,
         running=True)
+    clearance: float = setting(
+        CLEARANCE, 'cameras without a rig file stay this far from every surface that was seen, '
+        'metres; 0 for cameras that may stand anywhere; with a rig file its keep_clear holds', 0.0,
+        5.0, running=True)
     convergence_distance: float = setting(
         0.02, 'moves shorter than this count as standing still, metres', 0.0, 1.0, running=True)
     convergence_turns: int = setting(

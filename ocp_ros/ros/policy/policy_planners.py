@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ocp_ros.agent.checkpoint import Checkpoint
 
 #: Parameters that a planner is made with and that may change.
-PLANNED_WITH = ('max_step', 'max_range', 'wall_margin')
+PLANNED_WITH = ('max_step', 'max_range', 'wall_margin', 'clearance')
 
 
 class Exploring(Learned):
@@ -37,14 +37,14 @@ def make_planner(config: PolicyNodeConfig, checkpoint: 'Checkpoint | None'
     :returns: the planner, and its part that runs the policy.
     """
     rng = np.random.default_rng(config.seed)
-    rig = config.max_range, config.max_step, config.wall_margin
-    settings = rng, config.max_step, config.max_range, config.wall_margin
+    margins = config.wall_margin, config.clearance
+    settings = rng, config.max_step, config.max_range, *margins
     if checkpoint is None:
         return Lookahead(*settings), None
     # Only here: PyTorch takes longer to import than all the rest.
     from ocp_ros.agent.policy import Policy
     from ocp_ros.ros.policy.recorded_policy import RecordedPolicy
-    encoder = Encoder(checkpoint.config, *rig)
+    encoder = Encoder(checkpoint.config, config.max_range, config.max_step, *margins)
     if config.explore:
         exploring = Exploring(RecordedPolicy(checkpoint, encoder), *settings)
         return exploring, exploring

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cells of a horizontal grid: which are too near to surfaces, and which open one is nearest."""
+
+import math
+
+from numba import njit
+import numpy as np
+
+#: The row that is named where a column has no open cell.
+NO_ROW = -1
+#: Metres that places moved into a cell stay inside of its edges.
+INSIDE = 1e-6
+
+
+@njit(cache=True, nogil=True)
+def close_near(points, heights, clearance, low, edge, cells):
+    """
+    Close the cells any place of which is nearer to a point than a distance, in 3D.
+
+    :param points: (N, 3) metres.
+    :param heights: (2,) metres, the lowest and the highest z that the places have.
+    :param clearance: the distance, metres.
+    :param low: (2,) metres, corner of the first cell.
+    :param edge: of the cells, metres.
+    :param cells: (X, Y) bool, written to: those that are too near become False.
+    """
+    for point in range(len(points)):
+        z = points[point, 2]
+        off = max(heights[0] - z, z - heights[1], 0.0)
+        if off >= clearance:
+            continue
+        # What follows is in units of cells, the disc that the ball cuts out of the plane.
+        radius = math.sqrt(clearance * clearance - off * off) / edge
+        x, y = (points[point, 0] - low[0]) / edge, (points[point, 1] - low[1]) / edge
+        first, last = int(math.floor(x - radius)), int(math.floor(x + radius))
+        for i in range(max(first, 0), min(last + 1, cells.shape[0])):
+            away = max(i - x, x - (i + 1), 0.0)
+            half = math.sqrt(max(radius * radius - away * away, 0.0))
+            begin, end = int(math.floor(y - half)), int(math.floor(y + half))
+            for j in range(max(begin, 0), min(end + 1, cells.shape[1])):
+                cells[i, j] = False
+
+
+@njit(cache=True, nogil=True)
+def nearest_rows(cells):
+    """
+    Find the nearest open cell along the first axis, the lower one of two.
+
+    :param cells: (X, Y) bool.
+    :returns: (X, Y) int32, its first index; ``NO_ROW`` where there is none.
+    """
+    rows, columns = cells.shape
+    near = np.full(cells.shape, NO_ROW, dtype=np.int32)
+    for i in range(rows):
+        for j in range(columns):
+            if cells[i, j]:
+                near[i, j] = i
+            elif i > 0:
+                near[i, j] = near[i - 1, j]
+    for i in range(rows - 2, -1, -1):
+        for j in range(columns):
+            above = near[i + 1, j]
+            if above > i and (near[i, j] == NO_ROW or above - i < i - near[i, j]):
+                near[i, j] = above
+    return near
+
+
+@njit(cache=True, nogil=True)
+def moved_into(positions, low, edge, near):
+    """
+    Move positions into the nearest open cell; see :func:`nearest_rows`.
+
+    Of cells that are as near as each other the one of the lowest second index is taken, then that
+    of the lowest first.
+
+    :param positions: (M, 2) float64, metres, overwritten; one beyond the grid counts as in its
+        nearest cell.
+    :param low: (2,) metres, corner of the first cell.
+    :param edge: of the cells, metres.
+    :param near: (X, Y) int32, from :func:`nearest_rows`; at least one cell is open.
+    """
+    rows, columns = near.shape
+    for m in range(len(positions)):
+        i = int(min(max(math.floor((positions[m, 0] - low[0]) / edge), 0), rows - 1))
+        j = int(min(max(math.floor((positions[m, 1] - low[1]) / edge), 0), columns - 1))
+        best, x, y = rows * rows + columns * columns, i, j
+        for off in range(max(j, columns - 1 - j) + 1):
+            if off * off > best:
+                break
+            for column in (j - off, j + off):
+                if 0 <= column < columns and near[i, column] != NO_ROW:
+                    away = off * off + (near[i, column] - i) ** 2
+                    if away < best or (away == best and column < y):
+                        best, x, y = away, near[i, column], column
+        for k, cell in enumerate((x, y)):
+            corner = low[k] + edge * cell
+            positions[m, k] = min(max(positions[m, k], corner + INSIDE), corner + edge - INSIDE)
