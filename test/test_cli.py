@@ -147,9 +147,10 @@ def test_ctrl_c_ends_quietly_whatever_is_going_on(files, capsys, monkeypatch):
 
 @pytest.mark.system
 def test_bench_measures_every_method_and_writes_a_page(files, capsys, monkeypatch):
-    from ocp_ros.evaluation import engine_bench
+    from ocp_ros.evaluation import engine_bench, fused_bench
     monkeypatch.setitem(engine_bench.EXTENTS, 'smoke', engine_bench.Extent((engine_bench.MIDDLE,),
                                                                            1, 1, (2000,)))
+    monkeypatch.setitem(fused_bench.EXTENTS, 'smoke', fused_bench.FusedExtent((2000,), 1, 80, 8))
     code, found = printed(capsys, 'bench', '--out', 'new/bench.json', '--page', 'new/bench.md')
     assert code == 0 and found['rooms'] == found['positions'] == 1
     assert json.loads((files / 'new' / 'bench.json').read_text()).items() <= found.items()
@@ -160,6 +161,16 @@ def test_bench_measures_every_method_and_writes_a_page(files, capsys, monkeypatc
     assert 'Made by `ocp bench --preset smoke`' in text
     for row in found['visibility']:
         assert f'| 40,000 | {row["method"].replace("_", " ")} | {row["precision"]:.3f} |' in text
+    methods = ['fine', 'fast', 'paper', 'mesh']
+    assert [row['method'] for row in found['fused'][:4]] == methods
+    assert found['fused'][4]['method'].startswith('hidden_point_removal ')
+    for row in found['fused']:
+        assert (f'| 2,000 | {row["method"].replace("_", " ")} | {row["precision"]:.3f} | '
+                f'{row["recall"]:.3f} | {row["f1"]:.3f} |') in text
+        assert 0.4 < row['f1'] <= 1.0
+    assert [found['fused_f1'][f'{name}.2000'] for name in methods] == [
+        row['f1'] for row in found['fused'][:4]]
+    assert found['f1']['fast.40000'] == rows['fast']['f1']
     for figure in engine_bench.FIGURES:
         assert f'| `{figure}` | {found[figure]:,.1f} |' in text
 

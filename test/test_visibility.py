@@ -80,8 +80,10 @@ def test_both_projections_agree_with_their_twin(model, seed):
     rng = np.random.default_rng(seed)
     pose = Pose(rng.uniform(-1, 1, 3), rotation_matrix(*rng.uniform(-3, 3, 3)))
     where, work = Projection.empty(len(points)), Workspace.of(64, len(points))
+    settings = PRESETS['fast']._replace(setback=0.0)
     project(points, pose, model.lens, where)
-    project_block(Surfels.of(points, normals, sizes), 0, pose.position, model.max_range, 64, work)
+    project_block(Surfels.of(points, normals, sizes), 0, pose.position, model.max_range, settings,
+                  work)
     distance, elevation, azimuth = twins.project(points, *pose, model)
     measured = np.isfinite(distance)
     assert np.array_equal(np.isfinite(where.distance), measured)

@@ -16,6 +16,8 @@ from ocp_ros.evaluation.engine_bench import (
     MIDDLE,
     RADII,
 )
+from ocp_ros.evaluation.fused_bench import EXTENTS as FUSED_EXTENTS
+from ocp_ros.evaluation.fused_bench import measure_fused, TOLERANCE
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.own_files import note_own
 
@@ -27,6 +29,7 @@ def bench(arguments: argparse.Namespace) -> dict[str, Any]:
     :returns: what was measured, and the files ``written``.
     """
     result = {**measure_engine(EXTENTS[arguments.preset]),
+              **measure_fused(FUSED_EXTENTS[arguments.preset]),
               'command': f'ocp bench --preset {arguments.preset}'}
     write_atomically(arguments.out, json.dumps(result, indent=2) + '\n')
     if arguments.page:
@@ -44,8 +47,13 @@ def show(result: dict[str, Any]) -> None:
         table.add_row(f'{row["density"]:,}', row['method'], f'{row["precision"]:.3f}',
                       f'{row["recall"]:.3f}', f'{row["f1"]:.3f}', f'{row["ms"]:.2f}',
                       f'{row["ns_per_point_camera"]:.1f}')
+    fused = Table('points', 'method', 'precision', 'recall', 'F1',
+                  title='Frames predicted from scans that were fused of other frames')
+    for row in result['fused']:
+        fused.add_row(f'{row["density"]:,}', row['method'],
+                      *(f'{row[name]:.3f}' for name in ('precision', 'recall', 'f1')))
     console = Console(width=110)
-    console.print(table)
+    console.print(table, fused)
     for name in FIGURES:
         console.print(f'{name}: {result[name]:.1f}')
 
@@ -73,6 +81,7 @@ Embree casts one ray per point at the mesh, which the user of a point cloud does
 |---|---|---|---|---|---|---|
 {rows}
 
+{_fused(result)}\
 Speedups are at {MIDDLE:,} points. The rest is for the `fast` preset, 4 cameras and a room of
 {result["points"]:,} points, in two threads: environment steps, placements judged, and
 placements judged of which one camera had moved. The twin is the same rules in plain NumPy.
@@ -88,4 +97,25 @@ takes 8 bytes per point more for each thread that looks at the same time.
 | points | ns per point and camera | bytes per point | seconds to build |
 |---|---|---|---|
 {scales}
+"""
+
+
+def _fused(result: dict[str, Any]) -> str:
+    """Write what was measured on fused scans; nothing where an earlier version measured none."""
+    if 'fused' not in result:
+        return ''
+    fused = '\n'.join(
+        f'| {row["density"]:,} | {row["method"].replace("_", " ")} | {row["precision"]:.3f} | '
+        f'{row["recall"]:.3f} | {row["f1"]:.3f} |' for row in result['fused'])
+    return f"""\
+Scans of depth cameras are noisier. Here a camera in the hand scans {result["fused_rooms"]} of the
+rooms: up to {result["fused_frames"]} frames with the noise of a Kinect are fused, and the surface
+is thinned to at most so many points. From these points {result["fused_views"]} frames of another
+walk are predicted; a point counts if it is in the frame, and is visible if the room's mesh is no
+nearer than {100 * TOLERANCE:.0f} cm before it. `mesh` casts rays at the mesh that was fused.
+
+| points at most | method | precision | recall | F1 |
+|---|---|---|---|---|
+{fused}
+
 """

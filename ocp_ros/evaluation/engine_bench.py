@@ -60,7 +60,7 @@ class Extent(NamedTuple):
     :param scales: points of the rooms for time and memory.
     """
 
-    densities: tuple[int, ...] = (15_000, MIDDLE, 100_000)
+    densities: tuple[int, ...] = (10_000, 15_000, MIDDLE, 100_000)
     rooms: int = 20
     positions: int = 6
     scales: tuple[int, ...] = (40_000, 400_000, 5_000_000)
@@ -145,18 +145,28 @@ def numpy_twin(case: Case) -> np.ndarray:
                 RANGE, PRESETS['fast']).visible()
 
 
+def removal(points: np.ndarray, position: np.ndarray, max_range: float, radius: float
+            ) -> np.ndarray:
+    """
+    Tell which points Open3D's hidden point removal (Katz et al., 2007) keeps.
+
+    :param points: (N, 3), metres.
+    :param position: (3,) of the camera, metres.
+    :param max_range: metres; what is farther is left out beforehand.
+    :param radius: of the sphere that points are flipped at, metres.
+    :returns: (N,) bool.
+    """
+    near = np.flatnonzero(np.linalg.norm(points - position, axis=1) <= max_range)
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points[near].astype(np.float64)))
+    _, kept = cloud.hidden_point_removal(position, radius)
+    seen = np.zeros(len(points), dtype=bool)
+    seen[near[np.asarray(kept)]] = True
+    return seen
+
+
 def hidden_point_removal(radius: float) -> Method:
-    """Return Open3D's hidden point removal (Katz et al., 2007) with one radius, metres."""
-    def look(case: Case) -> np.ndarray:
-        distance = np.linalg.norm(case.scene.points - case.position, axis=1)
-        near = np.flatnonzero(distance <= RANGE)
-        cloud = o3d.geometry.PointCloud(
-            o3d.utility.Vector3dVector(case.scene.points[near].astype(np.float64)))
-        _, kept = cloud.hidden_point_removal(case.position, radius)
-        seen = np.zeros(len(case.scene), dtype=bool)
-        seen[near[np.asarray(kept)]] = True
-        return seen
-    return look
+    """Return hidden point removal with one radius, metres, as a method to measure."""
+    return lambda case: removal(case.scene.points, case.position, RANGE, radius)
 
 
 def embree(case: Case) -> np.ndarray:
@@ -180,6 +190,30 @@ def f1_score(seen: np.ndarray, truth: np.ndarray) -> float:
     return float(2 * (seen & truth).sum() / (seen.sum() + truth.sum()))
 
 
+def confusion(seen: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Count of (N,) bool what is seen rightly, seen wrongly and missed: (3,)."""
+    return np.array([(seen & truth).sum(), (seen & ~truth).sum(), (~seen & truth).sum()], float)
+
+
+def agreement(counts: np.ndarray) -> dict[str, float]:
+    """Return precision, recall and F1 of :func:`confusion`, which may be a sum of several."""
+    right, wrong, missed = counts.tolist()
+    return {'precision': right / (right + wrong), 'recall': right / (right + missed),
+            'f1': 2 * right / (2 * right + wrong + missed)}
+
+
+def best_radius_only(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Keep, of hidden point removal, the row with the best F1, behind those of the others."""
+    removals = [row for row in rows if row['method'].startswith('hidden')]
+    others = [row for row in rows if not row['method'].startswith('hidden')]
+    return [*others, max(removals, key=lambda row: row['f1'])]
+
+
+def by_points(rows: list[dict[str, Any]], figure: str) -> dict[str, float]:
+    """Name a figure of each row ``METHOD.POINTS``, such as ``fine.10000``."""
+    return {f'{row["method"].split()[0]}.{row["density"]}': row[figure] for row in rows}
+
+
 def measure(density: int, rooms: int, positions: int) -> list[dict[str, Any]]:
     """
     Measure every method on the same cases, side by side.
@@ -192,21 +226,13 @@ def measure(density: int, rooms: int, positions: int) -> list[dict[str, Any]]:
     for case in cases(density, rooms, positions):
         size.append(len(case.scene))
         for name, method in METHODS.items():
-            seen = mask_of(method(case))
+            counts[name] += confusion(mask_of(method(case)), case.truth)
             times[name].append(median_seconds(partial(method, case), 0.02))
-            counts[name] += [(seen & case.truth).sum(), (seen & ~case.truth).sum(),
-                             (~seen & case.truth).sum()]
-    rows: list[dict[str, Any]] = []
-    for name, (right, wrong, missed) in counts.items():
-        seconds = float(np.median(times[name]))
-        rows.append({'density': density, 'method': name, 'precision': right / (right + wrong),
-                     'recall': right / (right + missed),
-                     'f1': 2 * right / (2 * right + wrong + missed), 'ms': 1e3 * seconds,
-                     'ns_per_point_camera': 1e9 * seconds / float(np.median(size))})
-    best = max((row for row in rows if row['method'].startswith('hidden')),
-               key=lambda row: row['f1'])
-    others = [row for row in rows if not row['method'].startswith('hidden')]
-    return [*others, best]
+    seconds = {name: float(np.median(taken)) for name, taken in times.items()}
+    return best_radius_only([
+        {'density': density, 'method': name, **agreement(counts[name]), 'ms': 1e3 * seconds[name],
+         'ns_per_point_camera': 1e9 * seconds[name] / float(np.median(size))}
+        for name in METHODS])
 
 
 def speed(points: int = 25000) -> dict[str, float]:
@@ -262,22 +288,19 @@ def scale(points: int) -> dict[str, float]:
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Name the figures that the documentation quotes; densities are keys, as text."""
-    def of(method: str, figure: str) -> dict[str, float]:
-        return {str(row['density']): row[figure] for row in rows
-                if row['method'].startswith(method)}
+    """Name the figures that the documentation quotes."""
+    def of(method: str, figure: str) -> float:
+        return next(row[figure] for row in rows
+                    if row['density'] == MIDDLE and row['method'].startswith(method))
 
-    times = {name: of(name, 'ms') for name in ('fine', 'fast', 'hidden', 'embree', 'numpy')}
-    middle = str(MIDDLE)
     return {
-        'visibility_f1': of('fine', 'f1'), 'visibility_f1_fast': of('fast', 'f1'),
-        'visibility_f1_paper': of('paper', 'f1'), 'hpr_f1': of('hidden', 'f1'),
-        'speedup_vs_hpr': times['hidden'][middle] / times['fast'][middle],
-        'speedup_vs_hpr_fine': times['hidden'][middle] / times['fine'][middle],
-        'speedup_vs_embree_fine': times['embree'][middle] / times['fine'][middle],
-        'numpy_twin_speedup': times['numpy'][middle] / times['fast'][middle],
-        'ns_per_point_camera': of('fast', 'ns_per_point_camera')[middle],
-        'ns_per_point_camera_fine': of('fine', 'ns_per_point_camera')[middle]}
+        'f1': by_points(rows, 'f1'), 'ms': by_points(rows, 'ms'),
+        'speedup_vs_hpr': of('hidden', 'ms') / of('fast', 'ms'),
+        'speedup_vs_hpr_fine': of('hidden', 'ms') / of('fine', 'ms'),
+        'speedup_vs_embree_fine': of('embree', 'ms') / of('fine', 'ms'),
+        'numpy_twin_speedup': of('numpy', 'ms') / of('fast', 'ms'),
+        'ns_per_point_camera': of('fast', 'ns_per_point_camera'),
+        'ns_per_point_camera_fine': of('fine', 'ns_per_point_camera')}
 
 
 def measure_engine(extent: Extent) -> dict[str, Any]:

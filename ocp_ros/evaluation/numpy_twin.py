@@ -54,6 +54,8 @@ class Twin:
         facing = np.copysign(np.maximum(np.abs(facing), LEAST_COSINE), facing)
         self.slope_row = (normals * up).sum(axis=1) / facing
         self.slope_column = (normals * across).sum(axis=1) / facing
+        steps = np.abs(self.slope_row) + np.abs(self.slope_column) * self.flat
+        self.inverse *= 1.0 - self.settings.setback * steps * np.pi / self.rows
         self.size = self.radius * self.inverse * self.rows / np.pi
 
     def _put(self, which: np.ndarray, row: np.ndarray, column: np.ndarray,

@@ -20,7 +20,8 @@ with spaces between, where they all have that value.
 
 A figure that has ``from`` is not measured but follows from a file that a measurement has written:
 ``FILE#POINTER`` (RFC 6901), divided by ``over`` (a number, or another pointer) and less ``minus``;
-with ``below`` it is in how many rooms the first is less than the other.
+with ``below`` it is in how many rooms the first is less than the other. Every entry of the tables
+in :data:`TABLES` is a figure, without anybody recording it.
 """
 
 from collections.abc import Iterator
@@ -44,6 +45,10 @@ COMMENT = re.compile(r'<!--.*?-->')
 BEHIND = re.compile(r'<!--=([^>]*?)-->')
 TABLE = re.compile(r'^<!--columns=(\S*) ([^>]*?)-->\n\n?((?:\|.*\n)+)', re.M)
 ROW = re.compile(r'<!--row=([^>]*?)-->')
+
+#: Tables of ratios in files, by the keys' beginning: an entry ``fine.10000`` of the first makes
+#: ``bench.f1.fine.10000``.
+TABLES = {'bench.f1': 'docs/bench.json#/f1', 'bench.fused_f1': 'docs/bench.json#/fused_f1'}
 
 Value = float | list[float]
 Figures = dict[str, dict[str, Any]]
@@ -113,8 +118,10 @@ def commit(root: Path, path: str | None = None) -> str:
 
 
 def derive(root: Path) -> None:
-    """Read again every figure that follows from a file."""
+    """Read again every figure that follows from a file, those that it has lately included."""
     figures = load(root)
+    for key, address in entries(root).items():
+        figures.setdefault(key, {'unit': '1', 'internal': True, 'from': address})
     for figure in figures.values():
         if 'from' in figure:
             figure |= derived(root, figure)
@@ -122,6 +129,16 @@ def derive(root: Path) -> None:
             # A file that was made of a page later says what commit that page was measured with.
             figure['commit'] = read(root, path).get('commit') or commit(root, path)
     save(root, figures)
+
+
+def entries(root: Path) -> dict[str, str]:
+    """Return the address of each entry of the :data:`TABLES` that there are, by its key."""
+    addresses = {}
+    for prefix, address in TABLES.items():
+        path, _, name = address.partition('#/')
+        for entry in read(root, path).get(name, {}):
+            addresses[f'{prefix}.{entry}'] = f'{address}/{entry}'
+    return addresses
 
 
 def derived(root: Path, figure: dict[str, Any]) -> dict[str, Any]:

@@ -2,8 +2,8 @@
 """Truth for visibility: ray casting of the mesh behind a generated room."""
 
 import numpy as np
-import open3d as o3d
 
+from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Mesh
 
 #: A ray that ends this near to a point has reached it, metres: three times the noise of a scan.
@@ -12,15 +12,13 @@ TOLERANCE = 0.03
 
 class RayCaster:
     """
-    Cast rays at a mesh, with Embree behind Open3D.
+    Cast rays at a mesh, one for each point.
 
     :param mesh: the surfaces.
     """
 
     def __init__(self, mesh: Mesh) -> None:
-        self._scene = o3d.t.geometry.RaycastingScene()
-        self._scene.add_triangles(o3d.core.Tensor(mesh.vertices),
-                                  o3d.core.Tensor(mesh.triangles.astype(np.uint32)))
+        self._rays = MeshRays(mesh)
 
     def visible(self, points: np.ndarray, position: np.ndarray, max_range: float) -> np.ndarray:
         """
@@ -33,10 +31,7 @@ class RayCaster:
         """
         offset = points - np.asarray(position, dtype=np.float32)
         distance = np.linalg.norm(offset, axis=1)
-        rays = np.empty((len(points), 6), dtype=np.float32)
-        rays[:, :3] = position
-        np.divide(offset, distance[:, None], out=rays[:, 3:])
-        hit = self._cast(rays)
+        hit = self._rays.lengths(position, offset / distance[:, None])
         return (hit >= distance - TOLERANCE) & (distance <= max_range)
 
     def distance(self, position: np.ndarray, directions: np.ndarray) -> np.ndarray:
@@ -47,9 +42,4 @@ class RayCaster:
         :param directions: (R, 3) unit vectors.
         :returns: (R,) float32, metres; inf where there is nothing.
         """
-        return self._cast(np.hstack([np.broadcast_to(position, directions.shape), directions]))
-
-    def _cast(self, rays: np.ndarray) -> np.ndarray:
-        """Return the distance to the first hit of rays (R, 6): origin and direction."""
-        rays = np.ascontiguousarray(rays, dtype=np.float32)
-        return self._scene.cast_rays(o3d.core.Tensor(rays))['t_hit'].numpy()
+        return self._rays.lengths(position, directions)

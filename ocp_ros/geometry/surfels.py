@@ -7,6 +7,11 @@ centre. Along a plane, inverse distance is linear in the ray's direction, n.u / 
 and the point d, so within a disc's few cells it is a sum of two steps. A point is then compared
 with the farthest of the four cells around it: a surface seen at a slant, whose cells lie on both
 sides of the point, does not hide itself and needs no compensation for its slope.
+
+Points of a scan lie off their surface, and so do their planes: by the error over the cosine along
+a ray. Of all the discs in a cell the nearest counts, so the more points there are, the farther in
+front of its surface the map lies, most where cells are large and surfaces seen at a slant. There
+a disc is set back, by a share of the depth that its plane passes through in one cell.
 """
 
 import math
@@ -90,6 +95,8 @@ class SurfelSettings(NamedTuple):
     :ivar single: discs of fewer cells than this fill their own cell only.
     :ivar quad: discs of fewer cells than this fill up to the four nearest cells, larger ones the
         cells whose centre they cover.
+    :ivar setback: by how much of the depth that its plane passes through in one cell, along the
+        rows and along the columns, a disc is farther away in the map than it is.
     """
 
     rows: int
@@ -97,6 +104,7 @@ class SurfelSettings(NamedTuple):
     share: float
     single: float
     quad: float
+    setback: float = 0.0
 
 
 class Workspace(NamedTuple):
@@ -107,7 +115,8 @@ class Workspace(NamedTuple):
         cell that repeats the cells across the seam.
     :ivar farthest_of_four: the same shape: the least of each cell and the three to the right and
         above.
-    :ivar inverse: (256,) float32, 1 / distance, 1/m; 0 where the camera's range ends before.
+    :ivar inverse: (256,) float32, 1 / distance of the disc as set back, 1/m; 0 where the camera's
+        range ends before the point.
     :ivar row: (256,) float32, elevation in rows of the map.
     :ivar column: (256,) float32, azimuth in columns of the map.
     :ivar flat: (256,) float32, cosine of the elevation.
@@ -169,7 +178,7 @@ def _block(number, count):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model='numpy')
-def project_block(surfels, number, position, farthest, rows, out):
+def project_block(surfels, number, position, farthest, settings, out):
     """
     Write where the surfels of one block appear from a camera; one loop without branches.
 
@@ -177,9 +186,10 @@ def project_block(surfels, number, position, farthest, rows, out):
     :param number: of the block.
     :param position: (3,) float64, of the camera, metres.
     :param farthest: its range, metres.
-    :param rows: rows of the map.
+    :param settings: :class:`SurfelSettings`.
     :param out: :class:`Workspace`.
     """
+    rows, setback = settings.rows, f32(settings.setback)
     x0, y0, z0 = f32(position[0]), f32(position[1]), f32(position[2])
     per_radian, per_cell, far = f32(rows) / PI, PI / f32(rows), f32(farthest)
     last_row, last_column = f32(rows) - f32(1e-3), f32(2 * rows) - f32(2e-3)
@@ -198,14 +208,16 @@ def project_block(surfels, number, position, farthest, rows, out):
         facing = outward * cos_e + surfels.nz[i] * sin_e
         cell = inverse * per_cell
         steep = (cell if facing >= f32(0.0) else -cell) / max(abs(facing), LEAST_COSINE)
-        out.step_row[j] = (surfels.nz[i] * cos_e - outward * sin_e) * steep
-        out.step_column[j] = (surfels.ny[i] * cos_a - surfels.nx[i] * sin_a) * steep * cos_e
+        step_row = (surfels.nz[i] * cos_e - outward * sin_e) * steep
+        step_column = (surfels.ny[i] * cos_a - surfels.nx[i] * sin_a) * steep * cos_e
+        set_back = inverse - setback * (abs(step_row) + abs(step_column))
         row = min((_arctan2(dz, flat) + HALF_PI) * per_radian, last_row)
         column = min((_arctan2(dy, dx) + PI) * per_radian, last_column)
         out.row[j], out.column[j], out.distance[i] = row, column, distance
         out.around[i] = u32(i32(row + HALF)) * stride + u32(i32(column + HALF))
         out.flat[j] = max(cos_e, f32(1e-4))
-        out.inverse[j] = inverse if (distance >= NEAREST) & (distance <= far) else f32(0.0)
+        out.step_row[j], out.step_column[j] = step_row, step_column
+        out.inverse[j] = set_back if (distance >= NEAREST) & (distance <= far) else f32(0.0)
 
 
 @njit(nogil=True, inline='always', fastmath=FAST)
@@ -295,7 +307,7 @@ def splat_surfels(surfels, blocks, position, farthest, settings, out):
     single, quad = f32(settings.single), f32(settings.quad)
     inverse_map[:] = ONE / f32(farthest)
     for number in blocks:
-        project_block(surfels, number, position, farthest, rows, out)
+        project_block(surfels, number, position, farthest, settings, out)
         start, count = _block(number, surfels.x.shape[0])
         for j in range(count):
             inverse = out.inverse[j]

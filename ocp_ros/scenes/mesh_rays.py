@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rays against a mesh, with Embree behind Open3D."""
+
+import numpy as np
+
+from ocp_ros.scenes.scene import Mesh
+
+
+class MeshRays:
+    """
+    Cast rays at a mesh.
+
+    :param mesh: the surfaces.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        # Open3D takes long to import, and what only reads scenes does without it.
+        import open3d as o3d
+        self._tensor = o3d.core.Tensor
+        self._scene = o3d.t.geometry.RaycastingScene()
+        self._scene.add_triangles(self._tensor(mesh.vertices),
+                                  self._tensor(mesh.triangles.astype(np.uint32)))
+
+    def lengths(self, origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """
+        Measure how far rays go until they hit the mesh.
+
+        :param origin: (3,), metres.
+        :param directions: (..., 3).
+        :returns: (...) float32, in lengths of the directions: metres where those are unit
+            vectors; inf where there is nothing.
+        """
+        rays = np.empty((*directions.shape[:-1], 6), dtype=np.float32)
+        rays[..., :3], rays[..., 3:] = origin, directions
+        return self._scene.cast_rays(self._tensor(rays))['t_hit'].numpy()
