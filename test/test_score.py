@@ -10,7 +10,7 @@ import yaml
 
 from ocp_ros.cli.main import main
 from ocp_ros.cli.score_command import room_named
-from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.geometry.engine_config import EngineConfig, PROMISING
 from ocp_ros.report.findings import improvements
 from ocp_ros.rig.rig_file import load_rig, rig_of
 from ocp_ros.scenes.scene_files import load_scene, save_scene
@@ -58,7 +58,7 @@ def scored(capsys, *arguments):
 def test_json_says_what_the_engine_says(files, capsys):
     found = scored(capsys, 'room.ply', 'placement.yaml', '--rig', 'rig.yaml')
     scene, rig = load_scene('room.ply'), load_rig('rig.yaml')
-    objective = Problem.of(scene, rig).objective
+    objective = Problem.of(scene, rig, SimulationConfig(engine=PROMISING)).objective
     poses = np.array([[1.0, 1.0, 1.9, 45, 25, 0], [1.2, 1.2, 1.9, 100, 80, 0],
                       [7.0, 1.0, 1.9, 135, 25, 0]])
     poses[:, 3:] = np.deg2rad(poses[:, 3:])

@@ -40,7 +40,7 @@ from ocp_ros.util.yaml_files import written
 CURVE = 'curve.png'
 WRITTEN = (*FORMS, 'report.png', 'report.html', CURVE)
 #: Points of a room where the placement does not say.
-POINTS = 25000
+POINTS = 60_000
 #: How a scan is read, as command lines and placement files say it.
 READING = ('scale', 'up', 'drop_nonfinite')
 #: Scores that differ by more than this are not the same.

@@ -165,12 +165,18 @@ class DepthError:
     :param cube_scale: half the side of a point's cube in multiples of its spacing.
     :param places: (V, 3) metres, the viewpoints; the five of the paper unless given. With more of
         them maps are coarser, so that there are as many pixels, and the error is that of five.
+    :param folds: 1 for the error of all points. From 2 on each point belongs to one of so many
+        folds, and the error is the mean over the folds of the error of the room without the
+        points of one of them, in units in which seeing nothing costs what it costs with all
+        points. A placement that owes its error to single points of this scan does not keep it on
+        another scan.
     :ivar trees: for kernels that ask :func:`lost_depth` many times.
-    :ivar pixels: what the sum over all pixels is divided by: those of one map of five.
+    :ivar pixels: what the sum over all pixels is divided by: those of one map of five, times the
+        folds.
     """
 
     def __init__(self, points: np.ndarray, spacing: np.ndarray, bounds: np.ndarray, rows: int,
-                 cube_scale: float, places: np.ndarray | None = None) -> None:
+                 cube_scale: float, places: np.ndarray | None = None, folds: int = 1) -> None:
         self.far = float(np.linalg.norm(bounds[1] - bounds[0]))
         self._count = len(points)
         self.viewpoints = viewpoints(bounds) if places is None else places
@@ -179,24 +185,40 @@ class DepthError:
         self.shape = (rows, 2 * rows)
         self.pixels = rows * 2 * rows * more
         half_sides = (cube_scale * spacing).astype(np.float32)
-        self._maps, grown = [], []
+        fold = np.random.default_rng(0).integers(folds, size=len(points))
+        wanted = [(position, fold != left_out if folds > 1 else None)
+                  for position in self.viewpoints for left_out in range(folds)]
+        maps, grown = [], []
         for trees, depth_map in mapped(
-                lambda position: self._viewpoint(points, half_sides, position), self.viewpoints):
+                lambda one: self._viewpoint(points, half_sides, *one), wanted):
             end = trees.end + np.uint32(sum(len(before.end) for before in grown))
             grown.append(trees._replace(end=end))
-            self._maps.append(depth_map)
+            maps.append(depth_map)
+        # Every point is in all folds but one, so the nearest is in one of any two.
+        self._maps = [np.minimum.reduce(maps[first:first + folds])
+                      for first in range(0, len(maps), folds)]
+        for depth_map in self._maps:
+            depth_map.setflags(write=False)
         self.trees = Trees(*(np.concatenate(field) for field in zip(*grown)))
         #: The error of seeing nothing, metres.
         self.worst = self(no_bits(len(points)))
+        if folds > 1:
+            whole = sum(float((self.far - depth_map).sum(dtype=np.float64))
+                        for depth_map in self._maps) / self.pixels
+            self.pixels *= self.worst / whole
+            self.worst = whole
 
     def _viewpoint(self, points: np.ndarray, half_sides: np.ndarray,
-                   position: np.ndarray) -> tuple[Trees, np.ndarray]:
+                   position: np.ndarray, kept: np.ndarray | None
+                   ) -> tuple[Trees, np.ndarray]:
         """List the candidates of every pixel of one viewpoint, and draw its depth map."""
         rows, columns = self.shape
         projection = Projection.empty(len(points))
         # Far enough that a room's own far corner is never cut off by rounding.
         lens = CameraModel(max_range=2.0 * self.far).lens
         project(points, Pose(position, LEVEL), lens, projection)
+        if kept is not None:
+            projection.distance[~kept] = np.inf
         order = np.argsort(projection.distance, kind='stable')
         order = order[np.isfinite(projection.distance[order])]
         counts = np.zeros(rows * columns, dtype=np.int64)
@@ -212,7 +234,6 @@ class DepthError:
         pixels = pixels[np.lexsort(keys[::-1])]
         depth = np.full(rows * columns, self.far, dtype=np.float32)
         depth[pixels] = depths[starts[pixels]]
-        depth.setflags(write=False)
         trees = Trees(*_grow(pixels, starts, indices, depths, self.far, int(counts.max())))
         return trees, depth.reshape(self.shape)
 

@@ -15,3 +15,10 @@ class EngineConfig:
     error_rows: int = setting(
         128, 'rows of the depth maps of the error; they have twice as many columns', 16, 2048)
     coverage_cell: float = setting(0.25, 'edge of a cell of the coverage grid, metres', 0.02, 5.0)
+    error_folds: int = setting(
+        1, 'folds of the points that the error leaves out one at a time, see DepthError', 1, 16)
+
+
+#: The engine that searches end with and that promises are made by. Maps of the error that are
+#: finer than the points are apart, or that hold all points at once, fit the scan and not the room.
+PROMISING = EngineConfig(preset='fine', error_rows=64, error_folds=4)

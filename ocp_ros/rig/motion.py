@@ -149,3 +149,19 @@ def _disc(middle: np.ndarray, radius: float) -> np.ndarray:
     x, y = (axis.ravel() for axis in np.meshgrid(steps, steps))
     within = np.hypot(x, y) <= radius
     return middle + np.column_stack([x, y, np.zeros_like(x)])[within]
+
+
+def mounted(placement: np.ndarray, off: float, count: int, seed: int) -> np.ndarray:
+    """
+    Mount cameras a little off, in the same ways for every placement.
+
+    :param placement: (K, 3) or (K, 6), metres and radians.
+    :param off: how far each camera is off, seen from above, metres.
+    :param count: how many ways of being off, M.
+    :param seed: of these ways.
+    :returns: (M, K, 3) or (M, K, 6).
+    """
+    angles = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, (count, len(placement)))
+    moved = np.repeat(placement[None], count, axis=0)
+    moved[..., :2] += off * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return moved

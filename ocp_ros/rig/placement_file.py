@@ -17,7 +17,7 @@ import numpy as np
 
 from ocp_ros import __version__
 from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
-from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.geometry.engine_config import EngineConfig, PROMISING
 from ocp_ros.rig.rig_file import (
     Camera,
     cameras_at,
@@ -85,7 +85,7 @@ class Placement:
     cameras: tuple[Placed, ...]
     rig: Rig | None = None
     room: dict[str, Any] = field(default_factory=dict)
-    engine: EngineConfig = EngineConfig()
+    engine: EngineConfig = PROMISING
     scores: dict[str, Any] = field(default_factory=dict)
     created: dict[str, str] = field(default_factory=dict)
     frame: str = FRAME
@@ -187,8 +187,9 @@ def load_placement(path: str | Path, rig: Rig | None = None) -> Placement:
                   for way, camera in zip(moved, rig.cameras)]
         placed += [_rounded(one.camera, one.pose, FIXED) for one in rig.fixed]
     return Placement(tuple(placed), rig, data.get('room', {}),
-                     EngineConfig(**data.get('engine', {})), data.get('scores', {}),
-                     data.get('created', {}), data.get('frame', FRAME), document, tuple(ways))
+                     EngineConfig(**data['engine']) if 'engine' in data else PROMISING,
+                     data.get('scores', {}), data.get('created', {}),
+                     data.get('frame', FRAME), document, tuple(ways))
 
 
 def _placed(document: Document, way: Way, camera: Camera, mount: str) -> Placed:

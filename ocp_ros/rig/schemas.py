@@ -147,6 +147,8 @@ ENGINE = mapping(
             'examples': ['fine']},
     error_rows={'description': 'a whole number from 16 to 2048', 'type': 'integer', 'minimum': 16,
                 'maximum': 2048, 'examples': [128]},
+    error_folds={'description': 'a whole number from 1 to 16', 'type': 'integer', 'minimum': 1,
+                 'maximum': 16, 'examples': [4]},
     coverage_cell=number('metres from 0.02 to 5', 0.25, minimum=0.02, maximum=5))
 PLACEMENT = mapping(
     'a placement with the key cameras',

@@ -91,10 +91,9 @@ class Simulator:
                          'of %g m; going on with %g m', scene.name, *scene.size, wanted, cell)
         self.grid, self.cell_volume = coverage_grid(scene.bounds, cell)
         self.visibility = self._make_visibility()
-        order = self.visibility.order
-        self.depth_error = DepthError(
-            scene.points[order], scene.spacing[order], scene.bounds, config.engine.error_rows,
-            ERROR_CUBE, None if air is None else viewpoints_in(scene, air, self._seen_from))
+        self.depth_error = self._error(
+            config.engine.error_rows,
+            None if air is None else viewpoints_in(scene, air, self._seen_from))
 
     def _make_visibility(self) -> SurfelVisibility | CubeVisibility:
         """Build what the preset asks for."""
@@ -103,6 +102,18 @@ class Simulator:
             return CubeVisibility(scene.points, scene.spacing, self.grid, PRESETS[preset])
         return SurfelVisibility(scene.points, scene.normals_or_estimate, scene.pitch, self.grid,
                                 PRESETS[preset])
+
+    def _error(self, rows: int, places: np.ndarray | None) -> DepthError:
+        """Build the depth error of maps with so many rows."""
+        scene, order = self.scene, self.visibility.order
+        return DepthError(scene.points[order], scene.spacing[order], scene.bounds, rows,
+                          ERROR_CUBE, places, self.config.engine.error_folds)
+
+    def error_at(self, rows: int) -> DepthError:
+        """Return the depth error of maps with so many rows, of the same viewpoints."""
+        if rows == self.config.engine.error_rows:
+            return self.depth_error
+        return self._error(rows, self.depth_error.viewpoints)
 
     def _seen_from(self, position: np.ndarray) -> np.ndarray:
         """Return the packed bits (W,) of all points in sight of a position, however far."""
