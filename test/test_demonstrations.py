@@ -199,9 +199,12 @@ def test_a_cloud_alone_does_not_imitate(small_agent):
         config_of(cloud, rounds=2)
 
 
-def test_an_expert_that_knows_the_room_goes_straight_to_its_placement(room):
-    simulator = Simulator(room, SIMULATION)
-    expert = expert_of('random', simulator, SIMULATION, 40, np.random.default_rng(0))
+@pytest.mark.parametrize('name', ['random', 'exact'])
+def test_an_expert_that_knows_the_room_goes_straight_to_its_placement(room, name):
+    # Who keeps a clearance goes round what is in the way, not straight.
+    settings = replace(SIMULATION, episode=replace(SIMULATION.episode, clearance=0.0))
+    simulator = Simulator(room, settings)
+    expert = expert_of(name, simulator, settings, 40, np.random.default_rng(0))
     assert isinstance(expert, Walk)
     goal = expert._placement
     outcome = play(expert, Episode(PlaneProblem(simulator), np.random.default_rng(3)))
@@ -439,7 +442,7 @@ def test_the_best_place_of_a_toy_room_is_learned(tmp_path):
     np.save(path, occluded())
     simulation = SimulationConfig(
         rig=RigConfig(cameras=1, max_range=6.0),
-        episode=EpisodeConfig(turns=12, start_radius=0.2),
+        episode=EpisodeConfig(turns=12, start_radius=0.2, clearance=0.0),
         engine=EngineConfig(preset='fast', error_rows=32, coverage_cell=0.5))
     agent = AgentConfig(hidden=64)
     config = TrainingConfig(

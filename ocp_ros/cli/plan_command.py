@@ -25,12 +25,13 @@ from ocp_ros.cli.score_command import (
     show_written,
     written_to,
 )
-from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.registry import ONLINE
-from ocp_ros.planners.rig_methods import check_planner
+from ocp_ros.planners.rig_methods import check_planner, EXACT
 from ocp_ros.planners.rig_plan import RigPlan, RigPlanner
 from ocp_ros.report.assessment import Assessment
+from ocp_ros.report.certificate_words import certificate_data
 from ocp_ros.report.count_report import draw_curve, rows_of_curve, show_curve
 from ocp_ros.report.exports import PLACEMENTS
 from ocp_ros.report.findings import verdict
@@ -51,6 +52,8 @@ from ocp_ros.util.shown_text import printable
 #: Cameras where nobody says how many, and seconds of search for each number of cameras where one
 #: is planned and where several are.
 CAMERAS, SECONDS, SECONDS_EACH = 4, 60.0, 15.0
+#: Share of the seconds for proving how good an answer is.
+PROVING = 0.25
 #: Column of the installer's table that the terminal has no room for.
 SENSOR = 'sensor'
 
@@ -69,13 +72,14 @@ def plan(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     rig = rig_asked(arguments)
     scene, room = room_asked(arguments, {})
     folder = folder_to_write(arguments.out)
-    engine, budget = EngineConfig(), budget_of(arguments)
+    budget, proving = budgets_of(arguments)
     with _stopped_by_hand(budget), _progress() as progress:
-        planner = RigPlanner(scene, rig, engine, budget, arguments.seed, progress,
+        planner = RigPlanner(scene, rig, PROMISING, budget, arguments.seed, progress,
                              arguments.planner)
         plans = list(_counted(planner, rig, arguments) if counting else [planner.plan(rig)])
+        plans[-1] = planner.certified(plans[-1], budget.again(proving))
     best = plans[-1]
-    placement = placement_of(best.rig, best.answer.poses, room=room, engine=engine,
+    placement = placement_of(best.rig, best.answer.poses, room=room, engine=PROMISING,
                              created=created_by(command, best.planner))
     with _kept(folder, placement):
         problem = planner.problem(best.rig)
@@ -126,12 +130,14 @@ def rig_asked(arguments: argparse.Namespace) -> Rig:
     return rig if count is None else with_count(rig, count or len(rig.cameras))
 
 
-def budget_of(arguments: argparse.Namespace) -> Budget:
-    """Return how long a search may take."""
+def budgets_of(arguments: argparse.Namespace) -> tuple[Budget, float | None]:
+    """Return how long a search may take, and the seconds for proving how good its answer is."""
     seconds = arguments.seconds
     if seconds is None and arguments.evaluations is None:
         seconds = SECONDS_EACH if arguments.count == 0 else SECONDS
-    return Budget(seconds, arguments.evaluations)
+    if seconds is None or arguments.planner == EXACT:
+        return Budget(seconds, arguments.evaluations), seconds
+    return Budget((1.0 - PROVING) * seconds, arguments.evaluations), PROVING * seconds
 
 
 def _counted(planner: RigPlanner, rig: Rig, arguments: argparse.Namespace) -> Iterator[RigPlan]:
@@ -186,7 +192,8 @@ def _search_of(plan: RigPlan, budget: Budget, seed: int) -> dict[str, Any]:
                        'median': float(np.median(random)) if len(random) else None,
                        'best': float(random.min()) if len(random) else None},
             'everywhere': {'loss': plan.everywhere.loss,
-                           'depth_error': plan.everywhere.depth_error}}
+                           'depth_error': plan.everywhere.depth_error},
+            'certificate': certificate_data(plan)}
 
 
 def show_plan(found: dict[str, Any]) -> None:
@@ -219,8 +226,8 @@ def quality(search: dict[str, Any]) -> Iterator[str]:
     yield (f'no choice among the {search["candidates"]:,} candidates is below {everywhere:.4f}, '
            'the loss with cameras at all of them at once')
     share = everywhere / loss if loss > 0.0 else 1.0
-    yield (f'{percent(min(share, 1.0))} of the loss is out of sight wherever cameras may hang; '
-           'whether the rest is for want of cameras or of time, this search does not tell')
+    yield f'{percent(min(share, 1.0))} of the loss is out of sight wherever cameras may hang'
+    yield search['certificate']['sentence']
 
 
 def _others(losses: Sequence[float]) -> str:

@@ -24,9 +24,13 @@ class Budget:
         self._clock, self._began = clock, clock()
         self._stopped = Event()
 
-    def again(self) -> 'Budget':
-        """Return a budget of the same limits that begins now; who stops one stops the other."""
-        other = Budget(self.seconds, self.evaluations, self._clock)
+    def again(self, seconds: float | None = None) -> 'Budget':
+        """
+        Return a budget of the same limits that begins now; who stops one stops the other.
+
+        :param seconds: the most time to take; as before unless given.
+        """
+        other = Budget(self.seconds if seconds is None else seconds, self.evaluations, self._clock)
         other._stopped = self._stopped
         return other
 

@@ -2,13 +2,14 @@
 """
 Every planner as a method that finds a placement of a rig under all its constraints.
 
-``rig_search`` searches full poses itself; what the others propose is decoded.
+``rig_search`` and ``exact`` choose full poses themselves; what the others propose is decoded.
 """
 
 from collections.abc import Sequence
 
 from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.candidate_pool import Pool, Site
+from ocp_ros.planners.exact import search_exact
 from ocp_ros.planners.registry import DEFAULT, OFFLINE, ONLINE
 from ocp_ros.planners.rig_offline import search_offline
 from ocp_ros.planners.rig_online import play_online
@@ -17,9 +18,9 @@ from ocp_ros.simulation.problem import Problem
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.yaml_files import nearest
 
-#: The planner that is used unless another is named.
-RIG_SEARCH = 'rig_search'
-PLANNERS = (RIG_SEARCH, *OFFLINE, *ONLINE)
+#: The planner that is used unless another is named, and the one that proves its answer.
+RIG_SEARCH, EXACT = 'rig_search', 'exact'
+PLANNERS = (RIG_SEARCH, *OFFLINE, EXACT, *ONLINE)
 
 
 def check_planner(name: str, counting: bool = False) -> None:
@@ -58,7 +59,9 @@ def find(name: str, problem: Problem, pool: Pool, budget: Budget, seed: int,
     """
     if name == RIG_SEARCH:
         return search(problem, pool, budget, seed, start, progress)
-    if name in ONLINE:
+    if name == EXACT:
+        found = search_exact(problem, pool, budget, seed, progress)
+    elif name in ONLINE:
         found = play_online(name, problem, pool, budget, seed, progress, model)
     else:
         found = search_offline(name, problem, pool, budget, seed, progress)

@@ -2,7 +2,7 @@
 """Where to hang the cameras of a rig in a room, how good that is, and how many are needed."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import os
 
 import numpy as np
@@ -10,14 +10,17 @@ import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.candidate_pool import best_addition, Pool, random_sites
+from ocp_ros.planners.candidate_proof import Certificate
+from ocp_ros.planners.exact import certify, not_covered
 from ocp_ros.planners.registry import DEFAULT
 from ocp_ros.planners.rig_methods import check_planner, find, RIG_SEARCH
-from ocp_ros.planners.rig_search import Answer, Progress
+from ocp_ros.planners.rig_search import Answer, Progress, views_of
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.objective import Objective, RigEvaluation
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.settings import ConfigurationError
 
 #: Candidates, the fewest where evaluations are counted, and the share of the time that they get.
@@ -43,6 +46,8 @@ class RigPlan:
     :ivar candidates: how many there were.
     :ivar seconds: how long it took.
     :ivar planner: who found it.
+    :ivar certificate: how much better other placements may be, where that was proved.
+    :ivar uncertain: why it was not, where it was not.
     """
 
     rig: Rig
@@ -54,6 +59,8 @@ class RigPlan:
     candidates: int
     seconds: float
     planner: str
+    certificate: Certificate | None = None
+    uncertain: str = 'no bound was asked for'
 
     @property
     def shares(self) -> dict[str, float]:
@@ -89,14 +96,16 @@ class RigPlanner:
     :param progress: called several times a second.
     :param planner: one of :data:`~ocp_ros.planners.rig_methods.PLANNERS`.
     :param model: weights of planners that have learned: path or name.
+    :param simulator: what engines are made by.
     :raises ConfigurationError: if there is no place for a camera, or too little of a region can
         be seen, or there is no such planner.
     """
 
     def __init__(self, scene: Scene, rig: Rig, engine: EngineConfig, budget: Budget, seed: int = 0,
                  progress: Progress | None = None, planner: str = RIG_SEARCH,
-                 model: str = DEFAULT) -> None:
+                 model: str = DEFAULT, simulator: type[Simulator] = Simulator) -> None:
         check_planner(planner)
+        self._simulator = simulator
         self.planner, self.model = planner, model
         self.scene, self.engine, self.budget, self.seed = scene, engine, budget, seed
         self._progress, self._problems = progress, {}
@@ -112,7 +121,7 @@ class RigPlanner:
         if rig not in self._problems:
             # The last one alone is kept: an engine holds some ten megabytes.
             config = SimulationConfig(engine=self.engine)
-            self._problems = {rig: Problem.of(self.scene, rig, config)}
+            self._problems = {rig: Problem.of(self.scene, rig, config, self._simulator)}
         return self._problems[rig]
 
     def _looked(self) -> bool:
@@ -143,6 +152,11 @@ class RigPlanner:
         start = () if before is None else self._and_one_more(objective, before)
         answer = find(self.planner, problem, self.pool, self.budget, self.seed, start,
                       self._progress, self.model)
+        return self._compared(rig, answer)
+
+    def _compared(self, rig: Rig, answer: Answer) -> RigPlan:
+        """Return what an answer is worth and what it compares with."""
+        objective = self.problem(rig).objective
         self.pool.add(rig, answer.sites)
         rng = np.random.default_rng([self.seed, RANDOM])
         drawn = [random_sites(rig, self.pool, rng) for _ in range(RANDOM)]
@@ -150,7 +164,31 @@ class RigPlanner:
             rig, answer, objective.evaluate(answer.poses),
             objective.judge(self.pool.everywhere(rig)), objective.simulator.depth_error.worst,
             np.array([objective.loss([site.view for site in sites]) for sites in drawn if sites]),
-            len(self.pool), self.budget.elapsed, self.planner)
+            len(self.pool), self.budget.elapsed, self.planner, answer.certificate)
+
+    def certified(self, plan: RigPlan, budget: Budget) -> RigPlan:
+        """
+        Prove how much better than a plan others may be, where that is not known yet.
+
+        :param budget: of the proof.
+        :returns: the plan with a certificate, or with the reason why there is none; of a better
+            placement if one was found on the way.
+        """
+        problem = self.problem(plan.rig)
+        if plan.certificate is not None:
+            return plan
+        if (reason := not_covered(problem.objective)) is not None:
+            return replace(plan, uncertain=reason)
+        certificate, sites = certify(problem, self.pool, plan.answer.sites, budget, self.seed)
+        seconds = plan.seconds + budget.elapsed
+        if not np.array_equal([site.pose for site in sites], plan.answer.poses):
+            loss = problem.objective.loss(views_of(sites))
+            losses = (loss, *sorted(plan.answer.losses)[1:])
+            plan = self._compared(plan.rig, replace(plan.answer, sites=sites, loss=loss,
+                                                    losses=losses))
+        if certificate.nodes == 0 and not certificate.proved:
+            return replace(plan, seconds=seconds, uncertain='there was no time to prove one')
+        return replace(plan, certificate=certificate, seconds=seconds)
 
     def _and_one_more(self, objective: Objective, before: Answer) -> tuple:
         """Return a placement with one more camera, the best addition; () where it has no room."""

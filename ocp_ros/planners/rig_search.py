@@ -25,6 +25,8 @@ from ocp_ros.planners.candidate_pool import (
     quick_of,
     Site,
 )
+from ocp_ros.planners.candidate_proof import Certificate
+from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import as_written
 from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import Problem
@@ -63,12 +65,14 @@ class Answer:
     :ivar loss: what it is worth; less is better.
     :ivar losses: what the answer of each search is worth.
     :ivar evaluations: how many placements were judged, or refused for where a camera hung.
+    :ivar certificate: how much better others may be, where that was proved on the way.
     """
 
     sites: tuple[Site, ...]
     loss: float
     losses: tuple[float, ...]
     evaluations: int
+    certificate: Certificate | None = None
 
     @property
     def poses(self) -> np.ndarray:
@@ -113,8 +117,19 @@ class Search:
                 views_of(chosen)):
             # What larger depth maps say counts.
             chosen = first
-        return annealed(chosen, self.judge, self._moved,
-                        self._temperatures(loss * WARM, loss * COOL, EXCHANGING, 1.0), self.rng)
+        return self.descend(chosen, loss, EXCHANGING)
+
+    def descend(self, sites: tuple[Site, ...], loss: float, begin: float, end: float = 1.0
+                ) -> tuple[Site, ...]:
+        """
+        Move and turn the cameras of a placement by ever smaller steps.
+
+        :param loss: that temperatures are shares of.
+        :param begin: the share of the budget from which on steps become smaller.
+        :param end: the share at which it ends.
+        """
+        return annealed(sites, self.judge, self._moved,
+                        self._temperatures(loss * WARM, loss * COOL, begin, end), self.rng)
 
     def fill(self) -> tuple[Site, ...]:
         """Hang one camera after the other where it helps most, each among some candidates."""
@@ -180,7 +195,8 @@ class Search:
         camera = int(self.rng.integers(len(sites)))
         others = (*sites[:camera], *sites[camera + 1:])
         model = self.rig.cameras[camera].model
-        poses = self._around(sites[camera].pose, model)
+        far, turn = between(FAR, NEAR, self.share)
+        poses = poses_around(self.region, sites[camera].pose, model, far, turn, DRAWN, self.rng)
         good = self.region.allowed(poses, model) & clear(poses, others, self.rig.spacing)
         if not good.any():
             return None
@@ -188,16 +204,24 @@ class Search:
         site = Site(pose, self.objective.simulator.look(pose, camera))
         return (*sites[:camera], site, *sites[camera + 1:])
 
-    def _around(self, pose: np.ndarray, model: CameraModel) -> np.ndarray:
-        """Draw poses on the mount near one, allowed or not, as files will have them."""
-        far, turn = between(FAR, NEAR, self.share)
-        poses = np.repeat(pose[None], DRAWN, axis=0)
-        poses[:, :3] += self.rng.normal(0.0, far, (DRAWN, 3))
-        poses[:, :3] = self.region.onto_mount(poses[:, :3])
-        if not model.omnidirectional:
-            poses[:, 3:5] += self.rng.normal(0.0, turn, (DRAWN, 2))
-            poses[:, 4] = np.clip(poses[:, 4], *self.rig.pitch)
-        return as_written(poses)
+
+def poses_around(region: FeasibleRegion, pose: np.ndarray, model: CameraModel, far: float,
+                 turn: float, count: int, rng: np.random.Generator) -> np.ndarray:
+    """
+    Draw poses on the mount near one, allowed or not, as files will have them.
+
+    :param pose: (6,) metres, map frame, and radians.
+    :param far: standard deviation of the place along each axis, metres.
+    :param turn: that of yaw and pitch, radians, where the camera does not see all around.
+    :returns: (count, 6).
+    """
+    poses = np.repeat(pose[None], count, axis=0)
+    poses[:, :3] += rng.normal(0.0, far, (count, 3))
+    poses[:, :3] = region.onto_mount(poses[:, :3])
+    if not model.omnidirectional:
+        poses[:, 3:5] += rng.normal(0.0, turn, (count, 2))
+        poses[:, 4] = np.clip(poses[:, 4], *region.rig.pitch)
+    return as_written(poses)
 
 
 def search(problem: Problem, pool: Pool, budget: Budget, seed: int, start: Sequence[Site] = (),

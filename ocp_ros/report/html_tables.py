@@ -20,6 +20,8 @@ def tables_of(judged: Assessment) -> Iterator[str]:
         yield '<p class="bad">Check first:</p><ul>' + ''.join(
             f'<li>{escape(line)}</li>' for line in figures.doubts) + '</ul>'
     yield _table(('', '', ''), figures.cards)
+    if 'search' in found:
+        yield f'<p>{escape(found["search"]["certificate"]["sentence"])}</p>'
     yield '<h2>How to hang up the cameras</h2>'
     rows = [(str(number), f'{_named(words)}: {words.place}; {words.height}; '
              f'{words.pan}; {words.tilt}', words.coordinates, f'{added["depth_error"]:.3f} m',

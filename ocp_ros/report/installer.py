@@ -51,4 +51,6 @@ def instructions(judged: Assessment, plan: str) -> str:
     if 'planner' in placement.created:
         planner = in_markdown(placement.created['planner'])
         lines += ['', f'The placement was found by the planner {planner}.']
+    if 'search' in judged.found:
+        lines += ['', in_markdown(judged.found['search']['certificate']['sentence'])]
     return '\n'.join([*lines, ''])

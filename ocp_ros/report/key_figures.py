@@ -73,6 +73,10 @@ def _cards(judged: Assessment, scores: dict) -> list[tuple[str, str, str]]:
         worst = min(scores['regions'], key=lambda region: region['seen'] - region['must_see'])
         cards.append(('regions', f'{met} of {len(scores["regions"])} met',
                       f'{worst["name"]}: {percent(worst["seen"])} seen'))
+    known = judged.found.get('search', {}).get('certificate')
+    if known and known['gap'] is not None:
+        cards.append(('others are better by', f'{percent(known["gap"])} at most',
+                      f'on {known["candidates"]:,} candidates'))
     more = judged.found.get('one_more')
     if more:
         x, y, z = more['position']

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ocp_ros.geometry.coverage import space_coverage
-from ocp_ros.geometry.packed_bits import count_bits, no_bits, pack, seen_by, Subset
+from ocp_ros.geometry.packed_bits import count_bits, no_bits, pack, seen_by, Subset, unpack
 from ocp_ros.rig.rig_file import Region, Rig
 from ocp_ros.rig.structure import floor_height
 from ocp_ros.simulation.simulator import Simulator, View
@@ -81,6 +81,14 @@ class Objective:
                 f'{region.where}: found no points of {scene.name} in it; expected some, within '
                 f'({low}) to ({high}); correct its corners, or weigh what the scan shows')
         return pack(inside[self._order])
+
+    @property
+    def costs(self) -> np.ndarray:
+        """Return what each point that is not seen costs by the regions it is in: (N,) loss."""
+        points, costs = len(self.simulator.scene), np.zeros(len(self.simulator.scene))
+        for bits, weight, size in zip(self._regions, self._weights, self._sizes):
+            costs[unpack(bits, points)] += weight / size
+        return costs
 
     def look(self, poses: np.ndarray) -> list[View]:
         """

@@ -18,15 +18,17 @@ from stable_baselines3 import SAC
 import torch
 
 from ocp_ros.agent.move_effects import CHOICES, greedy
+from ocp_ros.planners.exact import exact_plane
 from ocp_ros.planners.online_planner import Online, shared_out
 from ocp_ros.planners.registry import OFFLINE, ONLINE, settings_of
+from ocp_ros.planners.rig_methods import EXACT
 from ocp_ros.planners.rollout import state_of
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
-from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.problem import plane_of
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.training.augmentation import random_symmetries, turn, turn_observation
@@ -87,21 +89,22 @@ class Walk(Online):
 
 
 def expert_of(name: str, simulator: Simulator, config: SimulationConfig, budget: int,
-              rng: np.random.Generator) -> Online:
+              rng: np.random.Generator, seconds: float = 10.0) -> Online:
     """
     Return who says what to do in a room.
 
-    :param name: of a planner, offline or online.
+    :param name: of a planner, offline or online, or ``exact``.
     :param simulator: the engine for the room.
     :param config: the episode's rig.
     :param budget: evaluations of an offline planner.
     :param rng: the only source of chance.
+    :param seconds: the most time that ``exact`` takes.
     """
     if name in ONLINE:
         return ONLINE[name](config, rng)
-    space = FreePlane.of(simulator.scene.points, simulator.height, config.rig.cameras,
-                         config.episode.wall_margin)
-    found = solve(OFFLINE[name](space, rng, budget), Scorer(simulator), budget)
+    space = plane_of(simulator, config.episode, config.rig.cameras)
+    found = exact_plane(simulator, space, budget, seconds) if name == EXACT else solve(
+        OFFLINE[name](space, rng, budget), Scorer(simulator), budget)
     return Walk(found.placement[:, :2], *settings_of(config, rng))
 
 
@@ -172,7 +175,8 @@ class Expert:
         self._config, self._turn, self._moves = config, -1, np.empty((0, 2))
         self._greedy = settings.expert == 'greedy_step'
         if not self._greedy:
-            self._planner = expert_of(settings.expert, simulator, config, settings.budget, rng)
+            self._planner = expert_of(settings.expert, simulator, config, settings.budget, rng,
+                                      settings.seconds)
             self._planner.reset()
 
     def answer(self, episode: Episode, camera: int, observation: dict[str, np.ndarray]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.move_effects import LONGEST
 from ocp_ros.planners.registry import OFFLINE, ONLINE
+from ocp_ros.planners.rig_methods import EXACT
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.simulation.problem import settings_for
 from ocp_ros.simulation.simulation_config import SimulationConfig
@@ -92,8 +93,10 @@ class DemonstrationsConfig:
 
     rounds: int = setting(0, 'rounds of episodes, each followed by a fit; 0 for none', 0, 100000)
     episodes: int = setting(32, 'episodes of a round', 1, 100000)
-    expert: str = setting('greedy_step', 'planner to imitate, online or offline')
-    budget: int = setting(1000, 'evaluations of an offline expert', 1, 1000000)
+    expert: str = setting('greedy_step', 'planner to imitate: online, offline or exact')
+    budget: int = setting(
+        1000, 'evaluations of an offline expert; candidates of exact', 1, 1000000)
+    seconds: float = setting(10.0, 'most time that exact takes in a room', 0.1, 3600.0)
     alone: int = setting(1, 'first rounds in which the expert alone moves the cameras', 1, 1000)
     expert_moves: float = setting(0.3, 'chance that a camera does what the expert says', 0.0, 1.0)
     fading: float = setting(0.8, 'factor of this chance from round to round', 0.0, 1.0)
@@ -106,7 +109,7 @@ class DemonstrationsConfig:
 
     def __post_init__(self) -> None:
         """Refuse experts that do not exist."""
-        check_known([self.expert], {**OFFLINE, **ONLINE}, 'demonstrations.expert')
+        check_known([self.expert], (*OFFLINE, *ONLINE, EXACT), 'demonstrations.expert')
 
 
 @dataclass(frozen=True)
@@ -167,7 +170,7 @@ class TrainingConfig:
         object.__setattr__(self, 'fewest_cameras', len(rig.cameras))
         rig.check_rotations(self.rooms.angles,
                             f'rooms.rotations: found {self.rooms.rotations!r}', "'0'")
-        if self.demonstrations.rounds and self.demonstrations.expert in OFFLINE:
+        if self.demonstrations.rounds and self.demonstrations.expert not in ONLINE:
             raise ConfigurationError(
                 f'demonstrations.expert: found {self.demonstrations.expert!r} with a rig file; '
                 f'expected one of {", ".join(ONLINE)}: the others place cameras on a plane')

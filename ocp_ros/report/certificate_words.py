@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much better than a plan other placements may be, in words and as plain data."""
+
+from dataclasses import asdict
+from math import ceil
+from typing import Any
+
+from ocp_ros.planners.rig_plan import RigPlan
+
+
+def certificate_data(plan: RigPlan) -> dict[str, Any]:
+    """
+    Return the certificate of a plan as plain data.
+
+    :returns: ``sentence``, and what it is made of; ``gap`` is None where nothing was proved.
+    """
+    if plan.certificate is None:
+        return {'sentence': f'How much better other placements may be is not known: '
+                            f'{plan.uncertain}.', 'gap': None}
+    return {'sentence': sentence_of(plan), 'gap': plan.certificate.gap,
+            **asdict(plan.certificate)}
+
+
+def sentence_of(plan: RigPlan) -> str:
+    """Say what a certificate proves."""
+    known = plan.certificate
+    # Rounded up, so that it stays true.
+    tenths = ceil(1000.0 * known.gap - 0.01)
+    more = f' by more than {tenths / 10:.1f} %' if tenths > 0 else ''
+    without = ', without what regions must see' if any(
+        region.must_see for region in plan.rig.regions) else ''
+    return (f'No placement on these {known.candidates:,} candidates is better{more} (by depth '
+            f'maps of {known.rows} rows{without}).')
