@@ -19,7 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from ocp_ros.cli.common import inputs_of
-from ocp_ros.evaluation.benchmark_rooms import POINTS, rooms_in, rooms_of_s3dis
+from ocp_ros.evaluation.benchmark_rooms import rooms_in, rooms_of_s3dis
 from ocp_ros.evaluation.protocol import PRESETS, Protocol
 from ocp_ros.evaluation.summary import summarise
 from ocp_ros.evaluation.task_runner import run
@@ -36,7 +36,6 @@ from ocp_ros.report.benchmark_report import (
 from ocp_ros.report.comparison_page import write_page
 from ocp_ros.report.drawing.placement_picture import draw_examples, Example
 from ocp_ros.rig.rig_file import load_rig
-from ocp_ros.scenes.scene_source import make_room
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.files import folder_to_write, write_atomically
 from ocp_ros.util.own_files import check_own, note_own, remove_own
@@ -105,7 +104,8 @@ def compare(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
         'command': command, 'date': timestamp(),
         'versions': {'python': platform.python_version(),
                      **{name: version(name) for name in PACKAGES}},
-        'rotations': len(protocol.rotations), **_cameras(protocol), **summarise(rows)}
+        'rotations': len(protocol.rotations), 'points': protocol.points,
+        'judged_points': protocol.judged_points, **_cameras(protocol), **summarise(rows)}
     _write(arguments.out, rows, summary)
     note_own(results)
     if arguments.report:
@@ -156,8 +156,7 @@ def _shown(protocol: Protocol, rows: Rows) -> Shown:
                 rival = best.setdefault(row['planner'], row)
                 if row['depth_error'] < rival['depth_error']:
                     best[row['planner']] = row
-        simulator = Simulator(make_room(room, rotation, POINTS, protocol.scale, protocol.up),
-                              protocol.simulation)
+        simulator = protocol.room(room, rotation).fine
         name = simulator.scene.name
         # Scans of several folders may have one name.
         name = f'{name} ({len(found) + 1})' if name in found else name
@@ -207,11 +206,11 @@ def _write(folder: Path, rows: Rows, summary: dict[str, Any]) -> None:
 def show(summary: dict[str, Any]) -> None:
     """Print the sums, ratios and times of the largest budget and of online planners."""
     budget = budgets_of(summary)[-1]
-    table = Table('planner', 'sum (m)', 'ratio to best known', 'gap closed', 'wins', 'seconds',
+    table = Table('planner', 'delivered (m)', 'promised (m)', 'regret', 'wins', 'seconds',
                   title=f'{len(summary["rooms"])} rooms, {budget_named(budget)}')
     for name, run_ in sorted(last_runs(summary).items(), key=lambda item: item[1]['sum']):
-        table.add_row(name, f'{run_["sum"]:.2f}', shown(run_['ratio_to_best_known'], 2),
-                      shown(run_['gap_closed'], 4), str(run_['wins']), f'{run_["seconds"]:.2f}')
+        table.add_row(name, f'{run_["sum"]:.2f}', f'{run_["promised"]:.2f}',
+                      shown(run_['regret'], 2), str(run_['wins']), f'{run_["seconds"]:.2f}')
     console = Console(width=100)
     console.print(table)
     for note in summary['notes']:

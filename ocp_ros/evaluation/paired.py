@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from ocp_ros.evaluation.protocol import CONTROL
+from ocp_ros.evaluation.protocol import YARDSTICKS
 from ocp_ros.evaluation.summary import per_room
 
 Rows = list[dict[str, Any]]
@@ -32,7 +32,7 @@ def pairs(rows: Rows, first: str) -> dict[str, dict[str, Any]]:
         meaning.
     """
     runs = list(dict.fromkeys((row['planner'], row['budget']) for row in rows
-                              if row['planner'] != CONTROL))
+                              if row['planner'] not in YARDSTICKS))
     errors = {run: per_room(rows, *run, 'depth_error') for run in runs}
     (base,) = [run for run in runs if run[0] == first][-1:]
     rooms = list(errors[base])

@@ -4,49 +4,62 @@ One protocol for all planners: the same rooms, budgets and seeds, and one judge.
 
 Seconds are those of a processor's time, so that other work on the machine does not count.
 
-While it searches, a planner is scored by the engine's ``fast`` preset. What counts is the depth
-error of its final placement alone, judged anew with ``fine`` and depth maps of 128 x 256 pixels,
-as the mean over cameras mounted 2 cm off: nobody mounts a camera to the millimetre, and a
-placement that exploits the cells of a map loses what it gained.
+A planner searches by the engine. What counts is what its final placement alone delivers:
+:mod:`ocp_ros.evaluation.judging` tells, by ray casting where there is a mesh. Beside it stands
+what the engine promised.
 """
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
 import time
 from typing import Any
 
 import numpy as np
 
-from ocp_ros.evaluation.benchmark_rooms import POINTS, ROTATIONS, space_of, TEST_ROOMS
-from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.evaluation.benchmark_rooms import ROTATIONS, space_of, TEST_ROOMS
+from ocp_ros.evaluation.judging import (
+    engine_of,
+    Judge,
+    JUDGED_POINTS,
+    judged_room,
+    JudgedRoom,
+    POINTS,
+)
+from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.candidate_pool import Pool, random_sites
+from ocp_ros.planners.exact import exact_plane
+from ocp_ros.planners.finishing import search_and_finish
+from ocp_ros.planners.greedy import GreedySwap
 from ocp_ros.planners.registry import OFFLINE, ONLINE
-from ocp_ros.planners.rig_methods import PLANNERS
+from ocp_ros.planners.rig_methods import PLANNERS, RIG_SEARCH
 from ocp_ros.planners.rig_plan import RigPlanner
 from ocp_ros.planners.rollout import play
 from ocp_ros.planners.scorer import Scorer
-from ocp_ros.planners.solve import solve
-from ocp_ros.rig.rig_file import load_rig, Rig
-from ocp_ros.scenes.scene import Scene
+from ocp_ros.planners.solve import Result, solve
+from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.scene_files import UP_AXES
-from ocp_ros.scenes.scene_source import make_room
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem, Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.settings import ConfigurationError
 
-#: Metres that cameras are mounted off; the first is what counts.
-MOUNTING = (0.02, 0.05, 0.10)
-#: How many ways of being off are averaged.
-MOUNTINGS = 8
 #: The control: placements drawn at random, this many of them, without any choice.
-CONTROL, CONTROLS = 'random_placement', 32
+CONTROL, CONTROLS = 'random_placement', 16
+#: The best known: searches that see the truth. With a rig file, whose candidates all have to be
+#: looked from, there is one with this share of the evaluations.
+TRUTH, RIG_SHARE = 'truth_search', 0.2
+#: The placement that is proved best on a grid, and then improved near it.
+PROVED = 'exact_plane'
+#: What no planner is: its rows are for comparison.
+YARDSTICKS = (CONTROL, TRUTH, PROVED)
+#: One run of a planner.
+Row = dict[str, Any]
 #: What stands for a budget of evaluations where there are turns instead.
 TURNS = 0
 #: Places on the plane that together see whatever can be seen from it.
-POOL = 1500
+POOL = 400
 
 
 @dataclass(frozen=True)
@@ -62,8 +75,14 @@ class Protocol:
     :ivar scale: metres per unit of the scans.
     :ivar up: the axis of the scans that points up.
     :ivar simulation: the rig, or a rig file, for which each planner plans under all its
-        constraints; its engine is the judge's.
+        constraints; its engine is the one that ends searches and makes promises.
     :ivar model: weights of planners that have learned: path or name.
+    :ivar points: of a room, as searches see it.
+    :ivar judged_points: of the scan that judges.
+    :ivar truths: searches with the truth, of which the best is the best known.
+    :ivar truth_budget: their evaluations.
+    :ivar candidates: on which a placement on a plane is proved best.
+    :ivar proving: seconds that the proof may take.
     """
 
     rooms: tuple[str, ...] = tuple(str(seed) for seed in TEST_ROOMS)
@@ -73,8 +92,14 @@ class Protocol:
     seeds: int = 3
     scale: float = 1.0
     up: str = 'z'
-    simulation: SimulationConfig = SimulationConfig(engine=EngineConfig(preset='fine'))
+    simulation: SimulationConfig = SimulationConfig(engine=PROMISING)
     model: str = 'default'
+    points: int = POINTS
+    judged_points: int = JUDGED_POINTS
+    truths: int = 3
+    truth_budget: int = 3000
+    candidates: int = 400
+    proving: float = 60.0
 
     def __post_init__(self) -> None:
         """Refuse what cannot be compared."""
@@ -104,10 +129,27 @@ class Protocol:
                 f'{self.seeds} seeds; expected at least one of each, all above 0')
 
     @property
+    def true_runs(self) -> list[tuple[int, int]]:
+        """Return the evaluations and the seed of each search with the truth."""
+        if self.simulation.rig_file:
+            return [(max(int(RIG_SHARE * self.truth_budget), 1), 0)]
+        return [(self.truth_budget, seed) for seed in range(self.truths)]
+
+    def room(self, name: str, rotation: float) -> JudgedRoom:
+        """Return a room as searches see it, and as the judge does."""
+        return judged_room(name, rotation, self.simulation, self.points, self.judged_points,
+                           self.scale, self.up)
+
+    @property
+    def yardsticks(self) -> tuple[str, ...]:
+        """Return what planners are compared with; for rig files, ``exact`` is a planner."""
+        return (CONTROL, TRUTH) if self.simulation.rig_file else YARDSTICKS
+
+    @property
     def tasks(self) -> list['BenchmarkTask']:
         """Return what can be done independently of each other: a room, turned, and a planner."""
         return [BenchmarkTask(room, rotation, planner) for room in self.rooms
-                for rotation in self.rotations for planner in (CONTROL, *self.planners)]
+                for rotation in self.rotations for planner in (*self.yardsticks, *self.planners)]
 
 
 @dataclass(frozen=True)
@@ -126,184 +168,158 @@ PRESETS = {
 }
 
 
-class Judge:
-    """
-    Score final placements.
-
-    :param simulator: the engine at its best.
-    """
-
-    def __init__(self, simulator: Simulator) -> None:
-        self.simulator = simulator
-        self._space = space_of(simulator)
-
-    def __call__(self, placement: np.ndarray) -> dict[str, float]:
-        """
-        Judge one placement.
-
-        :param placement: (K, 3) metres.
-        :returns: ``exact``, and for each of ``MOUNTING`` the mean depth error of cameras mounted
-            so far off, in metres; and the space coverage, in cubic metres.
-        """
-        return judged_off(placement, self._space.inside, self._evaluate)
-
-    def _evaluate(self, placement: np.ndarray) -> tuple[float, float]:
-        """Return depth error and space coverage."""
-        result = self.simulator.evaluate(placement)
-        return result.depth_error, result.space_coverage
-
-
-class RigJudge:
-    """
-    Score final placements of a rig file by its objective.
-
-    ``depth_error`` is objective x depth error of seeing nothing, metres: where the rig asks for
-    nothing more, the depth error.
-
-    :param problem: the rig in the room; its engine is at its best.
-    """
-
-    def __init__(self, problem: Problem) -> None:
-        self.problem = problem
-
-    def __call__(self, placement: np.ndarray) -> dict[str, float]:
-        """Judge one placement (K, 6), metres and radians; see :meth:`Judge.__call__`."""
-        # Who hangs a camera a little off hangs it on its mount all the same.
-        return judged_off(placement, lambda positions: positions, self._evaluate)
-
-    def _evaluate(self, placement: np.ndarray) -> tuple[float, float]:
-        """Return the objective in metres, and space coverage."""
-        result = self.problem.objective.evaluate(placement)
-        return self.problem.error(result), result.space_coverage
-
-
-def judged_off(placement: np.ndarray, inside: Callable[[np.ndarray], np.ndarray],
-               evaluate: Callable[[np.ndarray], tuple[float, float]]) -> dict[str, float]:
-    """Judge a placement as it is, and mounted a little off; see :meth:`Judge.__call__`."""
-    error, coverage = evaluate(placement)
-    judged = {'exact': error, 'space_coverage': coverage}
-    for off in MOUNTING:
-        judged[f'off_{100 * off:.0f}_cm'] = float(np.mean(
-            [evaluate(moved)[0] for moved in mounted(placement, off, inside)]))
-    judged['depth_error'] = judged[f'off_{100 * MOUNTING[0]:.0f}_cm']
-    return judged
-
-
-def mounted(placement: np.ndarray, off: float, inside: Callable[[np.ndarray], np.ndarray]
-            ) -> np.ndarray:
-    """
-    Mount cameras a little off, in the same ways for every placement.
-
-    :param placement: (K, 3) or (K, 6), metres and radians.
-    :param off: how far each camera is off on the plane, metres.
-    :param inside: moves positions (..., 2) to where cameras may be.
-    :returns: (8, K, 3) or (8, K, 6).
-    """
-    angles = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, (MOUNTINGS, len(placement)))
-    moved = np.repeat(placement[None], MOUNTINGS, axis=0)
-    moved[..., :2] += off * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    moved[..., :2] = inside(moved[..., :2])
-    return moved
-
-
 def run_task(protocol: Protocol, task: BenchmarkTask) -> list[dict[str, Any]]:
     """
     Run a planner in a room with every budget and seed.
 
     :returns: one row for each run: what was run, ``Judge``'s figures, evaluations, seconds, the
-        placement and the trace of the search.
+        placement, ``promised``, metres, and the trace of the search.
     """
-    scene = make_room(task.room, task.rotation, POINTS, protocol.scale, protocol.up)
-    if protocol.simulation.rig_file:
-        return _rig(protocol, scene, load_rig(protocol.simulation.rig_file), task)
-    judge = Judge(Simulator(scene, protocol.simulation))
+    room = protocol.room(task.room, task.rotation)
+    runs = _rig_runs if protocol.simulation.rig_file else _plane_runs
+    return [{**asdict(task), **row, 'placement': row['placement'].tolist()}
+            for row in runs(protocol, room, task)]
+
+
+def _plane_runs(protocol: Protocol, room: JudgedRoom, task: BenchmarkTask) -> Iterator[Row]:
+    """Yield the runs of a planner of cameras on a plane; see :func:`run_task`."""
+    judge, fine = Judge(room.evaluate), room.fine
     if task.planner == CONTROL:
-        return _control(judge, task)
-    if task.planner in ONLINE:
-        return _online(protocol, judge, task)
-    engine = replace(protocol.simulation.engine, preset='fast')
-    simulator = Simulator(scene, replace(protocol.simulation, engine=engine))
-    space, rows = space_of(simulator), []
+        runs = _random_placements(room)
+    elif task.planner == TRUTH:
+        runs = _true_searches(protocol, room)
+    elif task.planner == PROVED:
+        runs = _proofs(protocol, fine)
+    elif task.planner in ONLINE:
+        runs = _episodes(protocol, fine, task.planner)
+    else:
+        runs = _searches(protocol, room, task.planner)
+    for row in runs:
+        placement = row['placement']
+        yield {**row, **judge(placement), 'promised': fine.evaluate(placement).depth_error}
+
+
+def _searches(protocol: Protocol, room: JudgedRoom, name: str) -> Iterator[Row]:
+    """Search a scan with every budget and seed."""
+    fine, space = room.fine, space_of(room.fine)
     # Kernels are read from disk before the clock runs.
-    Scorer(simulator)([space.placement(space.random(np.random.default_rng(0)))])
+    Scorer(fine)([space.placement(space.random(np.random.default_rng(0)))])
     for budget in protocol.budgets:
         for seed in range(protocol.seeds):
-            planner = OFFLINE[task.planner](space, np.random.default_rng([seed, budget]), budget)
-            result = solve(planner, Scorer(simulator), budget, clock=time.process_time)
-            rows.append({**asdict(task), 'budget': budget, 'seed': seed,
-                         **judge(result.placement), 'searched': result.depth_error,
-                         'evaluations': result.evaluations, 'seconds': result.seconds,
-                         'placement': result.placement.tolist(), 'trace': result.trace.tolist()})
-    return rows
+            planner = OFFLINE[name](space, np.random.default_rng([seed, budget]), budget)
+            yield {'budget': budget, 'seed': seed, **_found(search_and_finish(
+                planner, Scorer(fine), budget, time.process_time))}
 
 
-def _online(protocol: Protocol, judge: Judge, task: BenchmarkTask) -> list[dict[str, Any]]:
+def _true_searches(protocol: Protocol, room: JudgedRoom) -> Iterator[Row]:
+    """Search with the truth, for the best known; the judge's points are not searched with."""
+    truth = room.truth()
+    space = space_of(truth)
+    for budget, seed in protocol.true_runs:
+        planner = GreedySwap(space, np.random.default_rng([seed, budget]), budget)
+        yield {'budget': budget, 'seed': seed, **_found(solve(
+            planner, Scorer(truth), budget, clock=time.process_time))}
+
+
+def _proofs(protocol: Protocol, fine: Simulator) -> Iterator[Row]:
+    """Prove a placement best on a grid, and improve it."""
+    space, began = space_of(fine), time.process_time()
+    answer = exact_plane(fine, space, protocol.candidates, protocol.proving,
+                         fine.config.engine.error_rows)
+    yield {'budget': protocol.candidates, 'seed': 0, 'evaluations': 0,
+           'seconds': time.process_time() - began, 'placement': answer.placement, 'trace': [],
+           'found': answer.certificate.found, 'bound': answer.certificate.bound,
+           'proved': answer.certificate.proved}
+
+
+def _found(result: Result) -> Row:
+    """Return what a search has found."""
+    return {'evaluations': result.evaluations, 'seconds': result.seconds,
+            'placement': result.placement, 'trace': result.trace.tolist()}
+
+
+def _episodes(protocol: Protocol, fine: Simulator, name: str) -> Iterator[Row]:
     """Play an episode with every seed; the last placement is what counts."""
-    rows = []
+    space = space_of(fine)
     for seed in range(protocol.seeds):
-        online = ONLINE[task.planner](protocol.simulation, np.random.default_rng([seed, 1]),
-                                      protocol.model)
-        episode = Episode(PlaneProblem(judge.simulator), np.random.default_rng([seed, 0]))
+        online = ONLINE[name](protocol.simulation, np.random.default_rng([seed, 1]),
+                              protocol.model)
+        episode = Episode(PlaneProblem(fine), np.random.default_rng([seed, 0]))
         outcome = play(online, episode, clock=time.process_time)
-        # Whoever ends beyond a wall is hung up on the near side of it.
-        space, last = space_of(judge.simulator), outcome.trajectory[-1]
-        placement = space.placement(space.inside(last[:, :2]))
-        rows.append({**asdict(task), 'budget': TURNS, 'seed': seed, **judge(placement),
-                     'evaluations': 0, 'seconds': float(outcome.seconds.sum()),
-                     'seconds_per_turn': float(np.median(outcome.seconds)),
-                     'seconds_at_most': float(outcome.seconds.max()),
-                     'placement': placement.tolist(), 'trace': [],
-                     'trajectory': outcome.trajectory.tolist()})
-    return rows
+        # Who ends where no camera may be is mounted at the nearest place where one may.
+        placement = space.placement(space.inside(outcome.trajectory[-1][:, :2]))
+        yield {'budget': TURNS, 'seed': seed, 'evaluations': 0,
+               'seconds': float(outcome.seconds.sum()),
+               'seconds_per_turn': float(np.median(outcome.seconds)),
+               'seconds_at_most': float(outcome.seconds.max()),
+               'placement': placement, 'trace': [], 'trajectory': outcome.trajectory.tolist()}
 
 
-def _control(judge: Judge, task: BenchmarkTask) -> list[dict[str, Any]]:
-    """Judge random placements, and what all places of the plane together miss."""
-    simulator, space = judge.simulator, space_of(judge.simulator)
+def _random_placements(room: JudgedRoom) -> Iterator[Row]:
+    """Draw placements, and tell what all places of the plane together miss."""
+    simulator, space = room.simulator, space_of(room.simulator)
     pool = space.placement(space.grid(POOL))
     least = simulator.judge(simulator.look_many(pool)).depth_error
-    rng, rows = np.random.default_rng(0), []
+    rng = np.random.default_rng(0)
     for seed in range(CONTROLS):
-        placement = space.placement(space.random(rng))
-        rows.append({**asdict(task), 'budget': 1, 'seed': seed, **judge(placement),
-                     'lower_bound': least, 'evaluations': 1, 'seconds': 0.0,
-                     'placement': placement.tolist(), 'trace': []})
-    return rows
+        yield {**_drawn(seed, least), 'placement': space.placement(space.random(rng))}
 
 
-def _rig(protocol: Protocol, scene: Scene, rig: Rig, task: BenchmarkTask) -> list[dict[str, Any]]:
-    """Plan a rig file with every budget and seed; see :func:`run_task`."""
-    judge = RigJudge(Problem.of(scene, rig, protocol.simulation))
+def _drawn(seed: int, least: float) -> Row:
+    """Return what all random placements have in common."""
+    return {'budget': 1, 'seed': seed, 'lower_bound': least, 'evaluations': 1, 'seconds': 0.0,
+            'trace': []}
+
+
+def _rig_runs(protocol: Protocol, room: JudgedRoom, task: BenchmarkTask) -> Iterator[Row]:
+    """Yield the runs of a planner of a rig file; see :func:`run_task`."""
+    problem, promising = room.problem, room.promising
+    judge = Judge(lambda poses: _objective(problem, poses))
     if task.planner == CONTROL:
-        return _rig_control(judge, task)
-    # A time step of an online planner is an evaluation: its budget is that of the episode.
-    budgets = (TURNS,) if task.planner in ONLINE else protocol.budgets
-    rows = []
+        runs = _random_rigs(problem)
+    elif task.planner == TRUTH:
+        runs = _rig_plans(protocol, room, RIG_SEARCH, [protocol.true_runs[0][0]], 1,
+                          engine_of(room.scene))
+    else:
+        # A time step of an online planner is an evaluation: its budget is that of the episode.
+        budgets = (TURNS,) if task.planner in ONLINE else protocol.budgets
+        runs = _rig_plans(protocol, room, task.planner, budgets, protocol.seeds)
+    for row in runs:
+        placement = row['placement']
+        yield {**row, **judge(placement), 'promised': _objective(promising, placement)[0]}
+
+
+def _objective(problem: Problem, poses: np.ndarray) -> tuple[float, float]:
+    """
+    Return the objective of poses (K, 6) in metres, and their space coverage in cubic metres.
+
+    The first is objective x depth error of seeing nothing: where the rig asks for nothing more,
+    the depth error.
+    """
+    result = problem.objective.evaluate(poses)
+    return problem.error(result), result.space_coverage
+
+
+def _rig_plans(protocol: Protocol, room: JudgedRoom, name: str, budgets: Sequence[int],
+               seeds: int, engine: type[Simulator] = Simulator) -> Iterator[Row]:
+    """Plan a rig file with every budget and seed."""
+    rig = load_rig(protocol.simulation.rig_file)
     for budget in budgets:
-        for seed in range(protocol.seeds):
+        for seed in range(seeds):
             began = time.process_time()
             limit = Budget(evaluations=budget or protocol.simulation.episode.turns)
-            planner = RigPlanner(scene, rig, replace(protocol.simulation.engine, preset='fast'),
-                                 limit, seed, planner=task.planner, model=protocol.model)
-            plan, seconds = planner.plan(rig), time.process_time() - began
-            rows.append({**asdict(task), 'budget': budget, 'seed': seed,
-                         **judge(plan.answer.poses), 'searched': plan.answer.loss * plan.worst,
-                         'evaluations': plan.answer.evaluations, 'seconds': seconds,
-                         'placement': plan.answer.poses.tolist(), 'trace': []})
-    return rows
+            planner = RigPlanner(room.scene, rig, protocol.simulation.engine, limit, seed,
+                                 planner=name, model=protocol.model, simulator=engine)
+            answer = planner.plan(rig).answer
+            yield {'budget': budget, 'seed': seed, 'evaluations': answer.evaluations,
+                   'seconds': time.process_time() - began, 'placement': answer.poses, 'trace': []}
 
 
-def _rig_control(judge: RigJudge, task: BenchmarkTask) -> list[dict[str, Any]]:
-    """Judge random feasible placements of a rig, and what all candidates together miss."""
-    problem, rig = judge.problem, judge.problem.rig
-    pool = Pool(problem, POOL)
-    least = problem.error(problem.judge(pool.everywhere(rig)))
-    rng, rows = np.random.default_rng(0), []
-    while len(rows) < CONTROLS:
-        if not (sites := random_sites(rig, pool, rng)):
-            continue
-        poses = np.array([site.pose for site in sites])
-        rows.append({**asdict(task), 'budget': 1, 'seed': len(rows), **judge(poses),
-                     'lower_bound': least, 'evaluations': 1, 'seconds': 0.0,
-                     'placement': poses.tolist(), 'trace': []})
-    return rows
+def _random_rigs(problem: Problem) -> Iterator[Row]:
+    """Draw feasible placements of a rig, and tell what all candidates together miss."""
+    rig, pool, rng = problem.rig, Pool(problem, POOL), np.random.default_rng(0)
+    least, seed = problem.error(problem.judge(pool.everywhere(rig))), 0
+    while seed < CONTROLS:
+        if sites := random_sites(rig, pool, rng):
+            yield {**_drawn(seed, least), 'placement': np.array([site.pose for site in sites])}
+            seed += 1

@@ -2,6 +2,9 @@
 """
 What the rows of a comparison say.
 
+*Delivered* is what the judge says of a placement, *promised* what the engine said that it was
+searched with, *regret* what is delivered over the best that a search with the truth delivered.
+
 The mean over seeds stands for a turned room, the mean over its rotations for a room, and the sum
 over rooms for a planner, as in Table I of arXiv 2110.11106. Intervals are percentile bootstraps
 over rooms: rooms differ more than seeds do.
@@ -14,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from ocp_ros.evaluation.protocol import CONTROL
+from ocp_ros.evaluation.protocol import CONTROL, PROVED, TRUTH, YARDSTICKS
 
 Rows = list[dict[str, Any]]
 #: Resamples of the bootstrap.
@@ -24,11 +27,12 @@ SATURATED = 0.01
 
 
 def best_known(rows: Rows) -> dict[tuple[str, float], float]:
-    """Return the least depth error of all methods, seeds and budgets for each turned room."""
+    """Return the least depth error that a search with the truth delivered in each turned room."""
     best: dict[tuple[str, float], float] = defaultdict(lambda: np.inf)
     for row in rows:
-        case = row['room'], row['rotation']
-        best[case] = min(best[case], row['depth_error'])
+        if row['planner'] == TRUTH:
+            case = row['room'], row['rotation']
+            best[case] = min(best[case], row['depth_error'])
     return dict(best)
 
 
@@ -57,11 +61,16 @@ def summarise(rows: Rows) -> dict[str, Any]:
     Sum a comparison up.
 
     :param rows: of :func:`~ocp_ros.evaluation.protocol.run_task`.
-    :returns: by planner and budget, as text: ``sum``, ``interval``, ``rooms``, ``wins``,
-        ``ratio_to_best_known`` and ``gap_closed`` (None where nothing is ever missed),
-        ``seconds``, ``seeds``, ``off_5_cm``, ``off_10_cm`` and, of online planners, whose budget
-        is 0, ``seconds_per_turn`` (median) and ``seconds_at_most``; the rank test of each budget;
-        what is known of each room; and ``notes`` on rooms that tell planners apart no more.
+    :returns: by planner and budget, as text: ``sum`` of what is delivered, ``interval``,
+        ``rooms``, ``wins``, ``regret`` (of the sums) and ``regret_geometric`` (mean over rooms),
+        ``promised`` (its sum), ``promise_over_delivered`` (mean over rooms),
+        ``promise_worst_room`` (the ratio farthest from 1), ``gap_closed`` (ratios are None where
+        nothing is ever missed), ``seconds``, ``seeds`` and, of online planners, whose budget is
+        0, ``seconds_per_turn`` (median) and ``seconds_at_most``; the same of ``truth``, the
+        search with the truth, and of ``exact``, the placements that are proved best on
+        candidates, with ``bounds`` by room; ``promised_over_bound``, of the sums; the rank test
+        of each budget; what is known of each room; and ``notes`` on rooms that tell planners
+        apart no more.
     """
     best = best_known(rows)
     rooms = list(dict.fromkeys(row['room'] for row in rows))
@@ -70,7 +79,7 @@ def summarise(rows: Rows) -> dict[str, Any]:
     control = per_room(rows, CONTROL, 1, 'depth_error')
     least = per_room(rows, CONTROL, 1, 'lower_bound')
     runs = list(dict.fromkeys((row['planner'], row['budget']) for row in rows
-                              if row['planner'] != CONTROL))
+                              if row['planner'] not in YARDSTICKS))
     errors = {run: per_room(rows, *run, 'depth_error') for run in runs}
     summary: dict[str, Any] = {'rooms': {
         room: {'best_known': known[room], 'random_placement': control[room],
@@ -81,35 +90,60 @@ def summarise(rows: Rows) -> dict[str, Any]:
         f'{100.0 * SATURATED:g} % of what a random placement leaves; expected more to be missed; '
         'ratios to so little say nothing: use fewer cameras or a larger room'
         for room in rooms if control[room] > 0.0 and known[room] < SATURATED * control[room]]
-    total, chance = sum(known.values()), sum(control.values())
+    chance = sum(control.values())
     for planner, budget in runs:
         values = np.array([errors[planner, budget][room] for room in rooms])
         rivals = [errors[run] for run in runs if run[1] == budget]
         figures = {
-            'sum': float(values.sum()), 'interval': interval(values),
-            'rooms': errors[planner, budget],
+            **_delivered(rows, planner, budget, known),
+            'interval': interval(values), 'rooms': errors[planner, budget],
             'wins': sum(errors[planner, budget][room] <= min(rival[room] for rival in rivals)
                         for room in rooms),
-            'ratio_to_best_known': _share(values.sum(), total),
-            'gap_closed': _share(chance - values.sum(), chance - total),
-            'seeds': len({row['seed'] for row in rows
-                          if (row['planner'], row['budget']) == (planner, budget)})}
-        for figure in ('seconds', 'evaluations'):
-            figures[figure] = float(np.mean(list(
-                per_room(rows, planner, budget, figure).values())))
-        for figure in ('seconds_per_turn', 'seconds_at_most'):
-            values = [row[figure] for row in rows if row['planner'] == planner and figure in row]
-            if values:
-                figures[figure] = float(
-                    np.median(values) if figure == 'seconds_per_turn' else np.max(values))
-        for figure in ('exact', 'off_5_cm', 'off_10_cm'):
-            figures[figure] = sum(per_room(rows, planner, budget, figure).values())
+            'gap_closed': _share(chance - values.sum(), chance - sum(known.values()))}
         summary['planners'].setdefault(planner, {})[str(budget)] = figures
+    if proofs := [row for row in rows if row['planner'] == PROVED]:
+        summary['exact'] = _proved(rows, proofs, known)
+        bound = sum(row['bound'] for row in proofs) / len(proofs) * len(rooms)
+        for figures in (*(run for runs in summary['planners'].values() for run in runs.values()),
+                        summary['exact']):
+            figures['promised_over_bound'] = _share(figures['promised'], bound)
+    ((_, last),) = {(row['planner'], row['budget']) for row in rows if row['planner'] == TRUTH}
+    summary['truth'] = _delivered(rows, TRUTH, last, known)
     for budget in dict.fromkeys(budget for _, budget in runs):
         names = [planner for planner, other in runs if other == budget]
         summary['rank_tests'][str(budget)] = ranks(
             {name: np.array([errors[name, budget][room] for room in rooms]) for name in names})
     return summary
+
+
+def _proved(rows: Rows, proofs: Rows, known: dict[str, float]) -> dict[str, Any]:
+    """Say what the placements deliver that are proved best on candidates, and how well proved."""
+    gaps = [_share(row['found'] - row['bound'], row['found']) or 0.0 for row in proofs]
+    return {**_delivered(rows, PROVED, proofs[0]['budget'], known),
+            'candidates': proofs[0]['budget'], 'proved': sum(row['proved'] for row in proofs),
+            'worst_gap': max(gaps), 'bounds': {row['room']: row['bound'] for row in proofs}}
+
+
+def _delivered(rows: Rows, planner: str, budget: int, known: dict[str, float]) -> dict[str, Any]:
+    """Say what a planner delivered in all rooms, what it promised, and how long it took."""
+    delivered = per_room(rows, planner, budget, 'depth_error')
+    promised = per_room(rows, planner, budget, 'promised')
+    kept = [promised[room] / error for room, error in delivered.items() if error > 0.0]
+    regrets = [error / known[room] for room, error in delivered.items() if known[room] > 0.0]
+    own = [row for row in rows if (row['planner'], row['budget']) == (planner, budget)]
+    figures: dict[str, Any] = {
+        'sum': sum(delivered.values()), 'promised': sum(promised.values()),
+        'regret': _share(sum(delivered.values()), sum(known.values())),
+        'regret_geometric': float(stats.gmean(regrets)) if regrets else None,
+        'promise_over_delivered': float(np.mean(kept)) if kept else None,
+        'promise_worst_room': max(kept, key=lambda share: abs(share - 1.0), default=None),
+        'seeds': len({row['seed'] for row in own})}
+    for name in ('seconds', 'evaluations'):
+        figures[name] = float(np.mean(list(per_room(rows, planner, budget, name).values())))
+    if 'seconds_per_turn' in own[0]:
+        figures['seconds_per_turn'] = float(np.median([row['seconds_per_turn'] for row in own]))
+        figures['seconds_at_most'] = float(np.max([row['seconds_at_most'] for row in own]))
+    return figures
 
 
 def _share(part: float, whole: float) -> float | None:

@@ -11,16 +11,16 @@ from ocp_ros.evaluation.protocol import (
     BenchmarkTask,
     CONTROL,
     CONTROLS,
-    MOUNTING,
     Protocol,
+    PROVED,
+    TRUTH,
     TURNS,
 )
 from ocp_ros.planners.registry import ONLINE
 
 #: Metres, cubic metres, seconds and evaluations are less.
 LARGEST = 1e9
-FIGURES = ('exact', 'space_coverage', *(f'off_{100 * off:.0f}_cm' for off in MOUNTING),
-           'depth_error', 'evaluations', 'seconds')
+FIGURES = ('exact', 'space_coverage', 'depth_error', 'promised', 'evaluations', 'seconds')
 
 
 def check_rows(rows: Any, protocol: Protocol, task: BenchmarkTask) -> None:
@@ -33,7 +33,7 @@ def check_rows(rows: Any, protocol: Protocol, task: BenchmarkTask) -> None:
     if not isinstance(rows, list):
         raise ValueError(f'{type(rows).__name__} in place of rows')
     runs = [(row['budget'], row['seed']) for row in rows]
-    if sorted(runs) != sorted(_runs(protocol, task)):
+    if sorted(runs) != sorted(runs_of(protocol, task)):
         raise ValueError(f'{len(runs)} runs, not those of all budgets and seeds')
     for row in rows:
         if {name: row[name] for name in asdict(task)} != asdict(task):
@@ -50,10 +50,14 @@ def check_rows(rows: Any, protocol: Protocol, task: BenchmarkTask) -> None:
             raise ValueError('a trace is none')
 
 
-def _runs(protocol: Protocol, task: BenchmarkTask) -> list[tuple[int, int]]:
+def runs_of(protocol: Protocol, task: BenchmarkTask) -> list[tuple[int, int]]:
     """Return the budget and the seed of each run of a task."""
     if task.planner == CONTROL:
         return [(1, seed) for seed in range(CONTROLS)]
+    if task.planner == TRUTH:
+        return protocol.true_runs
+    if task.planner == PROVED:
+        return [(protocol.candidates, 0)]
     budgets = (TURNS,) if task.planner in ONLINE else protocol.budgets
     return list(product(budgets, range(protocol.seeds)))
 
@@ -62,6 +66,8 @@ def _more(protocol: Protocol, task: BenchmarkTask) -> tuple[str, ...]:
     """Return the figures that only some tasks have."""
     if task.planner == CONTROL:
         return ('lower_bound',)
+    if task.planner == PROVED:
+        return 'found', 'bound'
     if task.planner in ONLINE and not protocol.simulation.rig_file:
         return ('seconds_per_turn', 'seconds_at_most')
-    return ('searched',)
+    return ()

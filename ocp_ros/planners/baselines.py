@@ -11,6 +11,8 @@ BATCH = 32
 class Random(Planner):
     """The best of placements drawn uniformly."""
 
+    descends = False
+
     def search(self) -> Search:
         """Draw until the budget ends."""
         while True:
@@ -19,6 +21,8 @@ class Random(Planner):
 
 class RegularGrid(Planner):
     """The best of the regular arrangements in rows and columns, full or with cameras left out."""
+
+    descends = False
 
     def search(self) -> Search:
         """Try every number of columns once."""

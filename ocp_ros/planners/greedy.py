@@ -2,9 +2,10 @@
 """
 One camera after the other, each at the best place that is left.
 
-Space coverage is monotone and submodular, so that greedy placement by coverage is worth at least
-1 - 1/e of the best on the same candidates (Nemhauser, Wolsey and Fisher, 1978). Depth error has no
-such bound. The candidates are a grid as fine as the budget allows.
+Space coverage and what is taken from the depth error are monotone and submodular, so that greedy
+placement by either takes at least 1 - 1/e of what the best on the same candidates does (Nemhauser,
+Wolsey and Fisher, 1978). Of the depth error that is left this says little: 90 % less and 95 % less
+leave twice as much. The candidates are a grid as fine as the budget allows.
 """
 
 from collections.abc import Callable, Generator, Sequence
@@ -26,6 +27,8 @@ Answer = Generator[Sequence[np.ndarray], Scores, tuple[np.ndarray, float]]
 
 class GreedyCoverage(Planner):
     """The candidate that adds most space coverage, K times."""
+
+    descends = False
 
     def search(self) -> Search:
         """Fill the placement."""

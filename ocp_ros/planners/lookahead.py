@@ -17,7 +17,7 @@ import numpy as np
 
 from ocp_ros.agent.move_effects import cell_weight
 from ocp_ros.agent.partial_map import KeptModel, LookHistory, PartialMap
-from ocp_ros.agent.rig_state import AROUND, fixed_views, remember
+from ocp_ros.agent.rig_state import AROUND, clearance_of, fixed_views, remember
 from ocp_ros.geometry.visibility import FINE
 from ocp_ros.planners.annealing import accepted, between
 from ocp_ros.planners.candidate_sites import Candidates, most_places, Sites
@@ -33,8 +33,9 @@ SPACING, CANDIDATES = 0.5, 400
 QUICK_POINTS, QUICK_ROWS = 6000, 32
 #: Turns that candidates are kept for; the first computes their views, the others anneal.
 KEPT = 3
-#: Points and rows of depth maps of the model to refine on, and turns that it is kept for at least.
-REFINING_POINTS, REFINING_ROWS, REFINING_KEPT = 25000, 64, 4
+#: Points, rows of depth maps and folds of the model to refine on, and turns that it is kept for at
+#: least.
+REFINING_POINTS, REFINING_ROWS, REFINING_FOLDS, REFINING_KEPT = 25000, 64, 2, 4
 #: Proposals of a turn of refinement, and of one that makes a model as well.
 STEPS, FEWER_STEPS = 80, 16
 #: First and last temperature of the refinement, in multiples of the best plan's error, and the
@@ -77,7 +78,8 @@ class Lookahead(Online):
         self._headings: np.ndarray | None = None
         self._candidates: Candidates | None = None
         self._chosen: list[int] = []
-        self._kept = KeptModel(self.max_range, self.wall_margin, REFINING_POINTS, REFINING_ROWS)
+        self._kept = KeptModel(self.max_range, self.wall_margin, REFINING_POINTS, REFINING_ROWS,
+                               folds=REFINING_FOLDS)
         #: Turn of the last model or of the last candidates.
         self._made = 0
 
@@ -148,7 +150,8 @@ class Lookahead(Online):
         steps = STEPS
         if self._kept.made is None or (turn - self._made >= REFINING_KEPT
                                        and not self._kept.lasts(cloud, positions)):
-            self._kept.make(cloud, positions, FINE)
+            self._kept.make(cloud, positions, FINE,
+                            clearance_of(self.sight, self.clearance))
             self._made, steps = turn, FEWER_STEPS
         (model, space), first = self._kept.made, REFINING * turns
         placed = positions[:, :2] if self._plan is None else self._plan

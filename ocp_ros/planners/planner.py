@@ -3,7 +3,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Sequence
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -40,10 +40,15 @@ class Planner(ABC):
 
     A method is a generator: it yields placements to be judged and receives their scores.
 
+    :cvar descends: whether what it finds may be improved by small steps at the end; not so where
+        the method is a yardstick that searches nothing.
+
     :param space: where cameras may be.
     :param rng: the only source of chance.
     :param budget: how many evaluations there will be, for those methods that plan with it.
     """
+
+    descends: ClassVar[bool] = True
 
     def __init__(self, space: FreePlane, rng: np.random.Generator, budget: int) -> None:
         self.space, self.rng, self.budget = space, rng, budget

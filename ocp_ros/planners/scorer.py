@@ -2,17 +2,20 @@
 """Scores of placements, where a camera that stands where one stood before costs no look."""
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.planners.planner import nothing_seen, Scores
+from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.simulation.simulator import Simulator, View
 
 #: Bytes of views that are kept: 16,000 of them in a room of 25,000 points.
 REMEMBERED = 64_000_000
+#: Metres between the places of a lattice.
+LATTICE = 0.25
 
 
 class Scorer:
@@ -79,3 +82,26 @@ class Scorer:
         if self._pool is None or len(items) < 2:
             return [function(item) for item in items]
         return list(self._pool.map(function, items))
+
+
+class LatticeScorer:
+    """
+    Judge placements as if each camera stood at the place of a lattice that is nearest to it.
+
+    A room has some hundred such places. Each is looked from once, whatever a search asks.
+
+    :param score: judges placements (n, 3).
+    :param space: where cameras may be.
+    """
+
+    def __init__(self, score: Callable[[Sequence[np.ndarray]], Scores], space: FreePlane) -> None:
+        self._score, self._space = score, space
+
+    def __call__(self, placements: Sequence[np.ndarray]) -> Scores:
+        """Judge B placements (n, 3)."""
+        return self._score([self._space.placement(self.snapped(placement[:, :2]))
+                            for placement in placements])
+
+    def snapped(self, positions: np.ndarray) -> np.ndarray:
+        """Move positions (n, 2) to places of the lattice, or near them where no camera may be."""
+        return self._space.inside((np.floor(positions / LATTICE) + 0.5) * LATTICE)

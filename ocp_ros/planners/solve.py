@@ -3,11 +3,15 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+import heapq
 import time
 
 import numpy as np
 
 from ocp_ros.planners.planner import Planner, Scores
+
+#: Placements that are kept for a second judgement.
+KEPT = 500
 
 
 @dataclass(frozen=True)
@@ -22,6 +26,7 @@ class Result:
     :ivar seconds: how long the search took.
     :ivar trace: (T, 3) evaluations, seconds (when the batch had been judged) and depth error at
         each improvement.
+    :ivar best: positions (n, 2) of the best placements, the best first.
     """
 
     placement: np.ndarray
@@ -30,6 +35,31 @@ class Result:
     evaluations: int
     seconds: float
     trace: np.ndarray
+    best: tuple[np.ndarray, ...]
+
+
+class Archive:
+    """The best placements that came by, as many as are kept."""
+
+    def __init__(self) -> None:
+        self._heap: list[tuple] = []
+        self._count = 0
+
+    def add(self, rank: tuple[float, ...], positions: np.ndarray) -> None:
+        """Keep a placement (n, 2) if it is among the best; the least rank is best."""
+        self._count += 1
+        # Of equals, the first one: the count is unique, so positions are never compared.
+        item = *(-value for value in rank), -self._count, positions
+        if len(self._heap) < KEPT:
+            heapq.heappush(self._heap, item)
+        elif item > self._heap[0]:
+            heapq.heapreplace(self._heap, item)
+
+    @property
+    def best(self) -> tuple[np.ndarray, ...]:
+        """Return what was kept, the best first."""
+        return tuple(item[-1] for item in sorted(self._heap, key=lambda item: item[:-1],
+                                                 reverse=True))
 
 
 def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], evaluations: int,
@@ -50,6 +80,7 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
     """
     began, count = clock(), 0
     best, found, trace = (np.inf, 0, 0.0), None, []
+    archive = Archive()
     while (batch := planner.ask()) is not None and count < evaluations:
         if count and clock() - began >= seconds:
             break
@@ -61,6 +92,7 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
         for k, energy in enumerate(planner.energy(scores)):
             # Of equals, the one with more cameras and more coverage is the safer answer.
             rank = float(energy), -len(batch[k]), -float(scores.space_coverage[k])
+            archive.add(rank, batch[k])
             if rank < best:
                 best, found = rank, (batch[k].copy(), float(scores.error[k]),
                                      float(scores.space_coverage[k]))
@@ -75,7 +107,7 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
         raise ValueError(f'{type(planner).__name__}: found no placement in {count} evaluations; '
                          'expected at least one; give it a budget of 1 or more')
     return Result(planner.space.placement(found[0]), *found[1:], count,
-                  clock() - began, np.array(trace))
+                  clock() - began, np.array(trace), archive.best)
 
 
 def _check(planner: Planner, positions: np.ndarray) -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A comparison of planners as tables and figures."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 
+from ocp_ros.evaluation.judging import MOUNTING, MOUNTINGS
 from ocp_ros.planners.registry import KNOWS, OFFLINE, ONLINE
 from ocp_ros.planners.rig_methods import PLANNERS
 from ocp_ros.report.drawing.figure_files import save_figure
@@ -84,7 +86,7 @@ def draw_rooms(path: Path, summary: dict[str, Any]) -> None:
     for k, room in enumerate(rooms):
         known = summary['rooms'][room]['best_known']
         axes.plot([k - 0.45, k + 0.45], [known, known], color=INK, linewidth=1.2,
-                  label='best known' if k == 0 else None)
+                  label='best by truth' if k == 0 else None)
     axes.set_xticks(range(len(rooms)), [printable(Path(room).stem) for room in rooms],
                     parse_math=False)
     axes.set_ylabel('depth error (m)', color=PALE_INK)
@@ -156,38 +158,35 @@ def page(summary: dict[str, Any]) -> str:
         '# Planners compared', '',
         f'Made on {summary["date"]} by', '', f'    {printable(summary["command"])}', '',
         f'{len(summary["rooms"])} rooms, {summary["rotations"]} rotations of each, '
-        f'{_placed(summary)}. While it searches, a planner is scored by the '
-        'preset `fast`; what counts is its final placement alone, judged by `fine` at 128 x 256 '
-        'pixels and averaged over eight ways of mounting the cameras 2 cm off. *Sum* is over '
-        'rooms, each the mean over rotations and seeds, with a 95 % bootstrap interval over '
-        'rooms. *Ratio* is to the best known of all methods, seeds and budgets; *gap closed* is '
-        '(random - method) / (random - best known), random being a placement drawn at random. '
-        '*Wins* are rooms in which no other planner of the same budget was better.', '',
+        f'{_placed(summary)}. Planners search by the preset `fine` on {summary["points"]:,} '
+        'points of a room. '
+        '*Promised* is what this engine says of the placement. *Delivered* is what it is '
+        'worth by ray casting of the generated mesh, on another scan of '
+        f'{summary["judged_points"]:,} points that no search saw, as the mean over '
+        f'{MOUNTINGS} ways of mounting the cameras {100 * MOUNTING:.0f} cm off; in scans without '
+        'a mesh, by the '
+        'engine on points that were held out. *Regret* is what is delivered over the best that a '
+        'search with the truth delivered: of the sums over rooms, and as the geometric mean over '
+        'rooms. The *worst promise* is the ratio of promised to delivered, in a room, that is '
+        'farthest from 1. The *bound* is what no placement on the candidates of the exact method '
+        'is promised to be below. Sums are over rooms, each the mean over rotations and seeds, '
+        'with a 95 % bootstrap interval over rooms. *Gap closed* is (random - method) / (random - '
+        'best by truth), random being a placement drawn at random. *Wins* are rooms in which no '
+        'other planner of the same budget was better.', '',
         compared(summary), '', *(f'**Note:** {note}.\n' for note in summary.get('notes', ()))]
     for budget in budgets_of(summary):
         heading = f'{int(budget):,} evaluations' if int(budget) else \
             'Online: turn by turn, knowing only what was seen'
-        lines += [f'## {heading}', '',
-                  '| planner | knows | sum (m) | 95 % | ratio | gap closed | wins | rank | p | '
-                  '5 cm off | 10 cm off |', '|---|---|---|---|---|---|---|---|---|---|---|']
+        lines += [f'## {heading}', '', *_table(summary, budget), '']
         test = summary['rank_tests'][budget]
         runs = [(name, runs[budget]) for name, runs in summary['planners'].items()
                 if budget in runs]
-        for name, run in sorted(runs, key=lambda item: item[1]['sum']):
-            p = test['against_leader'].get(name)
-            low, high = run['interval']
-            lines.append(
-                f'| {spaced(name)} | {knows(name)} | {run["sum"]:.2f} | {low:.2f} to {high:.2f} | '
-                f'{shown(run["ratio_to_best_known"], 2)} | {shown(run["gap_closed"], 4)} | '
-                f'{run["wins"]} | '
-                f'{test["mean_rank"][name]:.1f} | {"" if p is None else f"{p:.3f}"} | '
-                f'{run["off_5_cm"]:.2f} | {run["off_10_cm"]:.2f} |')
         for name, run in runs:
             if 'seconds_per_turn' in run:
-                lines += ['', f'{spaced(name)}: {1e3 * run["seconds_per_turn"]:.0f} ms '
-                          f'a turn at the median, {1e3 * run["seconds_at_most"]:.0f} at most.']
+                lines += [f'{spaced(name)}: {1e3 * run["seconds_per_turn"]:.0f} ms '
+                          f'a turn at the median, {1e3 * run["seconds_at_most"]:.0f} at most.', '']
         friedman = test['friedman_p']
-        lines += ['', f"Rank is the mean over rooms; p is Wilcoxon's signed-rank test against "
+        lines += [f"Rank is the mean over rooms; p is Wilcoxon's signed-rank test against "
                   f'{spaced(test["leader"])}, corrected after Holm'
                   + ('.' if friedman is None else
                      f'; that all are alike has p = {friedman:.2g} (Friedman).'), '']
@@ -197,21 +196,57 @@ def page(summary: dict[str, Any]) -> str:
         lines += ['![Depth error during the search](anytime.png)', '',
                   '![Where the best planners put the cameras](placements.png)', '']
     lines += ['## Rooms', '',
-              '| room | best known (m) | random placement (m) | share | from everywhere (m) |',
-              '|---|---|---|---|---|']
+              '| room | best by truth (m) | random placement (m) | share | from everywhere (m) | '
+              'bound of what is promised (m) |', '|---|---|---|---|---|---|']
+    bounds = summary.get('exact', {}).get('bounds', {})
     for room, known in summary['rooms'].items():
         lines.append(
             f'| {in_markdown(Path(room).stem)} | {known["best_known"]:.3f} | '
             f'{known["random_placement"]:.2f} | '
             f'{shown(known["share"], 3)} | '
-            f'{known["lower_bound"]:.3f} |')
+            f'{known["lower_bound"]:.3f} | {shown(bounds.get(room), 3)} |')
     rig = 'rig' in summary
     everywhere = 'candidate poses' if rig else 'places of the plane'
-    lines += ['', f'The last column is what all {everywhere} miss together: no placement '
+    lines += ['', f'*From everywhere* is what all {everywhere} miss together: no placement '
               f'{"of these " if rig else ""}can do better.', '',
               'Versions: ' + ', '.join(
                   f'{name} {version}' for name, version in summary['versions'].items()) + '.', '']
     return '\n'.join(lines)
+
+
+def _table(summary: dict[str, Any], budget: str) -> list[str]:
+    """Compare all planners of a budget, and below them the search with the truth."""
+    test = summary['rank_tests'][budget]
+    lines = ['| planner | knows | delivered (m) | 95 % | promised (m) | promised / delivered | '
+             'worst promise | promised / bound | regret | geometric | gap closed | wins | rank | '
+             'p |', '|---|---|---|---|---|---|---|---|---|---|---|---|---|---|']
+    runs = {name: runs[budget] for name, runs in summary['planners'].items() if budget in runs}
+    for name, run in sorted(runs.items(), key=lambda item: item[1]['sum']):
+        p = test['against_leader'].get(name)
+        low, high = run['interval']
+        lines.append(
+            f'| {spaced(name)} | {knows(name)} | {run["sum"]:.2f} | {low:.2f} to {high:.2f} | '
+            f'{_promise(run)} | {shown(run["gap_closed"], 4)} | {run["wins"]} | '
+            f'{test["mean_rank"][name]:.1f} | {"" if p is None else f"{p:.3f}"} |')
+    for title, knowledge, run in _yardsticks(summary):
+        lines.append(f'| {title} | {knowledge} | {run["sum"]:.2f} | | {_promise(run)} | | | | |')
+    return lines
+
+
+def _yardsticks(summary: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Yield what planners are compared with: its title, what it knows and its figures."""
+    if 'exact' in summary:
+        yield (f'exact on {summary["exact"]["candidates"]} candidates, then near them',
+               'scores, and why', summary['exact'])
+    yield 'search with the truth', 'the truth', summary['truth']
+
+
+def _promise(run: dict[str, Any]) -> str:
+    """Write the cells on what was promised and on what is regretted."""
+    return (f'{run["promised"]:.2f} | {shown(run["promise_over_delivered"], 2)} | '
+            f'{shown(run["promise_worst_room"], 2)} | '
+            f'{shown(run.get("promised_over_bound"), 2)} | {shown(run["regret"], 2)} | '
+            f'{shown(run["regret_geometric"], 2)}')
 
 
 def _placed(summary: dict[str, Any]) -> str:

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The engine with the true visibility: rays cast at the mesh behind a generated room."""
+
+import numpy as np
+
+from ocp_ros.evaluation.ray_casting import RayCaster
+from ocp_ros.geometry.cameras import Frustum, Pose
+from ocp_ros.geometry.packed_bits import pack, spatial_order
+from ocp_ros.geometry.shadow_maps import project, Projection
+from ocp_ros.scenes.scene import Mesh
+from ocp_ros.simulation.simulator import Simulator
+
+
+class RayVisibility:
+    """
+    Visibility of points and of places in the air by rays cast at a mesh.
+
+    It stands in for :class:`~ocp_ros.geometry.visibility.SurfelVisibility`.
+
+    :param points: (N, 3) float32, metres, map frame.
+    :param places: (M, 3) float32, metres.
+    :param mesh: the surfaces.
+    :ivar order: (N,) int64: index of each point of the spatial order among the given points.
+    :ivar place_order: (M,) int64: the same of the places.
+    """
+
+    def __init__(self, points: np.ndarray, places: np.ndarray, mesh: Mesh) -> None:
+        self.order, self.place_order = spatial_order(points), spatial_order(places)
+        self._points, self._places = points[self.order], places[self.place_order]
+        self._caster = RayCaster(mesh)
+
+    def look(self, pose: Pose, lens: Frustum, seen: np.ndarray,
+             covered: np.ndarray | None = None) -> None:
+        """Add what a camera sees to what others see; see ``SurfelVisibility.look``."""
+        seen |= self._visible(self._points, pose, lens)
+        if covered is not None:
+            covered |= self._visible(self._places, pose, lens)
+
+    def _visible(self, points: np.ndarray, pose: Pose, lens: Frustum) -> np.ndarray:
+        """Return the packed bits of what nothing hides in the viewing cone and the range."""
+        view = Projection.empty(len(points))
+        project(points, pose, lens, view)
+        near = np.flatnonzero(np.isfinite(view.distance))
+        seen = np.zeros(len(points), dtype=bool)
+        seen[near] = self._caster.visible(points[near], pose.position, lens.max_range)
+        return pack(seen)
+
+    @property
+    def nbytes(self) -> int:
+        """Return the bytes held for the scene, without the mesh."""
+        return sum(array.nbytes for array in (self._points, self._places, self.order,
+                                              self.place_order))
+
+
+class TrueSimulator(Simulator):
+    """The engine with rays cast at the scene's mesh in place of shadow maps."""
+
+    def _make_visibility(self) -> RayVisibility:
+        """Cast rays, whatever the preset."""
+        return RayVisibility(self.scene.points, self.grid, self.scene.mesh)

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Searching on a lattice and finishing between its places."""
+
+import time
+
+import numpy as np
+import pytest
+
+from ocp_ros.evaluation.benchmark_rooms import space_of
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.planners.finishing import (
+    APART,
+    differ,
+    distinct,
+    LAST_APART,
+    MOUNTING,
+    MOUNTINGS,
+    search_and_finish,
+    SEED,
+    steadiest,
+)
+from ocp_ros.planners.registry import OFFLINE
+from ocp_ros.planners.scorer import LATTICE, LatticeScorer, Scorer
+from ocp_ros.planners.solve import Archive, KEPT, solve
+from ocp_ros.rig.motion import mounted
+from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
+
+
+@pytest.fixture(scope='module')
+def engine(room):
+    """Return the engine in a small room."""
+    return Simulator(room, SimulationConfig(engine=EngineConfig(
+        preset='fine', error_rows=24, coverage_cell=0.5, error_folds=2)))
+
+
+def planner(engine, name, budget, seed=0):
+    """Return a planner of four cameras in the room."""
+    return OFFLINE[name](space_of(engine), np.random.default_rng(seed), budget)
+
+
+@pytest.mark.parametrize('name', ['annealing', 'tdsa', 'cma_es'])
+def test_the_end_is_no_worse_than_the_best_of_the_lattice(engine, name):
+    score, space = Scorer(engine), space_of(engine)
+    found = search_and_finish(planner(engine, name, 200), score, 200)
+    assert found.evaluations <= 200
+    assert found.depth_error == engine.evaluate(found.placement).depth_error
+    lattice = LatticeScorer(score, space)
+    before = solve(planner(engine, name, 200), lattice, 170)
+    # What is chosen last is steadier, and so may be worse by a little as it stands.
+    assert found.depth_error <= 1.1 * before.depth_error
+    assert found.trace[-1, 2] <= found.depth_error
+    assert (np.diff(found.trace[:, 0]) > 0).all()
+
+
+def test_each_place_of_the_lattice_is_looked_from_once(engine, monkeypatch):
+    looks = []
+    real = Simulator.look
+    monkeypatch.setattr(Simulator, 'look', lambda self, pose, camera=0: (
+        looks.append(pose.tobytes()), real(self, pose, camera))[1])
+    lattice = LatticeScorer(Scorer(engine), space_of(engine))
+    solve(planner(engine, 'annealing', 300), lattice, 300)
+    assert len(looks) == len(set(looks)) <= space_of(engine).area / LATTICE ** 2 * 2
+
+
+def test_a_lattice_moves_cameras_by_less_than_its_edge_and_nowhere_they_may_not_be(engine):
+    space = space_of(engine)
+    lattice = LatticeScorer(Scorer(engine), space)
+    positions = np.array([space.random(np.random.default_rng(k), 1)[0] for k in range(100)])
+    snapped = lattice.snapped(positions)
+    assert space.contains(snapped).all()
+    np.testing.assert_array_equal(lattice.snapped(positions), snapped)
+    near = np.linalg.norm(snapped - positions, axis=1)
+    assert np.median(near) <= LATTICE * 0.71
+
+
+def test_of_the_best_the_steadiest_is_chosen(engine):
+    fine, space = Scorer(engine), space_of(engine)
+    found = solve(planner(engine, 'annealing', 100), fine, 100)
+    steady = steadiest(found, space, fine, 10, time.perf_counter)
+
+    def off(placement):
+        return np.mean(fine(list(mounted(placement, MOUNTING, MOUNTINGS, SEED))).error)
+
+    choices = distinct(found.best, 10, LAST_APART)
+    assert off(steady.placement) == min(off(space.placement(choice)) for choice in choices)
+    assert steady.evaluations == found.evaluations + MOUNTINGS * len(choices)
+    assert steadiest(found, space, fine, 1, time.perf_counter) is found
+
+
+def test_a_yardstick_is_judged_anew_and_not_improved(engine):
+    score, space = Scorer(engine), space_of(engine)
+    found = search_and_finish(planner(engine, 'random', 60), score, 60)
+    lattice = LatticeScorer(score, space)
+    drawn = solve(planner(engine, 'random', 60), lattice, 51).best
+    assert any(np.array_equal(found.placement, space.placement(lattice.snapped(one)))
+               for one in drawn)
+
+
+def test_the_same_seed_finds_the_same(engine):
+    one, other = (search_and_finish(planner(engine, 'annealing', 80), Scorer(engine), 80)
+                  for _ in range(2))
+    np.testing.assert_array_equal(one.placement, other.placement)
+
+
+def test_one_evaluation_is_enough(engine):
+    found = search_and_finish(planner(engine, 'random', 1), Scorer(engine), 1)
+    assert found.placement.shape == (4, 3)
+
+
+def test_the_archive_keeps_the_best_and_the_first_of_equals():
+    archive, rng = Archive(), np.random.default_rng(0)
+    errors = rng.integers(0, 300, 3 * KEPT).astype(float)
+    for number, error in enumerate(errors):
+        archive.add((error,), np.array([[number, 0.0]]))
+    numbers = [int(one[0, 0]) for one in archive.best]
+    assert numbers == np.argsort(errors, kind='stable')[:KEPT].tolist()
+
+
+def test_elites_differ():
+    rng = np.random.default_rng(0)
+    placements = [rng.uniform(0.0, 1.0, (3, 2)) for _ in range(60)]
+    chosen = distinct(placements, 10)
+    assert np.array_equal(chosen[0], placements[0]) and len(chosen) == 10
+    assert min(differ(one, other) for k, one in enumerate(chosen) for other in chosen[:k]) >= APART
+    # Which camera has which number means nothing.
+    assert len(distinct([placements[0], placements[0][::-1]], 10)) == 1

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who judges: rays cast at the mesh, points that no search saw, and an error without luck."""
+
+from conftest import box_sides
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from ocp_ros.evaluation.benchmark_rooms import space_of
+from ocp_ros.evaluation.judging import (
+    Judge,
+    judged_room,
+    JudgedRoom,
+    MOUNTING,
+    MOUNTINGS,
+    SEED,
+)
+from ocp_ros.evaluation.truth import RayVisibility, TrueSimulator
+from ocp_ros.geometry.cameras import CameraModel, Pose
+from ocp_ros.geometry.depth_error import DepthError
+from ocp_ros.geometry.engine_config import EngineConfig, PROMISING
+from ocp_ros.geometry.packed_bits import no_bits, pack, unpack
+from ocp_ros.rig.motion import mounted
+from ocp_ros.scenes.scene import Mesh, Scene
+from ocp_ros.scenes.scene_files import save_scene
+from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
+
+SMALL = SimulationConfig(engine=EngineConfig(error_rows=32, coverage_cell=0.5, error_folds=2))
+#: A square panel across x = 1, from -1 to 1 in y and z.
+PANEL = Mesh(np.array([[1, -1, -1], [1, 1, -1], [1, 1, 1], [1, -1, 1]], dtype=np.float32),
+             np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32))
+
+
+def seen_by_rays(points, pose, model):
+    """Return which points rays reach: (N,) bool."""
+    points = np.asarray(points, dtype=np.float32)
+    visibility = RayVisibility(points, points, PANEL)
+    seen, covered = no_bits(len(points)), no_bits(len(points))
+    visibility.look(Pose.of(np.array(pose)), model.lens, seen, covered)
+    np.testing.assert_array_equal(seen, covered)
+    found = np.empty(len(points), dtype=bool)
+    found[visibility.order] = unpack(seen, len(points))
+    return found
+
+
+def test_a_panel_hides_what_is_behind_it_and_nothing_else():
+    points = [[1.0, 0.5, 0.0], [2.0, 0.5, 0.0], [2.0, 3.0, 0.0], [-1.0, 0.0, 0.0],
+              [0.5, 0.0, 0.0]]
+    found = seen_by_rays(points, (0.0, 0.0, 0.0), CameraModel(max_range=6.0))
+    np.testing.assert_array_equal(found, [True, False, True, True, True])
+
+
+def test_rays_are_held_to_the_range_and_the_viewing_cone():
+    points = [[0.8, 0.0, 0.0], [0.2, 0.0, 0.0], [-0.8, 0.0, 0.0], [0.8, 0.9, 0.0]]
+    model = CameraModel(0.5, 0.9, np.deg2rad(60.0), np.deg2rad(40.0))
+    found = seen_by_rays(points, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), model)
+    np.testing.assert_array_equal(found, [True, False, False, False])
+
+
+def test_the_engine_agrees_with_the_truth_about_a_room(room):
+    true, engine = TrueSimulator(room, SMALL), Simulator(room, SMALL)
+    space = space_of(engine)
+    placement = space.placement(space.random(np.random.default_rng(0)))
+    assert engine.evaluate(placement).depth_error == pytest.approx(
+        true.evaluate(placement).depth_error, rel=0.25)
+    both = true.evaluate(placement).visible == engine.evaluate(placement).visible
+    assert both.mean() > 0.85
+
+
+def test_a_generated_room_is_judged_on_points_that_no_search_saw():
+    room = JudgedRoom('7', 0.0, SMALL, 3000, 4000)
+    assert isinstance(room.simulator, TrueSimulator) and not isinstance(room.fine, TrueSimulator)
+    shared = set(map(tuple, room.scene.points)) & set(map(tuple, room.judged.points))
+    assert not shared
+    np.testing.assert_array_equal(room.scene.mesh.vertices, room.judged.mesh.vertices)
+
+
+def test_a_scan_is_judged_on_points_that_are_held_out(tmp_path):
+    path = tmp_path / 'scan.ply'
+    save_scene(Scene(generate_room(7, 4000).points, 'scan'), path)
+    room = judged_room(str(path), 0.0, SMALL)
+    assert judged_room(str(path), 0.0, SMALL) is room
+    assert type(room.simulator) is Simulator
+    searched, judged = (set(map(tuple, scene.points)) for scene in (room.scene, room.judged))
+    assert not searched & judged
+    assert len(searched) + len(judged) == pytest.approx(4000, rel=0.1)
+    assert abs(len(searched) - len(judged)) <= 1
+
+
+def test_the_judge_takes_the_mean_over_cameras_that_are_mounted_a_little_off(room):
+    simulator = Simulator(room, SMALL)
+    placement = np.random.default_rng(0).uniform(*room.bounds, (4, 3))
+    judged = Judge(lambda poses: (simulator.evaluate(poses).depth_error, 1.5))(placement)
+    assert judged['exact'] == simulator.evaluate(placement).depth_error
+    off = mounted(placement, MOUNTING, MOUNTINGS, SEED)
+    assert judged['depth_error'] == pytest.approx(np.mean(
+        [simulator.evaluate(moved).depth_error for moved in off]))
+    assert judged['space_coverage'] == 1.5
+
+
+def test_mounting_is_off_by_so_much_and_alike_for_all():
+    placement = np.array([[1.0, 1.0, 1.9], [2.0, 3.0, 1.9], [4.0, 4.0, 1.9]])
+    moved = mounted(placement, 0.05, 8, 0)
+    np.testing.assert_allclose(np.linalg.norm(moved - placement, axis=-1), 0.05)
+    assert (moved[..., 2] == 1.9).all()
+    np.testing.assert_allclose(mounted(placement - 0.5, 0.05, 8, 0) + 0.5, moved)
+
+
+def error_of(folds, points=None):
+    """Return the depth error of a box with a box in it."""
+    if points is None:
+        points = np.vstack([box_sides([4.0, 3.0, 2.5], [2.0, 1.5, 1.25], 0.15),
+                            box_sides([0.6, 0.5, 1.0], [1.2, 1.0, 0.5], 0.15)])
+    points = points.astype(np.float32)
+    bounds = np.stack([points.min(axis=0), points.max(axis=0)])
+    return points, DepthError(points, np.full(len(points), 0.15, dtype=np.float32), bounds, 24,
+                              1.0, folds=folds)
+
+
+@pytest.mark.parametrize('folds', [1, 2, 4])
+def test_seeing_nothing_costs_the_same_and_seeing_all_nothing_whatever_the_folds(folds):
+    points, error = error_of(folds)
+    assert error(pack(np.ones(len(points), dtype=bool))) == 0.0
+    assert error(no_bits(len(points))) == pytest.approx(error_of(1)[1].worst, rel=1e-5)
+    assert error.by_point(no_bits(len(points))).sum() == pytest.approx(error.worst, rel=1e-5)
+    np.testing.assert_array_equal(error.depth_map(0), error_of(1)[1].depth_map(0))
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2 ** 31), share=st.floats(0.05, 0.95))
+def test_seeing_more_never_costs_more_in_any_fold(seed, share):
+    points, error = error_of(3)
+    rng = np.random.default_rng(seed)
+    some = rng.random(len(points)) < share
+    more = some | (rng.random(len(points)) < 0.1)
+    assert 0.0 <= error(pack(more)) <= error(pack(some)) <= error.worst * (1.0 + 1e-6)
+
+
+def test_folds_charge_for_what_a_single_point_saves():
+    points, plain = error_of(1)
+    _, folded = error_of(4)
+    # Every pixel's nearest points but a tenth of them: what is left hangs on single points.
+    few = np.random.default_rng(0).random(len(points)) < 0.1
+    assert folded(pack(few)) > plain(pack(few))
+
+
+def test_what_is_promised_leaves_points_out():
+    assert PROMISING.error_folds >= 2 and PROMISING.preset == 'fine'
