@@ -55,8 +55,8 @@ soak: $(READY)  ## play, kill nodes and lie to them: make soak [MINUTES=5] [KILL
 endings: $(READY)  ## end nodes in every way that users do and count crashes: make endings [ENDINGS=500]
 	$(RUN) tools/stress_endings --out "$(OUT)/endings" $(if $(ENDINGS),--endings $(ENDINGS))
 
-benchmark: $(READY)  ## compare all planners in all test rooms: two hours on two cores; goes on where it stopped
-	$(RUN) -m ocp_ros.cli.main benchmark --preset full --out "$(OUT)/benchmark" --report docs/benchmark
+benchmark: $(READY)  ## compare all planners in all test rooms: an hour on two idle cores; goes on where it stopped
+	$(RUN) -m ocp_ros.cli.main benchmark --preset full --seeds 1 --out "$(OUT)/benchmark" --report docs/benchmark
 
 rooms: $(READY)  ## draw and measure generated rooms: make rooms [SCANS=folder]
 	$(RUN) -m ocp_ros.report.room_sheet --out docs $(if $(SCANS),--scans "$(SCANS)")
