@@ -3,7 +3,7 @@
 
 from dataclasses import replace
 
-from conftest import box_room, flat_clouds
+from conftest import box_room, flat_clouds, made_room
 import numpy as np
 import pytest
 
@@ -151,7 +151,9 @@ def test_lookahead_in_the_last_turns_helps(outcomes):
     assert both[-1] < both[4]
 
 
-def test_lookahead_alone_in_the_last_turn_stays_within_reach(room):
+def test_lookahead_alone_in_the_last_turn_stays_within_reach():
+    # As dense as what cameras see: of 2,000 points, half of which a fold leaves out, few are left.
+    room = made_room(8, 15000)
     online, positions = Lookahead(*settings()), np.array([[1.0, 1.0, 1.9], [2.0, 2.0, 1.9]])
     moves = online.move(room.points, positions, 29, 30)
     assert np.linalg.norm(moves, axis=1).max() <= MAX_STEP + 1e-9
