@@ -266,13 +266,12 @@ def here(monkeypatch):
 
 def rows_for(protocol, task):
     """Return made-up rows of a task of a comparison, as if it had been run."""
-    from ocp_ros.evaluation.task_rows import runs_of
     return [{'room': task.room, 'rotation': task.rotation, 'planner': task.planner,
              'budget': budget, 'seed': seed, 'exact': 2.0, 'space_coverage': 50.0,
              'depth_error': 2.1, 'promised': 2.0, 'lower_bound': 1.0, 'found': 2.0, 'bound': 1.5,
              'proved': False, 'evaluations': budget, 'seconds': 0.5,
              'placement': [[1.0, 2.0, 1.9]] * 4, 'trace': [[1.0, 0.1, 3.0]]}
-            for budget, seed in runs_of(protocol, task)]
+            for budget, seed in protocol.runs(task.planner)]
 
 
 def assert_same(one, other):

@@ -16,7 +16,7 @@ from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.packed_bits import no_bits, pack, unpack
 from ocp_ros.geometry.surfels import SurfelSettings
 from ocp_ros.geometry.visibility import FAST, SurfelVisibility
-from ocp_ros.geometry.voxels import voxel_downsample, voxel_size_for
+from ocp_ros.geometry.voxels import thinned_to
 from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.simulator import ERROR_CUBE, View
@@ -234,11 +234,9 @@ class LookHistory:
 
 def thinned(cloud: np.ndarray, most: int) -> np.ndarray:
     """Return at most so many points of a cloud (M, 3), evenly spread where there are more."""
-    if len(cloud) <= most:
-        return cloud
     if len(cloud) > DENSE * most:
         cloud = fixed_size(cloud, DENSE * most)
-    return voxel_downsample(cloud, voxel_size_for(cloud, most))
+    return thinned_to(cloud, most)
 
 
 def cells_of_the_air(bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:

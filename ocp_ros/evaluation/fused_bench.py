@@ -31,6 +31,7 @@ from ocp_ros.evaluation.engine_bench import (
 from ocp_ros.evaluation.ray_casting import RayCaster
 from ocp_ros.geometry.cameras import Pose
 from ocp_ros.geometry.packed_bits import Subset
+from ocp_ros.geometry.shadow_maps import in_reach
 from ocp_ros.geometry.visibility import CubeVisibility, FAST, FINE, PAPER, SurfelVisibility
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Scene
@@ -93,16 +94,11 @@ def view_of(points: np.ndarray, rays: MeshRays, pose: Pose) -> FrameView:
     :param rays: casts at the mesh of the room that was scanned.
     :param pose: of the camera.
     """
-    seen_from = (points - pose.position) @ pose.rotation
-    distance = np.linalg.norm(seen_from, axis=1)
-    within = (distance >= LENS.min_range) & (distance <= LENS.max_range)
-    ahead, across, up = seen_from.T
-    within &= (ahead > 0.0) & (np.abs(across) <= ahead * LENS.half_horizontal) \
-        & (np.abs(up) <= ahead * LENS.half_vertical)
-    depth = ahead[within]
+    within = in_reach(points, pose, LENS)
+    seen_from = (points[within] - pose.position) @ pose.rotation
+    depth = seen_from[:, 0]
     truth = np.zeros(len(points), dtype=bool)
-    truth[within] = depth - TOLERANCE <= exact_depth(rays, pose,
-                                                     seen_from[within] / depth[:, None])
+    truth[within] = depth - TOLERANCE <= exact_depth(rays, pose, seen_from / depth[:, None])
     return FrameView(pose, within, truth)
 
 

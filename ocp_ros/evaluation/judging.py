@@ -18,9 +18,8 @@ from ocp_ros.evaluation.truth import TrueSimulator
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.motion import mounted
 from ocp_ros.rig.rig_file import load_rig
-from ocp_ros.scenes.scene import Scene, turned
-from ocp_ros.scenes.scene_source import make_room, seed_named
-from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.scene_source import make_room
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
@@ -80,7 +79,8 @@ class JudgedRoom:
         self.config = config
         if name.isdecimal():
             self.scene = make_room(name, rotation, points)
-            self.judged = _again(seed_named(name), rotation, judged_points)
+            # Scanned again from the same tripods: other points.
+            self.judged = make_room(name, rotation, judged_points)
         else:
             self.scene, self.judged = _halves(make_room(name, rotation, 2 * points, scale, up))
         self._judging = replace(config, engine=JUDGING)
@@ -126,12 +126,6 @@ def engine_of(scene: Scene) -> type[Simulator]:
 def judged_room(*settings) -> JudgedRoom:
     """Return a room, the same one where it is asked for again; see :class:`JudgedRoom`."""
     return JudgedRoom(*settings)
-
-
-def _again(seed: int, rotation: float, points: int) -> Scene:
-    """Scan a generated room again, from where it was scanned before: other points."""
-    scene = generate_room(seed, points)
-    return turned(scene, rotation) if rotation else scene
 
 
 def _halves(scene: Scene) -> tuple[Scene, Scene]:

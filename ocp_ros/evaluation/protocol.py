@@ -11,6 +11,7 @@ what the engine promised.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from itertools import product
 import time
 from typing import Any
 
@@ -128,12 +129,18 @@ class Protocol:
                 f'protocol: found {len(self.rooms)} rooms, budgets {list(self.budgets)} and '
                 f'{self.seeds} seeds; expected at least one of each, all above 0')
 
-    @property
-    def true_runs(self) -> list[tuple[int, int]]:
-        """Return the evaluations and the seed of each search with the truth."""
-        if self.simulation.rig_file:
+    def runs(self, planner: str) -> list[tuple[int, int]]:
+        """Return the budget and the seed of each run of a planner or yardstick in a room."""
+        if planner == CONTROL:
+            return [(1, seed) for seed in range(CONTROLS)]
+        if planner == PROVED:
+            return [(self.candidates, 0)]
+        if planner == TRUTH and self.simulation.rig_file:
             return [(max(int(RIG_SHARE * self.truth_budget), 1), 0)]
-        return [(self.truth_budget, seed) for seed in range(self.truths)]
+        if planner == TRUTH:
+            return [(self.truth_budget, seed) for seed in range(self.truths)]
+        budgets = (TURNS,) if planner in ONLINE else self.budgets
+        return list(product(budgets, range(self.seeds)))
 
     def room(self, name: str, rotation: float) -> JudgedRoom:
         """Return a room as searches see it, and as the judge does."""
@@ -204,18 +211,17 @@ def _searches(protocol: Protocol, room: JudgedRoom, name: str) -> Iterator[Row]:
     fine, space = room.fine, space_of(room.fine)
     # Kernels are read from disk before the clock runs.
     Scorer(fine)([space.placement(space.random(np.random.default_rng(0)))])
-    for budget in protocol.budgets:
-        for seed in range(protocol.seeds):
-            planner = OFFLINE[name](space, np.random.default_rng([seed, budget]), budget)
-            yield {'budget': budget, 'seed': seed, **_found(search_and_finish(
-                planner, Scorer(fine), budget, time.process_time))}
+    for budget, seed in protocol.runs(name):
+        planner = OFFLINE[name](space, np.random.default_rng([seed, budget]), budget)
+        yield {'budget': budget, 'seed': seed, **_found(search_and_finish(
+            planner, Scorer(fine), budget, time.process_time))}
 
 
 def _true_searches(protocol: Protocol, room: JudgedRoom) -> Iterator[Row]:
     """Search with the truth, for the best known; the judge's points are not searched with."""
     truth = room.truth()
     space = space_of(truth)
-    for budget, seed in protocol.true_runs:
+    for budget, seed in protocol.runs(TRUTH):
         planner = GreedySwap(space, np.random.default_rng([seed, budget]), budget)
         yield {'budget': budget, 'seed': seed, **_found(solve(
             planner, Scorer(truth), budget, clock=time.process_time))}
@@ -241,14 +247,14 @@ def _found(result: Result) -> Row:
 def _episodes(protocol: Protocol, fine: Simulator, name: str) -> Iterator[Row]:
     """Play an episode with every seed; the last placement is what counts."""
     space = space_of(fine)
-    for seed in range(protocol.seeds):
+    for budget, seed in protocol.runs(name):
         online = ONLINE[name](protocol.simulation, np.random.default_rng([seed, 1]),
                               protocol.model)
         episode = Episode(PlaneProblem(fine), np.random.default_rng([seed, 0]))
         outcome = play(online, episode, clock=time.process_time)
         # Who ends where no camera may be is mounted at the nearest place where one may.
         placement = space.placement(space.inside(outcome.trajectory[-1][:, :2]))
-        yield {'budget': TURNS, 'seed': seed, 'evaluations': 0,
+        yield {'budget': budget, 'seed': seed, 'evaluations': 0,
                'seconds': float(outcome.seconds.sum()),
                'seconds_per_turn': float(np.median(outcome.seconds)),
                'seconds_at_most': float(outcome.seconds.max()),
@@ -278,12 +284,10 @@ def _rig_runs(protocol: Protocol, room: JudgedRoom, task: BenchmarkTask) -> Iter
     if task.planner == CONTROL:
         runs = _random_rigs(problem)
     elif task.planner == TRUTH:
-        runs = _rig_plans(protocol, room, RIG_SEARCH, [protocol.true_runs[0][0]], 1,
+        runs = _rig_plans(protocol, room, RIG_SEARCH, protocol.runs(TRUTH),
                           engine_of(room.scene))
     else:
-        # A time step of an online planner is an evaluation: its budget is that of the episode.
-        budgets = (TURNS,) if task.planner in ONLINE else protocol.budgets
-        runs = _rig_plans(protocol, room, task.planner, budgets, protocol.seeds)
+        runs = _rig_plans(protocol, room, task.planner, protocol.runs(task.planner))
     for row in runs:
         placement = row['placement']
         yield {**row, **judge(placement), 'promised': _objective(promising, placement)[0]}
@@ -300,19 +304,19 @@ def _objective(problem: Problem, poses: np.ndarray) -> tuple[float, float]:
     return problem.error(result), result.space_coverage
 
 
-def _rig_plans(protocol: Protocol, room: JudgedRoom, name: str, budgets: Sequence[int],
-               seeds: int, engine: type[Simulator] = Simulator) -> Iterator[Row]:
-    """Plan a rig file with every budget and seed."""
+def _rig_plans(protocol: Protocol, room: JudgedRoom, name: str, runs: Sequence[tuple[int, int]],
+               engine: type[Simulator] = Simulator) -> Iterator[Row]:
+    """Plan a rig file with each budget and seed of some runs."""
     rig = load_rig(protocol.simulation.rig_file)
-    for budget in budgets:
-        for seed in range(seeds):
-            began = time.process_time()
-            limit = Budget(evaluations=budget or protocol.simulation.episode.turns)
-            planner = RigPlanner(room.scene, rig, protocol.simulation.engine, limit, seed,
-                                 planner=name, model=protocol.model, simulator=engine)
-            answer = planner.plan(rig).answer
-            yield {'budget': budget, 'seed': seed, 'evaluations': answer.evaluations,
-                   'seconds': time.process_time() - began, 'placement': answer.poses, 'trace': []}
+    for budget, seed in runs:
+        began = time.process_time()
+        # A time step of an online planner is an evaluation: its budget is that of the episode.
+        limit = Budget(evaluations=budget or protocol.simulation.episode.turns)
+        planner = RigPlanner(room.scene, rig, protocol.simulation.engine, limit, seed,
+                             planner=name, model=protocol.model, simulator=engine)
+        answer = planner.plan(rig).answer
+        yield {'budget': budget, 'seed': seed, 'evaluations': answer.evaluations,
+               'seconds': time.process_time() - began, 'placement': answer.poses, 'trace': []}
 
 
 def _random_rigs(problem: Problem) -> Iterator[Row]:

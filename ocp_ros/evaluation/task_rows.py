@@ -2,7 +2,6 @@
 """Whether rows that were kept are those of a task: whole, and with numbers that can be."""
 
 from dataclasses import asdict
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -10,11 +9,8 @@ import numpy as np
 from ocp_ros.evaluation.protocol import (
     BenchmarkTask,
     CONTROL,
-    CONTROLS,
     Protocol,
     PROVED,
-    TRUTH,
-    TURNS,
 )
 from ocp_ros.planners.registry import ONLINE
 
@@ -33,7 +29,7 @@ def check_rows(rows: Any, protocol: Protocol, task: BenchmarkTask) -> None:
     if not isinstance(rows, list):
         raise ValueError(f'{type(rows).__name__} in place of rows')
     runs = [(row['budget'], row['seed']) for row in rows]
-    if sorted(runs) != sorted(runs_of(protocol, task)):
+    if sorted(runs) != sorted(protocol.runs(task.planner)):
         raise ValueError(f'{len(runs)} runs, not those of all budgets and seeds')
     for row in rows:
         if {name: row[name] for name in asdict(task)} != asdict(task):
@@ -48,18 +44,6 @@ def check_rows(rows: Any, protocol: Protocol, task: BenchmarkTask) -> None:
         trace = np.array(row['trace'], dtype=np.float64)
         if trace.size and (trace.ndim != 2 or trace.shape[1] != 3):
             raise ValueError('a trace is none')
-
-
-def runs_of(protocol: Protocol, task: BenchmarkTask) -> list[tuple[int, int]]:
-    """Return the budget and the seed of each run of a task."""
-    if task.planner == CONTROL:
-        return [(1, seed) for seed in range(CONTROLS)]
-    if task.planner == TRUTH:
-        return protocol.true_runs
-    if task.planner == PROVED:
-        return [(protocol.candidates, 0)]
-    budgets = (TURNS,) if task.planner in ONLINE else protocol.budgets
-    return list(product(budgets, range(protocol.seeds)))
 
 
 def _more(protocol: Protocol, task: BenchmarkTask) -> tuple[str, ...]:

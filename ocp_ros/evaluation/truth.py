@@ -6,7 +6,7 @@ import numpy as np
 from ocp_ros.evaluation.ray_casting import RayCaster
 from ocp_ros.geometry.cameras import Frustum, Pose
 from ocp_ros.geometry.packed_bits import pack, spatial_order
-from ocp_ros.geometry.shadow_maps import project, Projection
+from ocp_ros.geometry.shadow_maps import in_reach
 from ocp_ros.scenes.scene import Mesh
 from ocp_ros.simulation.simulator import Simulator
 
@@ -38,9 +38,7 @@ class RayVisibility:
 
     def _visible(self, points: np.ndarray, pose: Pose, lens: Frustum) -> np.ndarray:
         """Return the packed bits of what nothing hides in the viewing cone and the range."""
-        view = Projection.empty(len(points))
-        project(points, pose, lens, view)
-        near = np.flatnonzero(np.isfinite(view.distance))
+        near = np.flatnonzero(in_reach(points, pose, lens))
         seen = np.zeros(len(points), dtype=bool)
         seen[near] = self._caster.visible(points[near], pose.position, lens.max_range)
         return pack(seen)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from numba import njit
 import numpy as np
 
-from ocp_ros.geometry.cameras import in_view, OMNIDIRECTIONAL
+from ocp_ros.geometry.cameras import Frustum, in_view, OMNIDIRECTIONAL, Pose
 
 HALF_PI = 0.5 * np.pi
 TWO_PI = 2.0 * np.pi
@@ -79,6 +79,13 @@ def project(points, pose, lens, out):
             z = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
             if not in_view(x, y, z, lens):
                 out.distance[i] = np.inf
+
+
+def in_reach(points: np.ndarray, pose: Pose, lens: Frustum) -> np.ndarray:
+    """Return (N,) bool, which points (N, 3) are in a camera's viewing cone and its range."""
+    view = Projection.empty(len(points))
+    project(points, pose, lens, view)
+    return np.isfinite(view.distance)
 
 
 @njit(cache=True, nogil=True, inline='always')

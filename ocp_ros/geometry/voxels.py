@@ -31,6 +31,13 @@ def voxel_downsample(points: np.ndarray, voxel_size: float) -> np.ndarray:
     return means[np.argsort(grid.cells[:found])].astype(np.float32)
 
 
+def thinned_to(points: np.ndarray, most: int) -> np.ndarray:
+    """Return at most so many points of a cloud (N, 3), by a voxel grid where there are more."""
+    if len(points) <= most:
+        return points
+    return voxel_downsample(points, voxel_size_for(points, most))
+
+
 def voxel_size_for(points: np.ndarray, max_points: int) -> float:
     """
     Find the smallest voxel size, to 2 %, that leaves at most ``max_points`` points.

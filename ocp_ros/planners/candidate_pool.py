@@ -56,11 +56,19 @@ class PoseSet(NamedTuple):
     def near(self, pose: np.ndarray, count: int) -> np.ndarray:
         """Return the numbers of so many poses that are nearest to one and look alike."""
         count = min(count, len(self.poses))
-        return np.atleast_1d(self.tree.query(_features(pose[None])[0], np.arange(1, count + 1))[1])
+        here, ranks = features_of(pose[None])[0], np.arange(1, count + 1)
+        return np.atleast_1d(self.tree.query(here, ranks)[1])
 
 
-def _features(poses: np.ndarray) -> np.ndarray:
-    """Return positions and viewing directions of poses: (M, 6)."""
+def features_of(poses: np.ndarray) -> np.ndarray:
+    """
+    Return what is near for poses that see alike.
+
+    :param poses: (M, 3) or (M, 6) metres, map frame, and radians.
+    :returns: positions (M, 3), or positions and viewing directions (M, 6).
+    """
+    if poses.shape[1] == 3:
+        return poses
     yaw, pitch = poses[:, 3], poses[:, 4]
     ahead = np.stack([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), -np.sin(pitch)])
     return np.hstack([poses[:, :3], TURN * ahead.T])
@@ -109,7 +117,7 @@ class Pool:
                         lambda pose, camera=camera: simulator.look(pose, camera), part)
                 self.complete &= len(views) == len(offered)
                 poses = poses[:len(views)]
-                self._kinds[model] = PoseSet(poses, views, cKDTree(_features(poses)))
+                self._kinds[model] = PoseSet(poses, views, cKDTree(features_of(poses)))
 
     def __len__(self) -> int:
         """Return the number of poses, those of all models together."""

@@ -14,11 +14,11 @@ from scipy.spatial.distance import cdist
 
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.packed_bits import count_bits, unpack
-from ocp_ros.planners.benders import Benders, ChoiceRules, Proof
+from ocp_ros.planners.benders import Benders, Proof
+from ocp_ros.planners.candidate_pool import features_of
 from ocp_ros.planners.covering import covering_of
+from ocp_ros.planners.subproblem import ChoiceRules
 
-#: Metres that a turn by a radian counts as, where alike candidates are gathered.
-TURN = 1.0
 #: Rows of depth maps, the best first, and numbers of candidates that are enough and the fewest.
 PREFERRED, ENOUGH, FEWEST = (64, 32), 400, 200
 #: CandidatePoses by which it is judged how much one sees.
@@ -85,16 +85,6 @@ class CandidatePoses:
         return CandidatePoses(self.poses[list(numbers)], [self.views[k] for k in numbers],
                               self.group[list(numbers)])
 
-    @property
-    def features(self) -> np.ndarray:
-        """Return positions and viewing directions: near for poses that see alike."""
-        if self.poses.shape[1] == 3:
-            return self.poses
-        yaw, pitch = self.poses[:, 3], self.poses[:, 4]
-        ahead = np.stack([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw),
-                          -np.sin(pitch)], axis=1)
-        return np.hstack([self.poses[:, :3], TURN * ahead])
-
 
 @dataclass(frozen=True, eq=False)
 class Question:
@@ -131,7 +121,7 @@ class Question:
         if self.spacing > 0.0:
             near = cdist(candidates.poses[:, :3], candidates.poses[:, :3]) < self.spacing
             np.fill_diagonal(near, False)
-        return ChoiceRules(candidates.group, self.counts, candidates.features, near)
+        return ChoiceRules(candidates.group, self.counts, features_of(candidates.poses), near)
 
     def solve(self, candidates: CandidatePoses, over: Callable[[], bool] = lambda: False,
               most: int | None = None, known: float = np.inf,

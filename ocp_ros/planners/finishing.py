@@ -97,15 +97,16 @@ def search_and_finish(planner: Planner, score: Score, evaluations: int,
     lattice = LatticeScorer(score, planner.space)
     last = max(int(FINISHING * evaluations), 1)
     found = solve(planner, lattice, max(evaluations - last, 1), clock=clock)
-    choosing = int(CHOOSING * last) // MOUNTINGS * MOUNTINGS if planner.descends else 0
+    choices = int(CHOOSING * last) // MOUNTINGS if planner.descends else 0
     most = max(int(JUDGED_ANEW * last), 1) if planner.descends else last
     elites = distinct([lattice.snapped(one) for one in found.best], most)
     finish = FinishingDescent(elites, planner.space, planner.rng, last)
-    end = solve(finish, score, last - choosing if planner.descends else len(elites), clock=clock)
+    limit = last - MOUNTINGS * choices if planner.descends else len(elites)
+    end = solve(finish, score, limit, clock=clock)
     trace = np.vstack([found.trace, end.trace + [found.evaluations, found.seconds, 0.0]])
     end = replace(end, evaluations=found.evaluations + end.evaluations,
                   seconds=found.seconds + end.seconds, trace=trace)
-    return steadiest(end, planner.space, score, choosing // MOUNTINGS, clock)
+    return steadiest(end, planner.space, score, choices, clock)
 
 
 def steadiest(found: Result, space: FreePlane, score: Score, most: int,

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ocp_ros.geometry.cameras import CameraModel, Pose, rotation_matrix
-from ocp_ros.geometry.voxels import voxel_downsample, voxel_size_for
+from ocp_ros.geometry.voxels import thinned_to
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Mesh, Scene
 from ocp_ros.scenes.synthetic.generator import mesh_of, plan_of
@@ -55,10 +55,7 @@ class FusedScan(NamedTuple):
 
     def thinned(self, most: int) -> Scene:
         """Return the scan as a scene, merged to a number of points as a file is that is read."""
-        points = self.points
-        if len(points) > most:
-            points = voxel_downsample(points, voxel_size_for(points, most))
-        return Scene(points, 'fused', mesh=self.mesh)
+        return Scene(thinned_to(self.points, most), 'fused', mesh=self.mesh)
 
 
 def exact_depth(rays: MeshRays, pose: Pose, directions: np.ndarray) -> np.ndarray:
