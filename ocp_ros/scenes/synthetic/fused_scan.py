@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from ocp_ros.geometry.cameras import CameraModel, Pose, rotation_matrix
 from ocp_ros.geometry.voxels import thinned_to
@@ -21,7 +22,7 @@ from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Mesh, Scene
 from ocp_ros.scenes.synthetic.generator import mesh_of, plan_of
 from ocp_ros.scenes.synthetic.room_plan import RoomPlan
-from ocp_ros.scenes.synthetic.scanning import boxes_of, free
+from ocp_ros.scenes.synthetic.scanning import Boxes, boxes_of, free
 
 #: Pixels of a frame, and what the camera measures: 60 x 47 degrees, 0.4 to 4.5 m.
 WIDTH, HEIGHT = 160, 120
@@ -35,9 +36,11 @@ VOXEL, TRUNCATION = 0.025, 0.1
 #: Frames that have to agree on a voxel, and the least share of a frame's pixels that measure.
 WEIGHT, LEAST = 3.0, 0.05
 #: Metres: the height of a hand, how far the path stays from the walls, and the air around it.
-LOW, HIGH, MARGIN, AIR = 1.4, 1.7, 0.9, 0.25
+LOW, HIGH, MARGIN, AIR = 1.4, 1.7, 0.6, 0.25
+#: Places that the way leads to, its steps, and metres that its corners are rounded by.
+PLACES, STEPS, ROUNDING = 14, 4096, 0.3
 #: How often the camera turns around on its way, and how far it looks down, nods and tilts.
-TURNS, DOWN, NOD, TILT = 3.0, np.deg2rad(12.0), np.deg2rad(40.0), np.deg2rad(8.0)
+TURNS, DOWN, NOD, TILT = 5.0, np.deg2rad(12.0), np.deg2rad(40.0), np.deg2rad(8.0)
 #: Frames along a path.
 FRAMES = 480
 
@@ -95,29 +98,56 @@ def measured(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def hand_held_path(plan: RoomPlan, frames: int, rng: np.random.Generator) -> Iterator[Pose]:
     """
-    Carry a camera once around the room and look about.
+    Carry a camera around the room and look about.
 
-    The path is a loop whose distance from the middle, height and headings swing slowly; where
-    something stands in its way there are no frames.
+    The way is a closed tour of free places with its corners rounded off; height and headings swing
+    slowly. Where something stands in the way there are no frames.
 
     :param plan: the room.
     :param frames: at most so many.
-    :param rng: the swings.
+    :param rng: the places and the swings.
     """
     boxes, time = boxes_of(plan), np.linspace(0.0, 2.0 * np.pi, frames, endpoint=False)
-    half = np.maximum(0.5 * plan.size[:2] - MARGIN, 0.15 * plan.size[:2])
-    around = rng.choice([-1.0, 1.0]) * time + rng.uniform(0.0, 2.0 * np.pi)
-    wide = 0.75 + 0.25 * _swing(time, (2, 3, 5), rng)
-    height = 0.5 * (LOW + HIGH) + 0.5 * (HIGH - LOW) * _swing(time, (3, 7, 11), rng)
-    yaw = TURNS * rng.choice([-1.0, 1.0]) * time + around + 0.5 * _swing(time, (5, 9, 13), rng)
+    positions = np.column_stack([
+        _tour(_free_places(plan, boxes, rng), time),
+        0.5 * (LOW + HIGH) + 0.5 * (HIGH - LOW) * _swing(time, (3, 7, 11), rng)])
+    yaw = TURNS * rng.choice([-1.0, 1.0]) * time + 0.5 * _swing(time, (5, 9, 13), rng) \
+        + rng.uniform(0.0, 2.0 * np.pi)
     pitch = DOWN + NOD * _swing(time, (7, 11, 17), rng)
     roll = TILT * _swing(time, (4, 9, 15), rng)
-    for k in range(frames):
-        level = 0.5 * plan.size[:2] + half * wide[k] * np.array([np.cos(around[k]),
-                                                                 np.sin(around[k])])
-        position = np.append(level, height[k])
+    for position, *angles in zip(positions, yaw, pitch, roll):
         if free(position, AIR, *boxes):
-            yield Pose(position, rotation_matrix(yaw[k], pitch[k], roll[k]))
+            yield Pose(position, rotation_matrix(*angles))
+
+
+def _free_places(plan: RoomPlan, boxes: Boxes, rng: np.random.Generator) -> np.ndarray:
+    """Draw places on the way, with air around them: (P, 2), metres, at least one."""
+    margin, places = np.minimum(MARGIN, 0.3 * plan.size[:2]), []
+    while len(places) < PLACES:
+        place = np.append(rng.uniform(margin, plan.size[:2] - margin), 0.5 * (LOW + HIGH))
+        if free(place, AIR, *boxes):
+            places.append(place[:2])
+    return np.array(places)
+
+
+def _tour(places: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """
+    Walk from place to the nearest place not yet visited, and back to the first.
+
+    :param places: (P, 2), metres.
+    :param time: (T,) from 0 to 2 pi.
+    :returns: (T, 2), metres, within the hull of the places.
+    """
+    rest, way = list(places[1:]), [places[0]]
+    while rest:
+        way.append(rest.pop(int(np.argmin(np.linalg.norm(np.array(rest) - way[-1], axis=1)))))
+    corners = np.array([*way, way[0]])
+    along = np.append(0.0, np.linalg.norm(np.diff(corners, axis=0), axis=1).cumsum())
+    # On a fine grid of its own, so that the way is the same for few frames as for many.
+    steps = np.linspace(0.0, along[-1], STEPS, endpoint=False)
+    walked = np.stack([np.interp(steps, along, axis) for axis in corners.T], axis=1)
+    round_off = gaussian_filter1d(walked, STEPS * ROUNDING / along[-1], axis=0, mode='wrap')
+    return round_off[(STEPS * time / (2.0 * np.pi)).astype(int)]
 
 
 def _swing(time: np.ndarray, beats: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
