@@ -62,8 +62,9 @@ class Twin:
              over: bool = False) -> None:
         """Write points into one cell each, at the depth of their planes in its centre."""
         cell = np.pi / self.rows
-        value = self.inverse[which] * (
-            1.0 + self.slope_row[which] * cell * (row + 0.5 - self.row[which])
+        # A disc that is set back leans as the one that it stands for.
+        value = self.inverse[which] + 1.0 / self.distance[which] * (
+            self.slope_row[which] * cell * (row + 0.5 - self.row[which])
             + (not over) * self.slope_column[which] * self.flat[which] * cell
             * (column + 0.5 - self.column[which]))
         value = np.clip(value, LOWEST * self.inverse[which], HIGHEST * self.inverse[which])
