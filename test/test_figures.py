@@ -102,7 +102,8 @@ def test_the_generated_pages_are_what_their_files_say():
     from ocp_ros.cli import bench_command
     from ocp_ros.report import benchmark_report, room_sheet
     for page, write in (('docs/bench.md', bench_command.page), ('docs/rooms.md', room_sheet.page),
-                        ('docs/benchmark/README.md', benchmark_report.page)):
+                        ('docs/benchmark/README.md', benchmark_report.page),
+                        ('docs/benchmark/four_d455/README.md', benchmark_report.page)):
         data = page.replace('README.md', 'summary.json').replace('.md', '.json')
         assert write(json.loads((ROOT / data).read_text())) == (ROOT / page).read_text(), page
 
@@ -124,6 +125,9 @@ def test_every_page_counts_the_planners_as_the_registry_does():
     stated = []
     for path in [*published_figures.pages(ROOT), ROOT / 'CHANGELOG.rst', ROOT / 'setup.py',
                  ROOT / 'package.xml', ROOT / 'Makefile']:
+        if path.parent.name == 'four_d455':
+            # A rig file has one more, the search of full poses; the page counts them itself.
+            continue
         text = path.read_text().lower()
         for part, number in re.findall(
                 rf'(?:\b({"|".join(WORDS)}|\d+) of (?:the |all )?)?'
