@@ -7,11 +7,11 @@ import pytest
 
 from ocp_ros.evaluation.engine_bench import agreement, confusion, free_places
 from ocp_ros.evaluation.fused_bench import LENS, looks, view_of
-from ocp_ros.evaluation.ray_casting import RayCaster
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose, rotation_matrix
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.geometry.visibility import PRESETS, SurfelVisibility
 from ocp_ros.scenes.mesh_rays import MeshRays
+from ocp_ros.scenes.ray_casting import RayCaster
 from ocp_ros.scenes.scene import Mesh, Scene
 from ocp_ros.scenes.synthetic.fused_scan import (
     CAMERA,

@@ -16,7 +16,6 @@ from ocp_ros.evaluation.judging import (
     MOUNTINGS,
     SEED,
 )
-from ocp_ros.evaluation.truth import RayVisibility, TrueSimulator
 from ocp_ros.geometry.cameras import CameraModel, Pose
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.engine_config import EngineConfig, PROMISING
@@ -27,6 +26,7 @@ from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.simulation.truth import RayVisibility, TrueSimulator
 
 SMALL = SimulationConfig(engine=EngineConfig(error_rows=32, coverage_cell=0.5, error_folds=2))
 #: A square panel across x = 1, from -1 to 1 in y and z.

@@ -12,7 +12,6 @@ from twins import MODELS
 
 from ocp_ros.evaluation.engine_bench import free_places
 from ocp_ros.evaluation.numpy_twin import Twin
-from ocp_ros.evaluation.ray_casting import RayCaster
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose, rotation_matrix
 from ocp_ros.geometry.coverage import coverage_grid
 from ocp_ros.geometry.packed_bits import no_bits, Subset
@@ -32,6 +31,7 @@ from ocp_ros.geometry.visibility import (
     SurfelVisibility,
 )
 from ocp_ros.rig.sensors import SENSORS
+from ocp_ros.scenes.ray_casting import RayCaster
 from ocp_ros.scenes.scene import Scene
 
 HERE = Pose(np.zeros(3), LEVEL)

@@ -19,12 +19,12 @@ from rich.console import Console
 from rich.progress import track
 
 from ocp_ros.evaluation.numpy_twin import Twin
-from ocp_ros.evaluation.ray_casting import RayCaster
 from ocp_ros.geometry.cameras import CameraModel, Pose
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.geometry.visibility import DISC_SCALE, PRESETS
 from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.scenes.ray_casting import RayCaster
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.episode import Episode

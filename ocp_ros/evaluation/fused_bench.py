@@ -28,12 +28,12 @@ from ocp_ros.evaluation.engine_bench import (
     RADII,
     removal,
 )
-from ocp_ros.evaluation.ray_casting import RayCaster
 from ocp_ros.geometry.cameras import Pose
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.geometry.shadow_maps import in_reach
 from ocp_ros.geometry.visibility import CubeVisibility, FAST, FINE, PAPER, SurfelVisibility
 from ocp_ros.scenes.mesh_rays import MeshRays
+from ocp_ros.scenes.ray_casting import RayCaster
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.synthetic.fused_scan import (
     CAMERA,

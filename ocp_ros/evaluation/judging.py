@@ -14,7 +14,6 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from ocp_ros.evaluation.truth import TrueSimulator
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.motion import mounted
 from ocp_ros.rig.rig_file import load_rig
@@ -23,6 +22,7 @@ from ocp_ros.scenes.scene_source import make_room
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.simulation.truth import engine_of
 
 #: Points that are searched with, and those of the scan that judges.
 POINTS, JUDGED_POINTS = 60_000, 90_000
@@ -115,11 +115,6 @@ class JudgedRoom:
     def promising(self) -> Problem:
         """Return the rig file in the room and by the engine that it is searched with."""
         return Problem.of(self.scene, load_rig(self.config.rig_file), self.config)
-
-
-def engine_of(scene: Scene) -> type[Simulator]:
-    """Return the engine that is nearest to the truth in a room."""
-    return Simulator if scene.mesh is None else TrueSimulator
 
 
 @lru_cache(maxsize=2)

@@ -9,6 +9,9 @@ from ocp_ros.scenes.scene import Mesh
 #: A ray that ends this near to a point has reached it, metres: three times the noise of a scan.
 TOLERANCE = 0.03
 
+#: A point that is no farther from a camera has no direction, metres.
+TINY = 1e-9
+
 
 class RayCaster:
     """
@@ -31,7 +34,7 @@ class RayCaster:
         """
         offset = points - np.asarray(position, dtype=np.float32)
         distance = np.linalg.norm(offset, axis=1)
-        hit = self._rays.lengths(position, offset / distance[:, None])
+        hit = self._rays.lengths(position, offset / np.maximum(distance, TINY)[:, None])
         return (hit >= distance - TOLERANCE) & (distance <= max_range)
 
     def distance(self, position: np.ndarray, directions: np.ndarray) -> np.ndarray:

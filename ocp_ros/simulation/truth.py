@@ -3,11 +3,11 @@
 
 import numpy as np
 
-from ocp_ros.evaluation.ray_casting import RayCaster
 from ocp_ros.geometry.cameras import Frustum, Pose
 from ocp_ros.geometry.packed_bits import pack, spatial_order
 from ocp_ros.geometry.shadow_maps import in_reach
-from ocp_ros.scenes.scene import Mesh
+from ocp_ros.scenes.ray_casting import RayCaster
+from ocp_ros.scenes.scene import Mesh, Scene
 from ocp_ros.simulation.simulator import Simulator
 
 
@@ -56,3 +56,8 @@ class TrueSimulator(Simulator):
     def _make_visibility(self) -> RayVisibility:
         """Cast rays, whatever the preset."""
         return RayVisibility(self.scene.points, self.grid, self.scene.mesh)
+
+
+def engine_of(scene: Scene) -> type[Simulator]:
+    """Return the engine that is nearest to the truth in a room."""
+    return Simulator if scene.mesh is None else TrueSimulator
