@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import twins
 
-from ocp_ros.evaluation.ray_casting import RayCaster
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.depth_error import DepthError, viewpoints
 from ocp_ros.geometry.packed_bits import no_bits, pack
+from ocp_ros.scenes.ray_casting import RayCaster
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.simulation_config import SimulationConfig
@@ -72,6 +72,16 @@ def test_depth_error_falls_or_stays_when_more_is_seen(small, seed, share):
     more = some | (rng.random(len(scene)) < 0.2)
     assert 0.0 <= error(pack(more)) <= error(pack(some)) + ROUNDING
     assert error(pack(some)) <= error.worst + ROUNDING
+
+
+@given(seed=seeds, share=st.floats(0.0, 1.0), more=st.floats(0.0, 1.0))
+@budget(max_examples=8, deadline=None)
+def test_what_is_settled_may_be_left_out(small, seed, share, more):
+    scene, error = small
+    rng = np.random.default_rng(seed)
+    seen, *views = (pack(rng.random(len(scene)) < part) for part in (share, more, 0.1, 0.0))
+    expected = [error(seen | view) for view in views]
+    assert error.beyond(seen, views) == pytest.approx(expected, abs=ROUNDING)
 
 
 def test_depth_maps_agree_with_ray_casting():

@@ -10,6 +10,7 @@ Neighbouring pixels begin with the same points, so the lists are kept as trees: 
 visible, all pixels below it are settled at once.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from numba import njit
@@ -139,6 +140,40 @@ def lost_depth(trees, seen):
 
 
 @njit(cache=True, nogil=True)
+def unsettled(trees, seen):
+    """
+    Leave out what some points settle, whatever else is seen.
+
+    :param trees: of a :class:`DepthError`.
+    :param seen: (W,) uint64, packed bits of the points.
+    :returns: the fields of the other trees, and the metres that whole trees lose which are left
+        out: with more points seen, :func:`lost_depth` of all trees is that of these and as much.
+    """
+    most = trees.point.shape[0]
+    before, kept = np.empty(most + 1, dtype=np.uint32), np.empty(most, dtype=np.uint32)
+    rest, path = np.empty(most, dtype=np.float32), np.empty(most, dtype=np.uint32)
+    total, node, count, depth = 0.0, np.uint32(0), np.uint32(0), 0
+    while node < most:
+        while depth and trees.end[kept[path[depth - 1]]] <= node:
+            depth -= 1
+        before[node] = count
+        point = trees.point[node]
+        if (seen[point >> np.uint32(6)] >> np.uint64(point & np.uint32(63))) & np.uint64(1):
+            # These pixels lose as much unless a point above is seen.
+            if depth:
+                rest[path[depth - 1]] += trees.gap[node]
+            else:
+                total += trees.gap[node]
+            node = trees.end[node]
+        else:
+            kept[count], rest[count], path[depth] = node, trees.rest[node], count
+            count, depth, node = count + np.uint32(1), depth + 1, node + np.uint32(1)
+    before[most] = count
+    kept = kept[:count]
+    return (trees.point[kept], before[trees.end[kept]], trees.gap[kept], rest[:count]), total
+
+
+@njit(cache=True, nogil=True)
 def _lost_at(trees, seen, lost):
     """Sum the depth that pixels lose at the point that they show of the whole scene: (N,) lost."""
     node = np.uint32(0)
@@ -255,6 +290,18 @@ class DepthError:
             viewpoints, five times their mean.
         """
         return lost_depth(self.trees, seen) / self.pixels
+
+    def beyond(self, seen: np.ndarray, views: Sequence[np.ndarray]) -> np.ndarray:
+        """
+        Return the error for some points and each of many views besides.
+
+        :param seen: (W,) uint64, packed bits of the points.
+        :param views: M of the same.
+        :returns: (M,) metres.
+        """
+        left, settled = unsettled(self.trees, seen)
+        trees = Trees(*left)
+        return np.array([settled + lost_depth(trees, view) for view in views]) / self.pixels
 
     def by_point(self, seen: np.ndarray) -> np.ndarray:
         """
