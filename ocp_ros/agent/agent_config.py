@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from ocp_ros.util.settings import setting
 
 #: What the network reads: what a few moves would change on what was seen (``world``), the observed
-#: cloud itself as in the paper (``cloud``), or both.
-INPUTS = ('world', 'cloud', 'both')
+#: cloud itself as in the paper (``cloud``), both, or a map of what was observed (``map``).
+INPUTS = ('world', 'cloud', 'both', 'map')
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class AgentConfig:
 
     inputs: str = setting(
         'world', 'what the network reads: world, cloud or both, then with the place of the one '
-        'camera that chooses: of the others world tells', choices=INPUTS)
+        'camera that chooses: of the others world tells; or map', choices=INPUTS)
     points: int = setting(512, 'points of the cloud that reach the first unit', 16, 32767)
     keys_1: int = setting(32, 'key points of the first unit', 1, 4096)
     group_1: int = setting(8, 'points per group of the first unit', 1, 256)
@@ -36,9 +36,14 @@ class AgentConfig:
     @property
     def world(self) -> bool:
         """Return whether the network reads what moves would change."""
-        return self.inputs != 'cloud'
+        return self.inputs in ('world', 'both')
 
     @property
     def cloud(self) -> bool:
         """Return whether the network reads the observed cloud."""
-        return self.inputs != 'world'
+        return self.inputs in ('cloud', 'both')
+
+    @property
+    def map(self) -> bool:
+        """Return whether the network reads a map of what was observed."""
+        return self.inputs == 'map'

@@ -18,7 +18,7 @@ import torch
 
 from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.errors import CheckpointError
-from ocp_ros.agent.networks import Actor
+from ocp_ros.agent.networks import actor_of
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.settings import from_nested, to_nested
 
@@ -37,7 +37,7 @@ class Checkpoint:
     An actor's weights and what is known about them.
 
     :ivar config: sizes of the network.
-    :ivar weights: tensors by name, those of :class:`~ocp_ros.agent.networks.Actor`.
+    :ivar weights: tensors by name, those of :func:`~ocp_ros.agent.networks.actor_of`.
     :ivar updates: gradient steps so far; within one run, more of them replace fewer.
     :ivar run: identity of the training run.
     :ivar provenance: how the weights were made: command, seed, date, rooms, results.
@@ -53,7 +53,7 @@ class Checkpoint:
         """Refuse weights that do not fit the network, or overflow in it."""
         # On the meta device: only shapes are compared, nothing is allocated.
         with torch.device('meta'):
-            expected = Actor(self.config).state_dict()
+            expected = actor_of(self.config).state_dict()
         missing, extra = (expected.keys() - self.weights.keys(),
                           self.weights.keys() - expected.keys())
         if missing or extra:

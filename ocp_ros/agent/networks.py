@@ -12,6 +12,7 @@ from torch import nn, Tensor
 from ocp_ros.agent import move_effects
 from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.distributions import Choices, Moves, SquashedGaussian
+from ocp_ros.agent.value_network import ValueMapNetwork
 
 LOG_STD_MIN, LOG_STD_MAX = -5.0, 2.0
 #: The largest mean: far beyond it the density of a drawn move cannot be told from its tangent, and
@@ -247,6 +248,11 @@ class Actor(nn.Module):
     def forward(self, observation: dict[str, Tensor]) -> Moves:
         """Return a distribution of moves from an encoded observation."""
         return self.head(self.extractor(observation))
+
+
+def actor_of(config: AgentConfig) -> nn.Module:
+    """Return what a robot runs, with random weights."""
+    return ValueMapNetwork(config) if config.map else Actor(config)
 
 
 def head_of(config: AgentConfig, extractor: Extractor) -> nn.Module:

@@ -55,6 +55,7 @@ class PartialMap:
     :param around: cells that are no farther from a camera count as well, seen from above, metres:
         cameras that look one way know of no air behind them.
     :param folds: of the points, see :class:`~ocp_ros.geometry.depth_error.DepthError`.
+    :ivar points: (N, 3) float32, metres, in the order of the bits of a view.
     :ivar cells: (C,) int64, the number of each cell, in the order of the bits of a view.
     :ivar edge: of the cells, metres.
     :raises SceneError: if the points are too few or too flat to be a room.
@@ -82,8 +83,9 @@ class PartialMap:
             away = np.linalg.norm(centres[:, None, :2] - positions[None, :, :2], axis=2)
             inside |= away.min(axis=1) <= around
         order, places = self.visibility.order, self.visibility.place_order
+        self.points = scene.points[order]
         self.cells = np.append(np.where(inside, numbers, NO_CELL), [NO_CELL] * 4)[places]
-        self.depth_error = DepthError(scene.points[order], scene.spacing[order], bounds,
+        self.depth_error = DepthError(self.points, scene.spacing[order], bounds,
                                       rows, ERROR_CUBE, folds=folds)
 
     def _open(self, tests: np.ndarray, positions: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ import torch
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.encoder import Encoder, order_of
 from ocp_ros.agent.networks import Actor
+from ocp_ros.agent.value_policy import ValuePolicy
 
 
 class Policy:
@@ -27,6 +28,10 @@ class Policy:
     def reset(self) -> None:
         """Forget the last episode."""
         self.encoder.reset()
+
+    def replaced(self, checkpoint: Checkpoint) -> 'Policy':
+        """Return what runs other weights; what the encoder remembers is the episode's."""
+        return type(self)(checkpoint, self.encoder)
 
     def act(self, cloud: np.ndarray, camera_positions: np.ndarray, turn: int = 0, turns: int = 30,
             rng: np.random.Generator | None = None) -> np.ndarray:
@@ -61,3 +66,8 @@ class Policy:
             with torch.random.fork_rng(devices=[]):
                 torch.manual_seed(int(rng.integers(1 << 62)))
                 return moves.sample()[0].numpy()
+
+
+def make_policy(checkpoint: Checkpoint) -> Policy | ValuePolicy:
+    """Return what runs a checkpoint."""
+    return ValuePolicy(checkpoint) if checkpoint.config.map else Policy(checkpoint)

@@ -83,6 +83,10 @@ class Lookahead(Online):
         #: Turn of the last model or of the last candidates.
         self._made = 0
 
+    def take_over(self, targets: np.ndarray | None) -> None:
+        """Go on with where somebody else would have gone: (K, 2) metres, if anywhere."""
+        self._plan = targets
+
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`Online.move`."""
         remember(self._memory, positions, self.sight)

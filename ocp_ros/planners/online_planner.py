@@ -21,6 +21,7 @@ from ocp_ros.rig.motion import bounded_moves, towards
 
 if TYPE_CHECKING:
     from ocp_ros.agent.policy import Policy
+    from ocp_ros.planners.lookahead import Lookahead
 
 #: Metres: no way is worth that a camera takes the place of one of another kind.
 UNLIKE = 1e6
@@ -59,7 +60,11 @@ class Online(ABC):
     :param max_range: effective range of the omnidirectional cameras, metres.
     :param wall_margin: cameras stay this far inside the observed bounding box, metres.
     :param clearance: cameras stay this far from all points that were seen, metres.
+    :ivar targets: (K, 2) metres, where each camera goes in the end; None for planners that do not
+        say so, and before the first turn.
     """
+
+    targets: np.ndarray | None = None
 
     def __init__(self, rng: np.random.Generator, max_step: float, max_range: float,
                  wall_margin: float, clearance: float = CLEARANCE) -> None:
@@ -188,14 +193,15 @@ class ThenLookahead(Online):
     One planner explores and settles, another refines its placement on what has been seen.
 
     :param first: plays the first turns, such as :class:`Learned`.
-    :param lookahead: plays the others, in which it only refines.
+    :param lookahead: plays the others, in which it only refines: the targets of the first, or
+        where the cameras are.
     """
 
-    def __init__(self, first: Online, lookahead: Online) -> None:
+    def __init__(self, first: Online, lookahead: 'Lookahead') -> None:
         super().__init__(first.rng, first.max_step, first.max_range, first.wall_margin,
                          first.clearance)
         self.first, self.lookahead = first, lookahead
-        self._playing = first
+        self._playing: Online = first
 
     @property
     def headings(self) -> np.ndarray | None:
@@ -212,8 +218,12 @@ class ThenLookahead(Online):
         """Reset both."""
         self.first.reset()
         self.lookahead.reset()
+        self._playing = self.first
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`Online.move`."""
-        planner = self._playing = self.lookahead if turn >= REFINING * turns else self.first
+        planner = self.lookahead if turn >= REFINING * turns else self.first
+        if planner is self.lookahead and planner is not self._playing:
+            self.lookahead.take_over(self.first.targets)
+        self._playing = planner
         return planner.move(cloud, positions, turn, turns)

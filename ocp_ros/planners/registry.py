@@ -7,21 +7,28 @@ what the rig has seen.
 """
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ocp_ros.agent.encoder import Encoder
 from ocp_ros.planners.annealing import FixedAnnealing, TransDimensionalAnnealing
 from ocp_ros.planners.baselines import Random, RegularGrid
 from ocp_ros.planners.bee_colony import BeeColony
 from ocp_ros.planners.evolution import CmaEs, DifferentialEvolution, WarmCmaEs
 from ocp_ros.planners.greedy import GreedyCoverage, GreedyError, GreedySwap
 from ocp_ros.planners.lookahead import Lookahead
+from ocp_ros.planners.map_actor import MapActor
 from ocp_ros.planners.online_planner import GreedyStep, Learned, Online, ThenLookahead
 from ocp_ros.planners.particle_swarm import BinaryParticleSwarm
 from ocp_ros.planners.planner import Planner
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.util.resources import find_model
+
+if TYPE_CHECKING:
+    from ocp_ros.agent.policy import Policy
+    from ocp_ros.agent.value_policy import ValuePolicy
 
 #: The weights of ``learned``, unless others are named, and of ``learned_paper``.
 DEFAULT, PAPER = 'default', 'paper'
@@ -39,20 +46,30 @@ def _greedy_step(config: SimulationConfig, rng: np.random.Generator, model: str 
     return GreedyStep(*settings_of(config, rng))
 
 
-def _learned(config: SimulationConfig, rng: np.random.Generator, model: str = DEFAULT
-             ) -> Learned:
+def planned_by(policy: 'Policy | ValuePolicy', settings: tuple) -> Learned | MapActor:
+    """
+    Return the planner that moves cameras as a policy says.
+
+    :param policy: from :func:`ocp_ros.agent.policy.make_policy`.
+    :param settings: of :class:`~ocp_ros.planners.online_planner.Online`.
+    """
+    from ocp_ros.agent.value_policy import ValuePolicy
+    if isinstance(policy, ValuePolicy):
+        return MapActor(policy, *settings)
+    _, max_step, max_range, *margins = settings
+    policy.encoder = Encoder(policy.checkpoint.config, max_range, max_step, *margins)
+    return Learned(policy, *settings)
+
+
+def _learned(config: SimulationConfig, rng: np.random.Generator, model: str = DEFAULT) -> Online:
     """Return a policy."""
     # Only here: PyTorch takes longer to start than most searches.
     from ocp_ros.agent.checkpoint import Checkpoint
-    from ocp_ros.agent.encoder import Encoder
-    from ocp_ros.agent.policy import Policy
-    checkpoint, settings = Checkpoint.load(find_model(model)), settings_of(config, rng)
-    _, max_step, max_range, *margins = settings
-    encoder = Encoder(checkpoint.config, max_range, max_step, *margins)
-    return Learned(Policy(checkpoint, encoder), *settings)
+    from ocp_ros.agent.policy import make_policy
+    return planned_by(make_policy(Checkpoint.load(find_model(model))), settings_of(config, rng))
 
 
-def _learned_paper(config: SimulationConfig, rng: np.random.Generator, model: str = '') -> Learned:
+def _learned_paper(config: SimulationConfig, rng: np.random.Generator, model: str = '') -> Online:
     """Return the policy that learned as the paper's did, whatever other weights are named."""
     return _learned(config, rng, PAPER)
 

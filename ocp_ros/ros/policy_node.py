@@ -48,6 +48,7 @@ from ocp_ros.util.threads import set_threads
 if TYPE_CHECKING:
     from ocp_ros.agent.checkpoint import Checkpoint
     from ocp_ros.agent.policy import Policy
+    from ocp_ros.agent.value_policy import ValuePolicy
 
 
 def load_checkpoint(path: Path) -> 'Checkpoint':
@@ -115,7 +116,7 @@ class PolicyNode(Node):
         return self._decider.planner
 
     @property
-    def policy(self) -> 'Policy | None':
+    def policy(self) -> 'Policy | ValuePolicy | None':
         """Return the policy that runs, if any."""
         return None if self._decider.learned is None else self._decider.learned.policy
 
@@ -230,8 +231,7 @@ class PolicyNode(Node):
             self.get_logger().warning(
                 f'weights refused: {shortened(error)}', throttle_duration_sec=1.0)
             return
-        # What the encoder remembers is the episode's, not the weights'.
-        self._decider.learned.policy = type(self.policy)(checkpoint, self.policy.encoder)
+        self._decider.learned.policy = self.policy.replaced(checkpoint)
         self._counts['weights_swapped'] += 1
         self.get_logger().info(
             f'weights swapped: {running.updates} -> {checkpoint.updates} updates')

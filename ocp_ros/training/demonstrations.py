@@ -130,7 +130,7 @@ def demonstrate(task: DemonstrationTask) -> dict[str, np.ndarray]:
     episode = unwrapped(env).episode
     config = replace(simulation, rig=replace(simulation.rig, cameras=cameras))
     expert = Expert(settings, episode.simulator, config, rng)
-    policy = policy_of(task.weights) if task.weights else None
+    policy: Any = policy_of(task.weights) if task.weights else None
     steps: list[tuple] = []
     truncated = False
     while not truncated:

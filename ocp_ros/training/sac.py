@@ -17,6 +17,7 @@ from ocp_ros.agent.networks import CriticHead, Extractor, head_of, present_of
 from ocp_ros.training.augmentation import SymmetricReplayBuffer
 from ocp_ros.training.encoded_environment import action_space, encoded_space
 from ocp_ros.training.training_config import SacConfig
+from ocp_ros.util.settings import ConfigurationError
 
 
 class SharedExtractor(BaseFeaturesExtractor):
@@ -176,6 +177,10 @@ def make_sac(sac: SacConfig, agent: AgentConfig, cameras: int, env=None, seed: i
     :param environments: how many there will be where ``env`` is None.
     :param kwargs: passed on to ``stable_baselines3.SAC``.
     """
+    if agent.map:
+        raise ConfigurationError(
+            "agent.inputs: found 'map'; expected world, cloud or both: the map actor learns dense "
+            'values, as ocp train does with config/train/map.yaml')
     model = RigSac(
         RigPolicy, env, config=sac, learning_rate=sac.learning_rate, buffer_size=sac.buffer_size,
         learning_starts=sac.learning_starts, batch_size=sac.batch_size, tau=sac.tau,

@@ -41,6 +41,7 @@ from ocp_ros.training.sac_state import load_state, new_run, save_state
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import make, room_names, Rooms
 from ocp_ros.training.validation import evaluate, RANDOM_MOVES, ValidationTrial
+from ocp_ros.training.value_training import learn_values, ValueRun
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import ConfigurationError, to_nested
 from ocp_ros.util.shown_text import printable
@@ -84,6 +85,11 @@ class Run:
     def state(self) -> Path:
         """Return the file to resume from."""
         return self.folder / STATE
+
+    @property
+    def device(self) -> torch.device:
+        """Return where the networks are."""
+        return self.model.device
 
     @property
     def seconds(self) -> float:
@@ -312,6 +318,8 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
     columns = (TextColumn('{task.description}'), MofNCompleteColumn(), TimeRemainingColumn(),
                TextColumn('{task.fields[error]}'))
     with WorkerPool(config.workers, config.ray or None) as pool, Progress(*columns) as progress:
+        if config.agent.map:
+            return _train_values(ValueRun(config, folder, pool, progress, new_run()), command)
         run = Run(config, folder, _model(config, folder), pool, progress, new_run())
         run.resume()
         imitate(run)
@@ -320,6 +328,19 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
             # It was lost after the last evaluation.
             run.evaluate('sac' if config.interactions else 'demonstrations')
         return report(run, command)
+
+
+def _train_values(run: ValueRun, command: str) -> Checkpoint:
+    """Train the map actor, or go on with it."""
+    run.resume()
+    learn_values(run)
+    if any('ratio' in line for line in records(run.folder)):
+        return report(run, command)
+    blob = run.checkpoint().to_bytes()
+    result = evaluate(run.pool, [replace(trial, weights=blob)
+                                 for trial in trials_of(run.config, 'validation')])
+    run.note('values', **result)
+    return report(run, command)
 
 
 def _model(config: TrainingConfig, folder: Path) -> RigSac:
@@ -350,7 +371,7 @@ def _replay(config: TrainingConfig) -> dict[str, Any]:
         'rebuild': Rebuild(scene, config.agent), 'words': len(no_bits(config.rooms.points))}}
 
 
-def report(run: Run, command: str) -> Checkpoint:
+def report(run: Run | ValueRun, command: str) -> Checkpoint:
     """Play the test rooms with the best weights and at random; write the figures into the card."""
     config, best = run.config, Checkpoint.load(run.folder / BEST)
     # Whatever it learned on, the figures are those of the engine at its best.
@@ -358,7 +379,7 @@ def report(run: Run, command: str) -> Checkpoint:
     trials = [replace(trial, simulation=replace(trial.simulation, engine=fine))
               for trial in trials_of(config, 'test')]
     blob = best.to_bytes()
-    on_gpu = run.model.device.type == 'cuda'
+    on_gpu = run.device.type == 'cuda'
     cpu = f'CPU, {config.workers or cores()} processes, {torch.get_num_threads()} threads'
     lines = records(run.folder)
     provenance = {

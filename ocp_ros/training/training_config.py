@@ -113,6 +113,24 @@ class DemonstrationsConfig:
 
 
 @dataclass(frozen=True)
+class ValuesConfig:
+    """Dense values that the map actor learns first; see :mod:`ocp_ros.training.value_states`."""
+
+    rooms: int = setting(320, 'rooms to walk through', 1, 100000)
+    own_rooms: int = setting(
+        100, 'rooms in which the network itself then plays, to learn from where it goes', 0,
+        100000)
+    steps: int = setting(7000, 'gradient steps on the walks', 1, 1 << 31)
+    own_steps: int = setting(3000, 'gradient steps on all of it', 0, 1 << 31)
+    batch_size: int = setting(32, 'choices per gradient step', 1, 65536)
+    learning_rate: float = setting(1.5e-3, 'first step size of AdamW', 1e-7, 1.0)
+    last_learning_rate: float = setting(1e-4, 'last step size of AdamW', 1e-7, 1.0)
+    averaging: float = setting(
+        0.995, 'share of the averaged weights, which are used, kept at a gradient step', 0.0, 1.0)
+    evaluate_every: int = setting(1000, 'gradient steps between evaluations', 1, 1 << 31)
+
+
+@dataclass(frozen=True)
 class TrainingConfig:
     """A training run: what ``ocp train`` reads from YAML."""
 
@@ -133,6 +151,7 @@ class TrainingConfig:
     simulation: SimulationConfig = group(SimulationConfig)
     agent: AgentConfig = group(AgentConfig)
     demonstrations: DemonstrationsConfig = group(DemonstrationsConfig)
+    values: ValuesConfig = group(ValuesConfig)
     sac: SacConfig = group(SacConfig)
 
     def __post_init__(self) -> None:
@@ -155,7 +174,12 @@ class TrainingConfig:
                 f'simulation.episode.max_step: found {longest} with agent.inputs '
                 f'{self.agent.inputs!r}; expected {LONGEST}, the longest of the moves that these '
                 'try; leave it out, or read the cloud alone')
-        if not self.demonstrations.rounds and not self.interactions:
+        if self.agent.map and (self.interactions or self.demonstrations.rounds):
+            raise ConfigurationError(
+                f'interactions: found {self.interactions} and {self.demonstrations.rounds} '
+                "demonstrations.rounds with agent.inputs 'map'; expected 0 of both: the map actor "
+                'learns dense values, see values')
+        if not (self.demonstrations.rounds or self.interactions or self.agent.map):
             raise ConfigurationError('interactions: found 0 and no demonstrations.rounds; '
                                      'expected something to learn from')
         if self.demonstrations.rounds and not self.agent.world:

@@ -15,7 +15,7 @@ from ocp_ros.scenes.s3dis import chosen_rooms, s3dis_folder, TEST_AREAS
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_files import READERS, scans_in
 from ocp_ros.scenes.scene_source import make_room
-from ocp_ros.scenes.splits import TEST, TRAINING, VALIDATION
+from ocp_ros.scenes.splits import MORE_TRAINING, TEST, TRAINING, VALIDATION
 from ocp_ros.training.training_config import RoomsConfig
 from ocp_ros.util.settings import ConfigurationError
 
@@ -38,8 +38,8 @@ def room_names(config: RoomsConfig, part: str) -> list[str]:
     elif config.source == 'folder':
         names = _of_folder(config.folder, part)
     else:
-        names = [str(seed) for seed in
-                 {'training': TRAINING, 'validation': VALIDATION, 'test': TEST}[part]]
+        seeds = {'training': (*TRAINING, *MORE_TRAINING), 'validation': VALIDATION, 'test': TEST}
+        names = [str(seed) for seed in seeds[part]]
     names = names[:getattr(config, part)]
     if not names:
         raise ConfigurationError(f'rooms: found no {part} rooms; expected at least one; '

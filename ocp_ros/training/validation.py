@@ -8,15 +8,15 @@ from functools import lru_cache
 import numpy as np
 
 from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.policy import Policy
-from ocp_ros.planners.online_planner import Learned, Online
-from ocp_ros.planners.registry import ONLINE, settings_of
+from ocp_ros.agent.policy import make_policy, Policy
+from ocp_ros.agent.value_policy import ValuePolicy
+from ocp_ros.planners.online_planner import Online
+from ocp_ros.planners.registry import ONLINE, planned_by, settings_of
 from ocp_ros.planners.rollout import play
 from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import make_problem, PlaneProblem, Problem, settings_for
 from ocp_ros.simulation.simulation_config import SimulationConfig
-from ocp_ros.training.encoded_environment import encoder_of
 from ocp_ros.training.training_config import RoomsConfig
 from ocp_ros.training.training_rooms import make
 from ocp_ros.util.worker_pool import WorkerPool
@@ -66,9 +66,7 @@ def play_trial(trial: ValidationTrial) -> tuple[float, float, float]:
     simulation = settings_for(trial.simulation)
     settings = settings_of(simulation, np.random.default_rng([trial.seed, 1]))
     if trial.weights:
-        policy = policy_of(trial.weights)
-        policy.encoder = encoder_of(policy.checkpoint.config, simulation)
-        online: Online = Learned(policy, *settings)
+        online: Online = planned_by(policy_of(trial.weights), settings)
     elif trial.planner == RANDOM_MOVES:
         online = RandomMoves(*settings)
     else:
@@ -87,9 +85,9 @@ def _prepared(rooms: RoomsConfig, room: str, rotation: float, config: Simulation
 
 
 @lru_cache(maxsize=1)
-def policy_of(weights: bytes) -> Policy:
+def policy_of(weights: bytes) -> Policy | ValuePolicy:
     """Read weights once."""
-    return Policy(Checkpoint.from_bytes(weights))
+    return make_policy(Checkpoint.from_bytes(weights))
 
 
 def evaluate(pool: WorkerPool, trials: Sequence[ValidationTrial]) -> dict[str, float]:

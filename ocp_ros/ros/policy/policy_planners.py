@@ -7,9 +7,12 @@ import numpy as np
 
 from ocp_ros.agent.encoder import Encoder
 from ocp_ros.planners.lookahead import Lookahead
+from ocp_ros.planners.map_actor import MapActor
 from ocp_ros.planners.online_planner import Learned, Online, ThenLookahead
+from ocp_ros.planners.registry import planned_by
 from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.ros.policy.policy_config import LEARNED, PolicyNodeConfig
+from ocp_ros.util.settings import ConfigurationError
 
 if TYPE_CHECKING:
     from ocp_ros.agent.checkpoint import Checkpoint
@@ -28,7 +31,7 @@ class Exploring(Learned):
 
 
 def make_planner(config: PolicyNodeConfig, checkpoint: 'Checkpoint | None'
-                 ) -> tuple[Online, Learned | None]:
+                 ) -> tuple[Online, Learned | MapActor | None]:
     """
     Build what chooses the moves.
 
@@ -42,13 +45,17 @@ def make_planner(config: PolicyNodeConfig, checkpoint: 'Checkpoint | None'
     if checkpoint is None:
         return Lookahead(*settings), None
     # Only here: PyTorch takes longer to import than all the rest.
-    from ocp_ros.agent.policy import Policy
+    from ocp_ros.agent.policy import make_policy
     from ocp_ros.ros.policy.recorded_policy import RecordedPolicy
-    encoder = Encoder(checkpoint.config, config.max_range, config.max_step, *margins)
     if config.explore:
+        if checkpoint.config.map:
+            raise ConfigurationError(
+                'explore: found true with weights of the map actor; expected false: nobody learns '
+                'from drawn moves of it; leave it out, or name other weights')
+        encoder = Encoder(checkpoint.config, config.max_range, config.max_step, *margins)
         exploring = Exploring(RecordedPolicy(checkpoint, encoder), *settings)
         return exploring, exploring
-    learned = Learned(Policy(checkpoint, encoder), *settings)
+    learned = planned_by(make_policy(checkpoint), settings)
     if config.planner == LEARNED:
         return learned, learned
     return ThenLookahead(learned, Lookahead(*settings)), learned

@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Fit the map actor's network to dense values: plain regression, the good places counting most.
+
+Where a batch comes from depends on the seed and its number alone, so that a fit which was
+interrupted goes on as if it had not been.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from copy import deepcopy
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import safetensors.torch
+import torch
+from torch import Tensor
+from torch.nn.functional import grid_sample, smooth_l1_loss
+
+from ocp_ros.agent.checkpoint import read_metadata
+from ocp_ros.agent.errors import CheckpointError
+from ocp_ros.agent.observation_map import CELLS, used_part
+from ocp_ros.agent.value_network import ValueMapNetwork
+from ocp_ros.training.training_config import ValuesConfig
+
+#: Where the loss is no more quadratic, how much more the best place counts than a bad one, and
+#: within which difference of values places count as good.
+BETA, BEST_COUNTS, GOOD = 0.1, 6.0, 0.1
+#: Steps in which the step size grows to the first one.
+WARM = 100
+#: Weight and temperature of the cross entropy between which places are best and which are said
+#: to be.
+SHARPNESS, TEMPERATURE = 0.03, 0.05
+
+
+class ValueSet:
+    """
+    Maps and choices, in memory.
+
+    :param episodes: from :func:`~ocp_ros.training.value_states.play_states`, of one room each.
+    """
+
+    def __init__(self, episodes: Sequence[dict[str, np.ndarray]]) -> None:
+        firsts = np.cumsum([0] + [len(one['room']) for one in episodes])
+        self._joined = {name: torch.from_numpy(np.concatenate([one[name] for one in episodes]))
+                        for name in ('room', 'others', 'numbers', 'places', 'values')}
+        self._of = torch.from_numpy(np.concatenate(
+            [one['of'] + first for one, first in zip(episodes, firsts)])).long()
+        #: (M, 2) the first row and column of each map that are used.
+        self._firsts = np.array([[part.start for part in used_part(room)]
+                                 for room in self._joined['room'].numpy()])
+        kinds, of_maps = np.unique(self._firsts, axis=0, return_inverse=True)
+        of_choices = of_maps.ravel()[self._of.numpy()]
+        self._alike = [np.flatnonzero(of_choices == kind) for kind in range(len(kinds))]
+
+    @classmethod
+    def joined(cls, sets: Sequence['ValueSet']) -> 'ValueSet':
+        """Put sets one behind the other."""
+        return cls([{name: value.numpy() for name, value in one._joined.items()}
+                    | {'of': one._of.numpy()} for one in sets])
+
+    def __len__(self) -> int:
+        """Return the number of choices."""
+        return len(self._of)
+
+    def draw(self, rng: np.random.Generator, size: int) -> Tensor:
+        """Draw choices (size,) whose maps are used as far, each as likely as all others."""
+        shares = np.array([len(rows) for rows in self._alike]) / len(self)
+        return torch.from_numpy(rng.choice(self._alike[rng.choice(len(shares), p=shares)], size))
+
+    def in_order(self, size: int) -> Iterator[Tensor]:
+        """Yield all choices, at most so many at once, whose maps are used as far."""
+        for rows in self._alike:
+            yield from torch.from_numpy(rows).split(size)
+
+    def batch(self, rows: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor]:
+        """
+        Take some choices.
+
+        :param rows: (B,) their numbers; their maps are used as far.
+        :returns: what the network reads, ``places`` (B, P, 2) in cells of it, and ``values``
+            (B, P), NaN where nothing is known.
+        """
+        joined, of = self._joined, self._of[rows]
+        first = self._firsts[of[0]]
+        middle = (slice(None), slice(None), *(slice(one, CELLS - one) for one in first))
+        return ({'room': joined['room'][of][middle], 'others': joined['others'][rows][middle],
+                 'numbers': joined['numbers'][rows]}, joined['places'][of] - torch.tensor(first),
+                joined['values'][rows].float())
+
+
+def at_places(values: Tensor, places: Tensor) -> Tensor:
+    """
+    Read maps between the middles of their cells.
+
+    :param values: (B, H, W).
+    :param places: (B, P, 2) in cells.
+    :returns: (B, P).
+    """
+    scale = 2.0 / torch.tensor(values.shape[1:])
+    # What is asked for comes in the order of the axes of images: columns first.
+    grid = (places * scale - 1.0).flip(-1)[:, :, None]
+    return grid_sample(values[:, None], grid, align_corners=False,
+                       padding_mode='border')[:, 0, :, 0]
+
+
+def turned_at_random(observation: dict[str, Tensor], places: Tensor, number: int
+                     ) -> tuple[dict[str, Tensor], Tensor]:
+    """Turn or mirror maps and places by one of the eight symmetries of the square."""
+    mirrored, quarters = divmod(number, 4)
+    half = 0.5 * torch.tensor(observation['room'].shape[2:])
+    turned, middle = dict(observation), places - half
+    for name in ('room', 'others'):
+        value = observation[name].flip(-1) if mirrored else observation[name]
+        turned[name] = torch.rot90(value, quarters, (-2, -1))
+    x, y = middle.unbind(-1)
+    y = -y if mirrored else y
+    for _ in range(quarters):
+        # The first axis of a map turns towards its second one.
+        x, y = -y, x
+    half = 0.5 * torch.tensor(turned['room'].shape[2:])
+    return turned, torch.stack([x, y], dim=-1) + half
+
+
+def loss_of(predicted: Tensor, values: Tensor) -> Tensor:
+    """Return how far predicted values (B, P) are from the labels (B, P), some of them NaN."""
+    known = ~values.isnan()
+    labels = torch.where(known, values, 10.0)
+    weight = (1.0 + BEST_COUNTS * torch.exp(
+        (labels.amin(dim=1, keepdim=True) - labels) / GOOD)) * known
+    away = smooth_l1_loss(predicted, labels, beta=BETA, reduction='none')
+    best = torch.softmax(-labels / TEMPERATURE, dim=1)
+    said = torch.where(known, -predicted / TEMPERATURE, -1e4).log_softmax(dim=1)
+    cross = torch.where(known, best * (best.clamp(min=1e-9).log() - said), 0.0).sum(dim=1)
+    return (away * weight).sum() / weight.sum() + SHARPNESS * cross.mean()
+
+
+def regret_of(network: ValueMapNetwork, choices: ValueSet, size: int = 64) -> float:
+    """Return what the places that a network finds best are worse than the best ones, in mean."""
+    lost = []
+    with torch.inference_mode():
+        for rows in choices.in_order(size):
+            observation, places, values = choices.batch(rows)
+            predicted = at_places(network(observation), places)
+            predicted = torch.where(values.isnan(), torch.inf, predicted)
+            chosen = values.gather(1, predicted.argmin(dim=1, keepdim=True))[:, 0]
+            lost.append(chosen - values.nan_to_num(torch.inf).amin(dim=1))
+    return float(torch.cat(lost).mean())
+
+
+class ValueFit:
+    """
+    A fit as it goes on.
+
+    :param network: starts from its weights.
+    :param config: how long it takes, and in which steps.
+    :param seed: of the batches.
+    :ivar average: the network whose weights are the moving average: it is what is used.
+    :ivar step: gradient steps so far.
+    """
+
+    def __init__(self, network: ValueMapNetwork, config: ValuesConfig, seed: int) -> None:
+        self.config, self._seed, self.step = config, seed, 0
+        self.network = network.to(memory_format=torch.channels_last)
+        self.average = deepcopy(network).eval()
+        self._optimizer = torch.optim.AdamW(network.parameters(), config.learning_rate,
+                                            weight_decay=1e-4)
+
+    def run(self, choices: ValueSet, until: int, total: int,
+            watch: Callable[[int, float], Any] = lambda step, loss: None) -> None:
+        """
+        Take gradient steps, from the first step size down to the last along a cosine.
+
+        :param choices: to learn from.
+        :param until: the step to stop at; those that were taken before count.
+        :param total: the step at which the step size is the last one.
+        :param watch: is told each step and its loss.
+        """
+        first, last = self.config.learning_rate, self.config.last_learning_rate
+        while self.step < until:
+            part = 0.5 * (1.0 + math.cos(math.pi * self.step / total))
+            for group in self._optimizer.param_groups:
+                group['lr'] = (last + (first - last) * part) * min((self.step + 1) / WARM, 1.0)
+            loss = self._step(choices)
+            watch(self.step, loss)
+
+    def _step(self, choices: ValueSet) -> float:
+        """Take one gradient step."""
+        rng = np.random.default_rng([self._seed, self.step])
+        observation, places, values = choices.batch(choices.draw(rng, self.config.batch_size))
+        observation, places = turned_at_random(observation, places, int(rng.integers(8)))
+        predicted = at_places(self.network(observation), places)
+        loss = loss_of(predicted, values)
+        self._optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
+        self._optimizer.step()
+        self.step += 1
+        with torch.no_grad():
+            share = 1.0 - min(self.config.averaging, self.step / (self.step + 10.0))
+            for mean, new in zip(self.average.parameters(), self.network.parameters()):
+                mean.lerp_(new, share)
+        return loss.item()
+
+    def to_bytes(self, run: str) -> bytes:
+        """Write the state to resume from."""
+        tensors = {f'network.{name}': value for name, value in self.network.state_dict().items()}
+        tensors |= {f'average.{name}': value for name, value in self.average.state_dict().items()}
+        for index, slot in self._optimizer.state_dict()['state'].items():
+            tensors |= {f'optimizer.{index}.{key}': value for key, value in slot.items()}
+        tensors['step'] = torch.tensor(self.step)
+        return safetensors.torch.save({name: value.contiguous().clone()
+                                       for name, value in tensors.items()}, {'run': run})
+
+    def load(self, path: Path) -> str:
+        """
+        Go on from a state.
+
+        :returns: the identity of the run.
+        :raises CheckpointError: if it is damaged or of another network.
+        """
+        try:
+            blob = path.read_bytes()
+            tensors, run = safetensors.torch.load(blob), read_metadata(blob)['run']
+            parts: dict[str, dict[str, Tensor]] = {'network': {}, 'average': {}, 'optimizer': {}}
+            for name, value in tensors.items():
+                if name != 'step':
+                    part, _, rest = name.partition('.')
+                    parts[part][rest] = value
+            self.network.load_state_dict(parts['network'])
+            self.average.load_state_dict(parts['average'])
+            slots: dict[int, dict[str, Tensor]] = {}
+            for name, value in parts['optimizer'].items():
+                index, key = name.split('.')
+                slots.setdefault(int(index), {})[key] = value
+            self._optimizer.load_state_dict(
+                {**self._optimizer.state_dict(), 'state': slots})
+            self.step = int(tensors['step'])
+        except (OSError, safetensors.SafetensorError, KeyError, TypeError, ValueError,
+                RuntimeError) as error:
+            raise CheckpointError(
+                f'{path}: found no training state for this network ({error}); expected a whole '
+                'one, saved with the same settings; put it back from a copy, or begin in another '
+                'folder: states of rooms that were played may be copied there') from error
+        return run

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Train the map actor: read from top to bottom, this is the whole run.
+
+First its network learns dense values in rooms that a rig walks through, then in rooms that it has
+played in itself. The folder holds what :mod:`ocp_ros.training.train` writes, and ``states/`` with
+the states of each room.
+"""
+
+from datetime import date
+import io
+from pathlib import Path
+import time
+
+import numpy as np
+from rich.progress import Progress
+import torch
+
+from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.agent.errors import CheckpointError
+from ocp_ros.agent.value_network import ValueMapNetwork
+from ocp_ros.training.run_folder import add_record, BEST, records, STATE
+from ocp_ros.training.training_config import TrainingConfig
+from ocp_ros.training.training_rooms import room_names
+from ocp_ros.training.value_fit import regret_of, ValueFit, ValueSet
+from ocp_ros.training.value_states import play_states, SHAPES, StateTask
+from ocp_ros.util.files import write_atomically
+from ocp_ros.util.resources import find_model
+from ocp_ros.util.settings import to_nested, UserError
+from ocp_ros.util.worker_pool import WorkerPool
+
+STATES = 'states'
+#: What the states of a room are drawn from, by who walks through it.
+WALKED, OWN, CHECKED = 0, 1, 2
+NAMES = {WALKED: 'walked', OWN: 'own', CHECKED: 'validation'}
+#: Of the validation rooms, every so many is walked through to measure regret.
+EVERY = 3
+
+
+class ValueRun:
+    """
+    A run as it goes on.
+
+    :param config: its settings.
+    :param folder: where it lives.
+    :param pool: plays episodes.
+    :param progress: the bars.
+    :param name: identity of the run.
+    """
+
+    def __init__(self, config: TrainingConfig, folder: Path, pool: WorkerPool,
+                 progress: Progress, name: str) -> None:
+        self.config, self.folder, self.pool = config, folder, pool
+        self.progress, self.name = progress, name
+        torch.manual_seed(config.seed)
+        past = records(folder)
+        self._began = time.monotonic() - (past[-1]['seconds'] if past else 0.0)
+        network = ValueMapNetwork(config.agent)
+        if config.model:
+            network.load_state_dict(_weights_of(config))
+        self.fit = ValueFit(network, config.values, config.seed)
+
+    def checkpoint(self) -> Checkpoint:
+        """Return the network as it is now."""
+        return Checkpoint(self.config.agent, {
+            name: value.clone() for name, value in self.fit.average.state_dict().items()},
+            self.fit.step, self.name, {
+                'interactions': 0, 'seed': self.config.seed, 'date': date.today().isoformat(),
+                'training': to_nested(self.config)})
+
+    @property
+    def device(self) -> torch.device:
+        """Return where the network is."""
+        return next(self.fit.network.parameters()).device
+
+    def note(self, phase: str, **figures: float) -> None:
+        """Write a line of progress."""
+        add_record(self.folder, {'phase': phase, 'interactions': 0, 'updates': self.fit.step,
+                                 'seconds': self.seconds, **figures})
+
+    @property
+    def seconds(self) -> float:
+        """Return how long the run has taken so far."""
+        return round(time.monotonic() - self._began, 1)
+
+    def save(self) -> None:
+        """Write what is needed to resume, and the weights so far."""
+        write_atomically(self.folder / STATE, self.fit.to_bytes(self.name))
+        self.checkpoint().save(self.folder / BEST)
+
+    def resume(self) -> None:
+        """
+        Go on from the state that was saved last.
+
+        :raises CheckpointError: if it cannot be used.
+        """
+        path = self.folder / STATE
+        if path.exists():
+            self.name = self.fit.load(path)
+
+    def states(self, kind: int, rooms: list[str], weights: bytes = b'') -> ValueSet:
+        """Return the states of some rooms; those that were played before are read."""
+        folder = self.folder / STATES
+        paths = [folder / f'{NAMES[kind]}_{number:05}.npz' for number in range(len(rooms))]
+        missing = [number for number, path in enumerate(paths) if not path.exists()]
+        tasks = [StateTask(self.config.rooms, rooms[number],
+                           (self.config.seed, kind, number), weights) for number in missing]
+        bar = self.progress.add_task(f'states, {NAMES[kind]}', total=len(rooms),
+                                     completed=len(rooms) - len(missing), error='')
+        for index, arrays in self.pool.unordered(play_states, tasks):
+            buffer = io.BytesIO()
+            np.savez_compressed(buffer, **arrays)
+            write_atomically(paths[missing[index]], buffer.getvalue())
+            self.progress.advance(bar)
+        return ValueSet([_read(path) for path in paths])
+
+
+def _weights_of(config: TrainingConfig) -> dict[str, torch.Tensor]:
+    """Return the weights to start from."""
+    checkpoint = Checkpoint.load(find_model(config.model))
+    if checkpoint.config != config.agent:
+        raise CheckpointError(f'{config.model}: found {checkpoint.config}; expected weights of '
+                              f"the run's own agent settings, {config.agent}")
+    return checkpoint.weights
+
+
+def _read(path: Path) -> dict[str, np.ndarray]:
+    """
+    Read the states of a room.
+
+    :raises UserError: if they are damaged or of another map.
+    """
+    try:
+        with path.open('rb') as stream, np.load(stream, allow_pickle=False) as file:
+            states = {name: file[name] for name in SHAPES}
+        for name, (kind, shape) in SHAPES.items():
+            if states[name].dtype != kind or states[name].shape[1:] != shape:
+                raise ValueError(f'{name} is {states[name].dtype} {states[name].shape}')
+        if len({len(states[name]) for name in ('of', 'others', 'numbers', 'values')}) != 1 or not (
+                (states['of'] >= 0) & (states['of'] < len(states['room']))).all():
+            raise ValueError('its choices are of other maps')
+    except Exception as error:  # A broken file makes the libraries raise almost anything.
+        reason = ' '.join(str(error).split()) or type(error).__name__
+        raise UserError(
+            f'{path}: found no whole states of a room ({reason}); expected what was played for '
+            'this network; remove the file, and the room is played again: nothing else is lost'
+        ) from error
+    return states
+
+
+def learn_values(run: ValueRun) -> Checkpoint:
+    """Learn dense values, first in rooms that were walked through, then in the run's own."""
+    values, rooms = run.config.values, room_names(run.config.rooms, 'training')
+    checked = run.states(CHECKED, room_names(run.config.rooms, 'validation')[::EVERY])
+    choices = [run.states(WALKED, rooms[:values.rooms])]
+    total = values.steps + values.own_steps
+    bar = run.progress.add_task('dense values', total=total, error='')
+
+    def watch(step: int, loss: float) -> None:
+        run.progress.update(bar, completed=step)
+        if step % values.evaluate_every == 0 or step == total:
+            regret = regret_of(run.fit.average, checked)
+            run.progress.update(bar, error=f'regret {regret:.3f}, loss {loss:.3f}')
+            run.note('values', loss=loss, regret=regret)
+            run.save()
+
+    run.fit.run(choices[0], values.steps, total, watch)
+    if values.own_steps:
+        weights = run.checkpoint().to_bytes()
+        choices.append(run.states(OWN, rooms[-values.own_rooms:], weights))
+        run.fit.run(ValueSet.joined(choices), total, total, watch)
+    return run.checkpoint()

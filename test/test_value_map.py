@@ -1,0 +1,319 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The map actor: what it reads, its network, how it chooses, its labels and its fit."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from ocp_ros.agent.agent_config import AgentConfig
+from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.agent.errors import CheckpointError
+from ocp_ros.agent.observation_map import (
+    CELLS,
+    EDGE,
+    NUMBERS,
+    ObservationMap,
+    OF_OTHERS,
+    OF_ROOM,
+    Window,
+)
+from ocp_ros.agent.partial_map import LookHistory, PartialMap
+from ocp_ros.agent.policy import make_policy
+from ocp_ros.agent.value_network import ValueMapNetwork
+from ocp_ros.geometry.depth_error import DepthError
+from ocp_ros.geometry.packed_bits import no_bits
+from ocp_ros.planners.map_actor import MapActor
+from ocp_ros.planners.online_planner import ThenLookahead
+from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
+from ocp_ros.ros.policy.policy_planners import make_planner
+from ocp_ros.scenes.scene import turned
+from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.training import value_states
+from ocp_ros.training.sac import make_sac
+from ocp_ros.training.train import train
+from ocp_ros.training.training_config import RoomsConfig, TrainingConfig, ValuesConfig
+from ocp_ros.training.value_fit import at_places, loss_of, turned_at_random, ValueFit, ValueSet
+from ocp_ros.training.value_states import play_states, StateTask, TrueRoom
+from ocp_ros.util.settings import ConfigurationError, from_nested, UserError
+
+AGENT = AgentConfig(inputs='map')
+RANGE = 4.0
+
+
+@pytest.fixture(scope='module')
+def room():
+    """Return a room that has been seen whole."""
+    return generate_room(7, 4000)
+
+
+def standing(room):
+    """Return three cameras around the middle of a room."""
+    middle = np.append(room.bounds.mean(axis=0)[:2], room.bounds[0, 2] + 1.9)
+    return middle + np.array([[0.4, 0.1, 0.0], [-0.3, 0.5, 0.0], [0.1, -0.6, 0.0]])
+
+
+def known_of(room, positions):
+    """Return the model of a cloud and its map."""
+    model, memory = PartialMap(room.points, positions, RANGE, 4000, 24), LookHistory()
+    memory.visit(positions)
+    return model, ObservationMap(model, memory.unseen(model), len(positions), RANGE,
+                                 float(positions[0, 2]))
+
+
+def test_the_map_tells_of_all_points_and_of_what_others_leave(room):
+    positions = standing(room)
+    model, known = known_of(room, positions)
+    assert known.room.shape == (OF_ROOM, CELLS, CELLS) and known.room.dtype == np.uint8
+    views = [model.look(position) for position in positions]
+    nobody, numbers = known.others([], np.empty((0, 3)))
+    some, fewer = known.others(views, positions)
+    assert nobody.shape == (OF_OTHERS, CELLS, CELLS) and numbers.shape == (NUMBERS,)
+    # Points that are left fall, the air that is covered grows, and the error is less.
+    assert (some[:2] <= nobody[:2]).all() and (some[:2] < nobody[:2]).any()
+    assert not nobody[4:].any() and some[4:].any()
+    assert fewer[-1] < numbers[-1] == pytest.approx(np.log(1.005) / 5.0)
+
+
+def test_a_room_that_is_turned_has_a_turned_map(room):
+    positions, quarter = standing(room), turned(room, 90.0)
+    turned_positions = positions.copy()
+    turned_positions[:, 0], turned_positions[:, 1] = -positions[:, 1], positions[:, 0]
+    known, other = known_of(room, positions)[1], known_of(quarter, turned_positions)[1]
+    # The first axis of the map turns to where the second was.
+    expected = np.rot90(known.room, 1, (1, 2)).astype(int)
+    away = np.abs(expected - other.room)[:len(expected) - 1]
+    assert np.mean(away > 60) < 0.02
+
+
+def test_in_a_room_larger_than_the_grid_cells_are_larger():
+    small = Window.around(np.array([[0.0, 0.0, 0.0], [5.0, 8.0, 3.0]]))
+    large = Window.around(np.array([[0.0, 0.0, 0.0], [40.0, 10.0, 3.0]]))
+    assert small.edge == EDGE and large.edge == pytest.approx(41.0 / CELLS)
+    for window, bounds in ((small, (5.0, 8.0)), (large, (40.0, 10.0))):
+        corners = np.array([[0.0, 0.0], bounds])
+        assert (window.cell_of(corners) >= 0).all()
+        assert window.cell_of(window.middles.reshape(-1, 2)).tolist() == list(range(CELLS ** 2))
+
+
+@pytest.mark.parametrize('number', range(8))
+def test_maps_and_places_turn_together(number):
+    torch.manual_seed(number)
+    maps = torch.rand(2, 1, 24, 40)
+    places = 1.0 + torch.rand(2, 50, 2) * torch.tensor([22.0, 38.0])
+    observation = {'room': maps, 'others': maps}
+    changed, moved = turned_at_random(observation, places, number)
+    assert torch.allclose(at_places(changed['room'][:, 0], moved), at_places(maps[:, 0], places),
+                          atol=1e-4)
+
+
+def test_a_map_is_read_in_the_middles_of_its_cells():
+    maps = torch.arange(CELLS * CELLS, dtype=torch.float32).reshape(1, CELLS, CELLS)
+    places = torch.tensor([[[3.5, 7.5], [10.5, 0.5]]])
+    assert torch.allclose(at_places(maps, places), torch.tensor([[3.0 * CELLS + 7.0, 640.0]]))
+
+
+def test_the_loss_is_least_at_the_labels():
+    values = -torch.rand(3, 20)
+    values[:, 15:] = torch.nan
+    assert float(loss_of(values.nan_to_num(0.0), values)) == pytest.approx(0.0, abs=1e-6)
+    assert float(loss_of(values.nan_to_num(0.0) + 0.1 * torch.randn(3, 20), values)) > 1e-4
+
+
+class Bowl:
+    """Values that are least at one place of the map frame, whatever has been seen."""
+
+    def __init__(self, window, lowest):
+        away = np.linalg.norm(window.middles - lowest, axis=-1)
+        self._values = (10.0 * away ** 2).astype(np.float32)
+
+    def values(self, room, others, numbers):
+        """Return the same for everybody."""
+        return self._values
+
+
+def test_a_camera_goes_where_the_map_says_and_no_farther_than_it_can(room):
+    position = standing(room)[:1]
+    model, known = known_of(room, position)
+    space = FreePlane.around(room.points, position, 0.1, 0.0)
+    lowest = space.inside(position[0, :2] + np.array([0.9, 1.3]))
+    actor = MapActor(Bowl(known.window, lowest), np.random.default_rng(0), 0.5, RANGE, 0.1, 0.0)
+    for turn in range(12):
+        move = actor.move(room.points, position, turn, 12)
+        assert np.linalg.norm(move, axis=1).max() <= 0.5 + 1e-9
+        position = position + np.append(move, [[0.0]], axis=1)
+    # The parabola through cells finds the place between them.
+    assert np.linalg.norm(position[0, :2] - lowest) < 0.1
+
+
+def test_nobody_is_sent_where_it_cannot_arrive(room):
+    position = standing(room)[:1]
+    known = known_of(room, position)[1]
+    lowest = position[0, :2] + np.array([2.5, 0.0])
+    actor = MapActor(Bowl(known.window, lowest), np.random.default_rng(0), 0.5, RANGE, 0.1, 0.0)
+    actor.move(room.points, position, 0, 2)
+    assert np.linalg.norm(actor.targets[0] - position[0, :2]) <= 1.0 + EDGE
+
+
+def test_what_is_seen_of_nothing_is_no_room():
+    actor = MapActor(SimpleNamespace(), np.random.default_rng(0), 0.5, RANGE, 0.1)
+    moves = actor.move(np.empty((0, 3), dtype=np.float32), np.zeros((2, 3)), 0, 5)
+    assert moves.shape == (2, 2) and np.linalg.norm(moves, axis=1).max() <= 0.5
+
+
+def test_labels_are_what_the_true_room_loses(room, small):
+    true = TrueRoom(room, SimulationConfig())
+    values = true.values([3])
+    error: DepthError = true.engine.depth_error
+    seen = [true.engine.look(place).seen for place in true.space.placement(true.places[[3, 8]])]
+    floor = 0.005 * error.worst
+    expected = np.log((error(seen[0] | seen[1]) + floor) / (error(seen[0]) + floor))
+    assert values[8] == pytest.approx(expected, abs=1e-4)
+    assert values[3] == pytest.approx(0.0, abs=1e-5) and (values <= 1e-6).all()
+    assert true.values([]).max() <= 0.0
+    assert error(no_bits(len(room))) == pytest.approx(error.worst)
+
+
+@pytest.fixture(scope='module')
+def small():
+    """Play few states of a thin scan."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in (('TRUE_POINTS', 3000), ('SCANS', (2000,)),
+                            ('EPISODES', 1), ('MAPS', 2), ('CHOICES', 3), ('TURNS', 3)):
+            patch.setattr(value_states, name, value)
+        yield
+
+
+@pytest.fixture(scope='module')
+def states(small):
+    """Return the states of a room."""
+    return play_states(StateTask(RoomsConfig(), '1000', (0, 0, 0)))
+
+
+def test_the_same_seed_gives_the_same_states(small, states):
+    again = play_states(StateTask(RoomsConfig(), '1000', (0, 0, 0)))
+    assert states.keys() == again.keys()
+    for name, value in states.items():
+        assert np.array_equal(value, again[name], equal_nan=value.dtype.kind == 'f'), name
+    assert states['of'].max() == len(states['room']) - 1
+    assert states['places'].shape[:2] == (len(states['room']), states['values'].shape[1])
+
+
+def test_a_fit_that_was_interrupted_goes_on_as_if_not(states, tmp_path):
+    choices = ValueSet([states, states])
+    assert len(choices) == 2 * len(states['of'])
+    config = ValuesConfig(batch_size=4)
+
+    def begun():
+        torch.manual_seed(1)
+        return ValueFit(ValueMapNetwork(AGENT), config, 3)
+
+    whole, half = begun(), begun()
+    losses = []
+    whole.run(choices, 6, 6, lambda step, loss: losses.append(loss))
+    half.run(choices, 3, 6)
+    (tmp_path / 'state').write_bytes(half.to_bytes('run'))
+    later = begun()
+    assert later.load(tmp_path / 'state') == 'run' and later.step == 3
+    later.run(choices, 6, 6)
+    for name, value in whole.average.state_dict().items():
+        assert torch.equal(value, later.average.state_dict()[name]), name
+    assert np.isfinite(losses).all()
+    (tmp_path / 'state').write_bytes(b'torn')
+    with pytest.raises(CheckpointError, match='found no training state'):
+        later.load(tmp_path / 'state')
+
+
+def test_weights_of_the_map_actor_are_read_and_run(room, tmp_path):
+    torch.manual_seed(0)
+    checkpoint = Checkpoint(AGENT, ValueMapNetwork(AGENT).state_dict())
+    checkpoint.save(tmp_path / 'map.safetensors')
+    policy = make_policy(Checkpoint.load(tmp_path / 'map.safetensors'))
+    positions = standing(room)
+    actor = MapActor(policy, np.random.default_rng(0), 0.5, RANGE, 0.1)
+    moves = actor.move(room.points, positions, 0, 30)
+    assert moves.shape == (3, 2) and np.isfinite(moves).all()
+    twin = MapActor(policy, np.random.default_rng(5), 0.5, RANGE, 0.1)
+    assert np.array_equal(moves, twin.move(room.points, positions, 0, 30))
+
+
+TINY = {'interactions': 0, 'agent': {'inputs': 'map'}, 'workers': 1,
+        'rooms': {'training': 2, 'validation': 1, 'test': 1, 'points': 1500, 'rotations': '0'},
+        'simulation': {'engine': {'preset': 'fast', 'error_rows': 16, 'coverage_cell': 1.0},
+                       'episode': {'turns': 3}},
+        'values': {'rooms': 1, 'own_rooms': 1, 'steps': 2, 'own_steps': 2, 'batch_size': 2,
+                   'evaluate_every': 2}}
+
+
+def test_the_map_actor_is_trained_and_goes_on_where_it_stopped(small, here, tmp_path):
+    config = from_nested(TrainingConfig, TINY)
+    first = train(config, tmp_path, 'a command')
+    lines = first.provenance['curve']
+    assert [line['updates'] for line in lines] == [2, 4, 4]
+    assert {'policy', 'random_moves'} <= first.provenance['test'].keys()
+    assert sorted(path.name for path in (tmp_path / 'states').iterdir()) == [
+        'own_00000.npz', 'validation_00000.npz', 'walked_00000.npz']
+    again = train(config, tmp_path, 'a command')
+    assert again.run == first.run and again.provenance['curve'] == lines
+    for name, value in first.weights.items():
+        assert torch.equal(value, again.weights[name]), name
+    (tmp_path / 'states' / 'walked_00000.npz').write_bytes(b'torn')
+    with pytest.raises(UserError, match='walked_00000.npz: found no whole states'):
+        train(config, tmp_path, 'a command')
+
+
+def test_the_map_actor_is_refused_where_it_cannot_learn(tmp_path):
+    with pytest.raises(ConfigurationError, match='interactions: found 5 .* with agent.inputs'):
+        from_nested(TrainingConfig, {**TINY, 'interactions': 5})
+    with pytest.raises(ConfigurationError, match="agent.inputs: found 'map'"):
+        make_sac(TrainingConfig().sac, AGENT, 2)
+
+
+class Recorded:
+    """A planner that plays the last turns, and what it was told."""
+
+    def __init__(self):
+        self.told = []
+
+    def take_over(self, targets):
+        """Take note of where another one would have gone."""
+        self.told.append(targets)
+
+    def reset(self):
+        """Keep what was told."""
+
+    def know(self, sight):
+        """Need to know nothing."""
+
+    def move(self, cloud, positions, turn, turns):
+        """Stay."""
+        return np.zeros((len(positions), 2))
+
+
+def test_who_refines_is_told_where_the_actor_would_have_gone(room):
+    positions = standing(room)[:1]
+    known = known_of(room, positions)[1]
+    actor = MapActor(Bowl(known.window, positions[0, :2] + 1.0), np.random.default_rng(0), 0.5,
+                     RANGE, 0.1)
+    refining = Recorded()
+    both = ThenLookahead(actor, refining)
+    for episode in range(2):
+        both.reset()
+        for turn in range(5):
+            both.move(room.points, positions, turn, 5)
+        assert len(refining.told) == episode + 1
+        assert np.array_equal(refining.told[-1], actor.targets)
+
+
+def test_policy_node_runs_the_map_actor_and_takes_new_weights_of_it():
+    checkpoint = Checkpoint(AGENT, ValueMapNetwork(AGENT).state_dict())
+    config = PolicyNodeConfig(planner='learned_lookahead')
+    planner, learned = make_planner(config, checkpoint)
+    assert isinstance(planner, ThenLookahead) and isinstance(learned, MapActor)
+    newer = Checkpoint(AGENT, ValueMapNetwork(AGENT).state_dict(), 1)
+    assert learned.policy.replaced(newer).checkpoint is newer
+    with pytest.raises(ConfigurationError, match='explore: found true with weights of the map'):
+        make_planner(PolicyNodeConfig(planner='learned', explore=True), checkpoint)
