@@ -19,7 +19,7 @@ import pytest
 
 # Nothing here that takes long to import: the process that hands out the tests reads this too, and
 # the others begin when it has done so.
-from ocp_ros.agent.agent_config import AgentConfig, INPUTS
+from ocp_ros.agent.agent_config import AgentConfig, OF_MOVES
 from ocp_ros.util.settings import ConfigurationError
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -63,7 +63,7 @@ def small_agent():
     return AgentConfig(points=64, keys_1=8, group_1=4, keys_2=4, group_2=4, channels=8, hidden=16)
 
 
-@pytest.fixture(scope='session', params=INPUTS)
+@pytest.fixture(scope='session', params=OF_MOVES)
 def agent(request, small_agent):
     """Return such sizes for each kind of inputs."""
     return replace(small_agent, inputs=request.param)

@@ -5,9 +5,11 @@ from dataclasses import dataclass
 
 from ocp_ros.util.settings import setting
 
+#: Networks that answer with moves: soft actor-critic trains them.
+OF_MOVES = ('world', 'cloud', 'both')
 #: What the network reads: what a few moves would change on what was seen (``world``), the observed
 #: cloud itself as in the paper (``cloud``), both, or a map of what was observed (``map``).
-INPUTS = ('world', 'cloud', 'both', 'map')
+INPUTS = (*OF_MOVES, 'map')
 
 
 @dataclass(frozen=True)
