@@ -29,10 +29,14 @@ SLICES, SPLIT = (0.15, 0.8, 1.5, 2.2), 1.2
 AIR, AIR_LOW, AIR_HIGH = (0.9, 1.55), 0.2, 2.4
 #: Metres: standard deviation of the spots that mark cameras and viewpoints.
 SPOT = 0.4
+#: The channels of the room that tell of the seen air, after points and what they are worth, and
+#: the one that marks the bounding box.
+SEEN_AIR = slice(len(SLICES) + 3, len(SLICES) + 4 + len(AIR))
+BOX = SEEN_AIR.stop
 #: How the channels of the room, those of the others and the plain numbers are counted.
-OF_ROOM, OF_OTHERS, NUMBERS = len(SLICES) + 1 + 2 + len(AIR) + 1 + 1 + 1, 7, 5
-#: The channel of the room that marks the bounding box, and what sides of maps are multiples of.
-BOX, STRIDE = len(SLICES) + 3 + len(AIR) + 1, 8
+OF_ROOM, OF_OTHERS, NUMBERS = BOX + 2, 7, 5
+#: What sides of maps that are used are multiples of.
+STRIDE = 8
 #: Points of a cell that count as many, and the share of the error in a cell that counts as much.
 MANY, MUCH = 32.0, 0.03
 #: How fine small shares are told apart.
@@ -115,9 +119,8 @@ class ObservationMap:
         floor = model.bounds[0, 2]
         above = model.points[:, 2] - floor
         cells = self.window.cell_of(model.points)
-        self._high = (above > SPLIT).astype(np.int64)
         #: Of each point the cell of a channel of low points or of one of high points, -1 outside.
-        self._halves = np.where(cells >= 0, cells + self._high * CELLS * CELLS, -1)
+        self._halves = np.where(cells >= 0, cells + (above > SPLIT) * CELLS * CELLS, -1)
         self._air = _AirColumns(model, self.window, floor)
         slices = np.where(cells >= 0, cells + np.searchsorted(SLICES, above) * CELLS * CELLS, -1)
         worth = model.depth_error.by_point(no_bits(len(model.points)))
@@ -160,7 +163,7 @@ class ObservationMap:
 
     def unseen_air(self) -> np.ndarray:
         """Return the share of the air above each cell that has not been seen: (64, 64)."""
-        seen = self.room[len(SLICES) + 3:len(SLICES) + 4 + len(AIR)].mean(axis=0) / 255.0
+        seen = self.room[SEEN_AIR].mean(axis=0) / 255.0
         return np.where(self._air.known, 1.0 - seen, 0.0)
 
 

@@ -16,11 +16,12 @@ from scipy.ndimage import uniform_filter
 from ocp_ros.agent.encoder import order_of
 from ocp_ros.agent.observation_map import ObservationMap, Window
 from ocp_ros.agent.partial_map import KeptModel, LookHistory, PartialMap
-from ocp_ros.agent.rig_state import clearance_of, fixed_views, remember
+from ocp_ros.agent.rig_state import clearance_of, fixed_views, remember, view_from
 from ocp_ros.geometry.visibility import FAST
 from ocp_ros.planners.online_planner import matched, Online
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.scenes.scene import SceneError
+from ocp_ros.simulation.simulator import View
 
 if TYPE_CHECKING:
     from ocp_ros.agent.value_policy import ValuePolicy
@@ -87,10 +88,9 @@ class MapActor(Online):
         free = space.contains(places)
         curiosity = CURIOSITY * max(1.0 - turn / (EXPLORING * turns), 0.0)
         bonus = curiosity * _nearby(known.unseen_air(), known.window) if curiosity else 0.0
-        views = [model.look(self._placed(target, position))
-                 for target, position in zip(self.targets, positions)]
+        views = [self._view(model, positions, camera) for camera in range(count)]
         reach = (turns - turn) * self.max_step
-        for camera in np.resize(order_of(turn * AGAIN, count), min(asked, 2 * count)):
+        for camera in np.resize(order_of(turn * AGAIN, count), asked):
             others = [k for k in range(count) if k != camera]
             values = self.policy.values(known.room, *known.others(
                 [views[k] for k in others] + fixed, self.targets[others]))
@@ -101,7 +101,7 @@ class MapActor(Online):
             if not np.isfinite(scores[cell]) or scores[cell] > scores.flat[now] - GAIN:
                 continue
             self.targets[camera] = space.inside(_peak(scores, cell, known.window))
-            views[camera] = model.look(self._placed(self.targets[camera], positions[camera]))
+            views[camera] = self._view(model, positions, camera)
         self.targets = self.targets[matched(positions, self.targets, self._kinds(count))]
 
     def _kinds(self, count: int) -> np.ndarray | None:
@@ -111,10 +111,10 @@ class MapActor(Online):
         models = list(self.sight.models)
         return np.array([models.index(model) for model in models[:count]])
 
-    @staticmethod
-    def _placed(target: np.ndarray, position: np.ndarray) -> np.ndarray:
-        """Return a target (2,) at the height of a camera: (3,) metres."""
-        return np.append(target, position[2])
+    def _view(self, model: PartialMap, positions: np.ndarray, camera: int) -> View:
+        """Compute what a camera would see from its target, as high as it is now."""
+        target = np.append(self.targets[camera], positions[camera, 2])
+        return view_from(model, self.sight, camera, target)
 
 
 def _nearby(share: np.ndarray, window: Window) -> np.ndarray:

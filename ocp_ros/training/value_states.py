@@ -27,8 +27,8 @@ from ocp_ros.agent.partial_map import LookHistory, PartialMap
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import no_bits
 from ocp_ros.planners.map_actor import MapActor, PLAIN_POINTS, PLAIN_ROWS
-from ocp_ros.planners.online_planner import Online
-from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.planners.registry import settings_of
+from ocp_ros.rig.motion import towards
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.episode import Episode
@@ -118,24 +118,6 @@ class TrueRoom:
         return np.log((left + floor) / (error(seen) + floor))
 
 
-class Strolling(Online):
-    """
-    Walk to places that somebody has chosen.
-
-    :param plane: where cameras may be, as nobody knows who has not seen all of the room.
-    """
-
-    def __init__(self, plane: FreePlane, *settings) -> None:
-        super().__init__(*settings)
-        self._plane = plane
-
-    def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
-        """Choose the next moves; see :meth:`~ocp_ros.planners.online_planner.Online.move`."""
-        flat = positions[:, :2]
-        return self._plane.moved(flat, self.towards(positions, self.targets) - flat,
-                                 self.max_step) - flat
-
-
 def play_states(task: StateTask) -> dict[str, np.ndarray]:
     """
     Walk through a room some times.
@@ -177,25 +159,28 @@ class _States:
         rng, memory = self._rng, LookHistory()
         due = np.sort(rng.choice(TURNS, MAPS, replace=False))
         turns = int(due[-1]) + 1 + int(rng.integers(6))
-        settings = (rng, step, float(problem.simulator.config.rig.max_range), 0.1)
-        online: Online = Strolling(self._room.space, *settings)
-        if weights:
-            online = MapActor(policy_of(weights), *settings)
         simulator = problem.simulator
         simulator.config = replace(simulator.config, episode=EpisodeConfig(
             turns=turns, max_step=step, start_radius=float(rng.choice([0.5, 3.0]))))
+        settings = settings_of(simulator.config, rng)
+        actor = MapActor(policy_of(weights), *settings) if weights else None
         episode = Episode(problem, rng, cameras)
         going = self._drawn(cameras)
         for turn in range(int(due[-1]) + 1):
             positions, cloud = episode.turn.positions, episode.observed_cloud
             memory.visit(positions)
             if turn in due:
-                if online.targets is not None:
-                    going = self._room.nearest(online.targets)
+                if actor is not None and actor.targets is not None:
+                    going = self._room.nearest(actor.targets)
                 going = self._choose(cloud, positions, memory, going, settings[2])
-            if isinstance(online, Strolling):
-                online.targets = self._room.places[going]
-            episode.move(online.move(cloud, positions, turn, turns))
+            episode.move(self._walked(positions, going, step) if actor is None
+                         else actor.move(cloud, positions, turn, turns))
+
+    def _walked(self, positions: np.ndarray, going: np.ndarray, step: float) -> np.ndarray:
+        """Walk to places, past what the rig may not have seen yet: moves (K, 2) metres."""
+        flat = positions[:, :2]
+        way = towards(flat, self._room.places[going], step) - flat
+        return self._room.space.moved(flat, way, step) - flat
 
     def _drawn(self, cameras: int) -> np.ndarray:
         """Draw places for cameras to go to: good ones at times."""
