@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 # make demo and make test set up all they need; the rest is listed by make help.
 VENV := .venv
@@ -20,7 +21,7 @@ train-demo: $(READY)  ## the same with trainer_node in the loop: weights arrive 
 	$(RUN) -m ocp_ros.demo.train_demo --out "$(OUT)" $(if $(PAIRS),--pairs $(PAIRS)) $(if $(TURNS),--turns $(TURNS))
 
 train: $(READY)  ## train the shipped model again
-	$(RUN) -m ocp_ros.cli.main train --config config/train/default.yaml --out "$(OUT)/train" --model models/default.safetensors
+	$(RUN) -m ocp_ros.cli.main train --config config/train/map.yaml --out "$(OUT)/train" --model models/map.safetensors
 
 TEST := $(RUN) -m pytest -n auto --maxprocesses 4 --dist worksteal
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Package for ROS 2 (ament_python) and for pip."""
 
@@ -41,9 +42,9 @@ setup(
     extras_require={'test': ['pytest', 'pytest-timeout', 'hypothesis'], 'ray': ['ray']},
     entry_points={
         'console_scripts': [
-            'sim_node = ocp_ros.ros.sim_node:main',
-            'policy_node = ocp_ros.ros.policy_node:main',
-            'trainer_node = ocp_ros.ros.trainer_node:main',
+            'sim_node = ocp_ros.ros.start:sim_node',
+            'policy_node = ocp_ros.ros.start:policy_node',
+            'trainer_node = ocp_ros.ros.start:trainer_node',
             'demo = ocp_ros.demo.demo:main',
             'train_demo = ocp_ros.demo.train_demo:main',
             'ocp = ocp_ros.cli.main:main',

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Place cameras in a room: ros2 launch ocp_ros demo.launch.py [room:=scan.ply] [cameras:=4]."""
 
@@ -17,12 +18,16 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription([
         DeclareLaunchArgument('room', default_value='', description='scan; empty: generated room'),
         DeclareLaunchArgument('cameras', default_value='4', description='number of cameras'),
-        DeclareLaunchArgument('model', default_value='default', description='weights'),
+        DeclareLaunchArgument('planner', default_value='learned_lookahead',
+                              description='learned, lookahead or learned_lookahead'),
+        DeclareLaunchArgument('model', default_value='map',
+                              description='weights; lookahead reads none'),
         Node(package='ocp_ros', executable='sim_node', output='screen', parameters=[
             str(config / 'sim.yaml'),
             {'scene.file': ParameterValue(LaunchConfiguration('room'), value_type=str),
              'rig.cameras': ParameterValue(LaunchConfiguration('cameras'), value_type=int)}]),
         Node(package='ocp_ros', executable='policy_node', output='screen', parameters=[
             str(config / 'policy.yaml'),
-            {'model': ParameterValue(LaunchConfiguration('model'), value_type=str)}]),
+            {name: ParameterValue(LaunchConfiguration(name), value_type=str)
+             for name in ('planner', 'model')}]),
     ])

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Train over ROS: ros2 launch ocp_ros train.launch.py [envs:=8] [folder:=DIR] [seed:=1]."""
 

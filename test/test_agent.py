@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The agent: observation cache, networks, policy."""
 
@@ -144,7 +145,7 @@ def test_moves_are_those_it_was_told_of_however_long_the_longest_step(agent, max
 
 
 def test_in_steps_as_long_as_in_training_the_answers_of_the_network_are_the_moves(room):
-    policy, twin = (Policy(Checkpoint.load(find_model('default'))) for _ in range(2))
+    policy, twin = (Policy(Checkpoint.load(find_model('moves'))) for _ in range(2))
     positions = room.bounds.mean(axis=0) + [[0, 0, 0.4], [0.5, 0, 0.4], [0, 0.5, 0.4]]
     for turn in range(3):
         encoded, expected = twin.encoder.turn(room.points, positions, turn, 30), {}

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Where cameras look: within limits, for what all of them see together, and at what is unseen."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Nodes turn cameras that look one way: commands, the loop with a simulation, live rigs, words."""
 
@@ -361,6 +362,7 @@ def test_live_cameras_are_turned_and_waited_for(graph, probe, rig_file, room):
     rig = graph.add(lambda **kwargs: Obedient(
         episode, **{**kwargs, 'parameter_overrides': []}))
     policy = graph.add(PolicyNode, cloud_topics='points_0,points_1', turns=8, max_range=6.0,
+                       planner='lookahead',
                        arrival_timeout=HUNG, cloud_timeout=HUNG, rig_file=rig_file(
                            RIG.replace('count: 4', 'count: 2')))
     found = msg_to_poses(probe.last(topics.PLACEMENT))

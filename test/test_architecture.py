@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The shape of the tree: who may import whom, and files that must agree."""
 
@@ -100,4 +101,6 @@ def test_every_entry_point_exists():
 
 def test_every_source_file_names_its_license():
     for path in [*PACKAGE.rglob('*.py'), *ROOT.glob('test/*.py'), *ROOT.glob('launch/*.py')]:
-        assert path.read_text().startswith('# SPDX-License-Identifier: Apache-2.0\n'), path
+        lines = path.read_text().splitlines()[:2]
+        assert lines[0].startswith('# Copyright '), path
+        assert lines[1] == '# SPDX-License-Identifier: Apache-2.0', path

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The comparison of planners: one protocol, results that are kept, sums that can be checked."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Weights in files and messages: whole, or refused."""
 
@@ -104,12 +105,12 @@ def test_an_interrupted_write_leaves_the_old_file(tmp_path, monkeypatch):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(CheckpointError, match='none.safetensors: found no file'):
         Checkpoint.load(tmp_path / 'none.safetensors')
-    with pytest.raises(FileNotFoundError, match="'none'.*expected a path .*'default'"):
+    with pytest.raises(FileNotFoundError, match="'none'.*expected a path .*'map'"):
         find_model('none')
 
 
 def test_the_shipped_model_has_its_card():
-    checkpoint = Checkpoint.load(find_model('default'))
+    checkpoint = Checkpoint.load(find_model('moves'))
     test = checkpoint.provenance['test']
     assert checkpoint.config == AgentConfig()
     assert test['policy']['depth_error_end'] < test['random_moves']['depth_error_end']

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Cameras on a plane keep a distance from every surface, whoever plans and whatever was seen."""
 

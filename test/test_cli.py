@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """What all commands of ocp have in common: contents, examples, and JSON on stdout alone."""
 

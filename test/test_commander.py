@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Several policies on one topic: the first commands, the others hold still and say so."""
 
@@ -103,12 +104,13 @@ def test_a_node_that_thinks_goes_on_saying_that_it_is_there(graph, probe, monkey
     probe.listen(String, topics.COMMANDERS, qos.LOOP)
     words = probe.received[topics.COMMANDERS]
     thinks = PolicyNode(context=graph.context)
+    thread = thinks._commander._thread
     try:
         count = len(words)
         graph.until(lambda: len(words) >= count + 5)
     finally:
         thinks.destroy_node()
-    assert not thinks._commander._thread.is_alive()
+    assert not thread.is_alive()
 
 
 def test_two_simulations_on_the_same_topics_are_noticed(graph, probe, capfd):

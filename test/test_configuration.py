@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Configuration: defaults, round trips, and errors that say what to do."""
 
@@ -105,8 +106,9 @@ def test_every_shipped_parameter_file_is_valid(name):
     from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
     from ocp_ros.ros.sim_node import SimNodeConfig
     from ocp_ros.ros.trainer_node import TrainerNodeConfig
+    # That of live cameras is read by a policy of any name.
     classes = {'sim_node': SimNodeConfig, 'policy_node': PolicyNodeConfig,
-               'trainer_node': TrainerNodeConfig}
+               'trainer_node': TrainerNodeConfig, '/**': PolicyNodeConfig}
     content = yaml.safe_load((ROOT / 'config' / f'{name}.yaml').read_text())
     for key, value in content.items():
         cls = classes[key.removeprefix('/**/')]

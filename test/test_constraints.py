@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Where cameras may hang: in the air of the room, on their mount, away from all else."""
 

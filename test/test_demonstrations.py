@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Imitation: what an expert shows, how it is kept, what is learned from it, and whole runs."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The depth observation error: against its twin and ray casting, and what must hold of it."""
 

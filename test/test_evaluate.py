@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Policies judged room by room: pairs, ``ocp evaluate`` and the figure of training."""
 
@@ -60,7 +61,7 @@ def test_evaluate_plays_scans_with_each_number_of_cameras(tmp_path, capsys):
                '--cameras', '1,2', '--workers', '1', '--out', str(tmp_path / 'out'), '--rooms']
     assert main([*command, *scans]) == 0
     found = json.loads((tmp_path / 'out' / 'evaluation.json').read_text())
-    assert set(found['cameras']) == {'1', '2'} and found['model'] == 'default'
+    assert set(found['cameras']) == {'1', '2'} and found['model'] == 'map'
     for judged in found['cameras'].values():
         assert set(judged['pairs']) == {'greedy_step', 'greedy_coverage'}
         assert set(judged['rooms']['greedy_step, 0']) == {'8', '9'}

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Certificates: the covering problem is the depth error, and what is proved is true."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Clouds of any frame come to that of the poses, or are refused with what to do."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Scans that are fused of a depth camera's frames, and what is seen in them."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Messages that lie, sent to nodes on real DDS; ``make fuzz`` sends many more."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Cameras, blocks of points, packed bits, clouds of fixed size and the coverage grid."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Files that lie about themselves: refused soon, in one sentence, and without much memory."""
 

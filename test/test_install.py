@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The wheel, installed where the source tree is not: what users type works from every folder."""
 

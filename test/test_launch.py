@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Launch files describe what they say, where ROS's launch system is installed."""
 
@@ -5,6 +6,7 @@ import importlib.util
 import re
 
 from conftest import ROOT
+import launch_stand_in
 import pytest
 
 
@@ -33,11 +35,54 @@ def test_a_launch_file_starts_its_nodes(name, given, nodes, monkeypatch):
     assert len(started) == nodes and all(isinstance(node, Node) for node in started)
 
 
+@pytest.fixture
+def launched(monkeypatch):
+    """Return what executes a launch file by a stand-in for ROS's launch system."""
+    launch_stand_in.install(monkeypatch)
+
+    def run(name, **given):
+        path = ROOT / 'launch' / f'{name}.launch.py'
+        spec = importlib.util.spec_from_file_location(name, path)
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return launch_stand_in.started(module.generate_launch_description(), **given)
+    return run
+
+
+def test_what_is_not_given_is_as_the_parameter_file_has_it(launched):
+    [(executable, namespace, parameters)] = launched('live')
+    assert (executable, namespace) == ('policy_node', '')
+    assert parameters == [str(ROOT / 'config' / 'live.yaml'), {}]
+    [(_, namespace, parameters)] = launched(
+        'live', params_file='mine.yaml', namespace='rig_a', turns='12', max_range='6.0',
+        manual='true', use_sim_time='true')
+    assert namespace == 'rig_a' and parameters == [
+        'mine.yaml', {'turns': 12, 'max_range': 6.0, 'manual': True, 'use_sim_time': True}]
+    assert [node for node, _, _ in launched('live', rviz='true')] == ['rviz2', 'policy_node']
+
+
+def test_the_demo_runs_the_planner_that_is_named(launched):
+    (sim, _, of_sim), (policy, _, of_policy) = launched(
+        'demo', planner='lookahead', model='moves', cameras='3', room='scan.ply')
+    assert (sim, policy) == ('sim_node', 'policy_node')
+    assert of_sim[-1] == {'scene.file': 'scan.ply', 'rig.cameras': 3}
+    assert of_policy[-1] == {'planner': 'lookahead', 'model': 'moves'}
+
+
+def test_training_has_as_many_pairs_as_asked_for(launched):
+    nodes = launched('train', envs='3', seed='5')
+    assert [node for node, _, _ in nodes].count('sim_node') == 3 and len(nodes) == 7
+    assert {namespace for _, namespace, _ in nodes} == {None, 'env_0', 'env_1', 'env_2'}
+    assert [entries[-1]['scene.seed'] for node, _, entries in nodes
+            if node == 'sim_node'] == [5, 6, 7]
+
+
 def test_the_arguments_for_live_cameras_are_parameters():
     from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
     from ocp_ros.util.settings import leaves
     text = (ROOT / 'launch' / 'live.launch.py').read_text()
-    found = re.findall(r"^    \('\w+', '(\w+)', (\w+), ", text, re.M)
-    assert len(found) == 5
-    for name, kind in found:
+    found = dict(re.findall(r"^    \('\w+', '(\w+)', (\w+), ", text, re.M))
+    # Which clock is read is a parameter of every node.
+    assert found.pop('use_sim_time') == 'bool' and len(found) == 6
+    for name, kind in found.items():
         assert leaves(PolicyNodeConfig)[name].type.__name__ == kind

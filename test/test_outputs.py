@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """What commands write: nobody loses a file, files are whole, names are shown and not obeyed."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Placement files come back as they were, and what is exported says the same in other words."""
 
@@ -6,6 +7,7 @@ import csv
 from dataclasses import replace
 import io
 import json
+import re
 import sys
 from types import ModuleType
 import xml.etree.ElementTree as ElementTree
@@ -16,6 +18,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 import yaml
 
+from ocp_ros.cli.main import main
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.report.assessment import Assessment
@@ -409,3 +412,19 @@ def test_rviz_shows_the_frame_that_the_launch_file_publishes_in():
     shown = {display['Class'] for display in manager['Displays'] if display['Enabled']}
     assert 'rviz_default_plugins/TF' in shown
     assert manager['Views']['Current']['Focal Point'] == {'X': 2.0, 'Y': 3.0, 'Z': 2.0}
+
+
+def test_frames_of_two_rigs_are_told_apart(mixed):
+    placement = placement_of(mixed, POSES)
+    texts = [launch_of(placement, prefix='a_'), xacro_of(placement, prefix='a_'),
+             table_of(placement, prefix='a_')]
+    for text in texts:
+        assert 'a_camera_0' in text and not re.search(r'(?<!a_)camera_[0-9]', text)
+    assert "('a_camera_0', 'a_camera_0_optical'" in texts[0]
+
+
+@pytest.mark.parametrize('name', ['1st_', 'rig a', '../x'])
+def test_a_prefix_that_is_no_name_is_refused(name, capsys):
+    with pytest.raises(SystemExit):
+        main(['score', '7', 'placement.yaml', '--frame-prefix', name])
+    assert f'found {name!r}; expected letters' in capsys.readouterr().err

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """ocp plan: its placements keep to the rig, are worth what it says, and come again."""
 

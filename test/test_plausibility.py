@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Rooms that are not what they seem: stray points, lying down, tilted, in feet, of two storeys."""
 

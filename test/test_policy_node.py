@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """``policy_node`` on real DDS."""
 
@@ -20,7 +21,7 @@ from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
 from ocp_ros.agent.checkpoint import CheckpointError
 from ocp_ros.agent.encoder import Encoder
 from ocp_ros.agent.policy import Policy
-from ocp_ros.planners.online_planner import REFINING
+from ocp_ros.planners.online_planner import HANDOVER
 from ocp_ros.planners.rollout import play
 from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.ros.interface import qos, topics
@@ -280,7 +281,7 @@ def test_lookahead_refines_what_the_policy_has_settled_on(robot, monkeypatch):
         robot.send(stamp, positions=positions[-1])
         positions.append(msg_to_positions(robot.command(stamp)))
     moved = np.abs(np.diff(positions, axis=0)).max(axis=(1, 2)) > 0.0
-    alone = int(np.ceil(REFINING * 21))
+    alone = int(np.ceil(HANDOVER * 21))
     assert not moved[:alone].any() and moved[alone:alone + 3].any()
     assert not policy._settled
     robot.send(22, positions=positions[-1])
@@ -533,7 +534,7 @@ def test_exploring_draws_from_the_distribution_of_the_policy(robot, checkpoint, 
 
 
 def test_a_model_that_is_not_there_is_an_error_that_lists_those_that_are(graph):
-    with pytest.raises(FileNotFoundError, match="no file 'nowhere' .*'default'"):
+    with pytest.raises(FileNotFoundError, match="no file 'nowhere' .*'map'"):
         graph.add(PolicyNode, planner='learned', model='nowhere')
 
 

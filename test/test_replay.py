@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The replay of turns: what is rebuilt, what belongs together and what it takes."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Runs whose files were damaged: they go on, or say what is damaged, what is lost, what to do."""
 
@@ -337,7 +338,7 @@ def test_a_damaged_record_of_a_comparison_is_said_to_be_so(compared, tmp_path, d
 
 def test_the_weights_that_come_with_the_package_are_no_larger_than_weights_are():
     from ocp_ros.util.resources import find_model
-    largest = max(float(value.abs().max()) for name in ('default',)
+    largest = max(float(value.abs().max()) for name in ('moves',)
                   for value in Checkpoint.load(find_model(name)).weights.values())
     assert largest < 1e3
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Episodes of rig files: the environment, ``sim_node``, training, and online planners in them."""
 

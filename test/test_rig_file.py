@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Rig files: read as written, or one sentence says what is wrong, where, and what to do."""
 

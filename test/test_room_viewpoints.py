@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Where a scan is several rooms, each of them counts; one room has the viewpoints of the paper."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Generated rooms: furnished like offices, scanned like rooms, and the same for the same seed."""
 

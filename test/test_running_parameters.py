@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of nodes that run, changed by a client over real DDS."""
 
@@ -130,8 +131,8 @@ def test_the_end_of_a_simulation_is_a_reason(robot):
 
 
 @pytest.mark.parametrize(('values', 'words'), [
-    ({'planner': 'learned'}, ["planner: found 'learned', but it is read once", "'lookahead'",
-                              'start the node again']),
+    ({'planner': 'learned'}, ["planner: found 'learned', but it is read once",
+                              "'learned_lookahead'", 'start the node again']),
     ({'rig_file': 'rig.yaml'}, ["rig_file: found 'rig.yaml', but it is read once"]),
     ({'turns': 0}, ['turns out of range', 'Min: 1', 'value: 0']),
     ({'max_step': 99.0}, ['max_step out of range', 'Max: 10.0', 'value: 99.0']),

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Rooms of S3DIS: found in its folders, chosen by rule, and read once."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """ocp score: what it says is so, and what is wrong with its files it says in one sentence."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The one-page report: everything on the page, nothing on top of each other, nothing made up."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Planners that are told how a rig stands: cameras in place, and cameras that look one way."""
 

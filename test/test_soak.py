@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Nodes that are killed at random times; ``make soak`` does it for long."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Cameras stay over the floor of a room, whatever its shape and however it stands."""
 

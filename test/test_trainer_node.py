@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """``trainer_node`` on real DDS, and the loop of all three nodes."""
 

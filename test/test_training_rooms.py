@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The rooms of a run: three sets that never share one, whatever they come from."""
 

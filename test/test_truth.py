@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Who judges: rays cast at the mesh, points that no search saw, and an error without luck."""
 

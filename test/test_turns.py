@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """When a turn of real cameras is due, told by a clock that the tests turn by hand."""
 
@@ -202,11 +203,12 @@ def test_a_turn_waits_until_every_camera_is_there(clock):
 
 def test_only_the_newest_cloud_of_a_topic_waits(clock):
     turns = played(make(clock))
-    for stamp in (14, 16, 15.5):
+    clock.now = 4.0
+    for stamp in (14, 15, 14.5):
         turns.on_cloud('a', int(stamp * S), stamp)
     stands(turns, 14, THERE)
-    assert taken(turns) == [('a', 16)]
-    turns.on_cloud('a', 17 * S, 17)
+    assert taken(turns) == [('a', 15)]
+    turns.on_cloud('a', 16 * S, 16)
     assert taken(turns) == []
 
 
@@ -350,6 +352,66 @@ def test_a_little_disorder_is_no_jump(clock):
     turns.on_cloud('a', 11 * S, 1)
     turns.on_cloud('a', 11 * S - S // 2, 2)
     assert taken(turns) == [('a', 1)] and turns.jumps == 0
+
+
+@pytest.mark.parametrize('sigma', [0.01, 0.03])
+def test_noisy_poses_stop_no_turn_and_their_mean_counts(clock, sigma):
+    rng, turns, due = np.random.default_rng(1), make(clock, topics=('a',)), []
+    goals = [HERE, THERE, HERE, THERE]
+    for turn, goal in enumerate(goals):
+        began = clock.now
+        for _ in range(400):
+            clock.now += 0.05
+            stamp = int((100 + clock.now) * S)
+            turns.on_poses(stamp, goal + rng.normal(0.0, sigma, HERE.shape), [np.eye(3)] * 2)
+            turns.on_cloud('a', stamp, turn)
+            taken(turns)
+            if turns.due():
+                break
+        due.append(clock.now - began)
+        measured, rotations = turns.measured
+        assert not turns.overdue and np.abs(measured - goal).max() < 0.7 * sigma
+        assert len(rotations) == 2
+        turns.sent(goals[(turn + 1) % 4], raised=np.zeros(2, dtype=bool))
+    assert max(due) < 5.0
+
+
+def test_poses_that_are_all_over_the_place_do_not_stop_the_first_turn(clock):
+    rng, turns = np.random.default_rng(2), make(clock, topics=('a',), arrival_timeout=math.inf)
+    while not turns.due() and clock.now < 60.0:
+        clock.now += 0.1
+        stamp = int((100 + clock.now) * S)
+        turns.on_poses(stamp, HERE + rng.normal(0.0, 0.5, HERE.shape))
+        turns.on_cloud('a', stamp, 1)
+        taken(turns)
+    assert turns.due() and turns.overdue and turns.sent_nowhere and clock.now < 25.0
+
+
+def test_rotations_are_averaged(clock):
+    turns = make(clock, topics=('a',))
+    for tick in range(20):
+        turned = [rotation_matrix(0.5 + 0.01 * (-1) ** tick, 0.2, 0.0)] * 2
+        turns.on_poses(10 * S + tick * S // 20, HERE, turned)
+    assert turns.standing
+    _, rotations = turns.measured
+    np.testing.assert_allclose(rotations[1], rotation_matrix(0.5, 0.2, 0.0), atol=1e-3)
+
+
+def test_clouds_from_the_future_are_named_and_not_used(clock):
+    turns = make(clock)
+    for _ in range(60):
+        clock.now += 0.05
+        stamp = int((100 + clock.now) * S)
+        turns.on_poses(stamp, HERE)
+        turns.on_cloud('a', stamp, 'good')
+        turns.on_cloud('b', stamp + 5 * S, 'of another clock')
+        assert all(cloud == 'good' for _, cloud in taken(turns))
+    assert turns.due() and turns.silent() == {'b': 'stamps 5.0 s after the poses'}
+    # Where nobody says any more where the cameras are, nobody can tell.
+    clock.now += 3.0
+    turns.sent(HERE, raised=np.zeros(2, dtype=bool))
+    turns.on_cloud('a', int((100 + clock.now) * S), 'later')
+    assert taken(turns) == [('a', 'later')]
 
 
 def test_a_camera_whose_clock_is_wrong_is_named(clock):

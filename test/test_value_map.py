@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The map actor: what it reads, its network, how it chooses, its labels and its fit."""
 
@@ -278,9 +279,9 @@ class Recorded:
     def __init__(self):
         self.told = []
 
-    def take_over(self, targets):
+    def take_over(self, other):
         """Take note of where another one would have gone."""
-        self.told.append(targets)
+        self.told.append(other.targets)
 
     def reset(self):
         """Keep what was told."""

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The page to turn around: what it holds is what was found, in a file of a few megabytes."""
 

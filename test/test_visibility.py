@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """What cameras see: the kernels against NumPy and ray casting, and what must hold of them."""
 

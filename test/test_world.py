@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """What the agent knows of a room: the engine on what was seen, and the world-model inputs."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Slow, obvious NumPy twins of the engine's kernels, and the cameras they are tried with."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Weights as one safetensors blob with its JSON inside, on disk and on the wire.

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The observed cloud of a rig that runs, fused as the clouds come in, in bounded memory."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Distributions of each camera's move, in units of the longest step: what the head means."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Choose the headings of cameras with a frustum: yaw and pitch, judged on the observed cloud.

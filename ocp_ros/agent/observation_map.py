@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 What has been seen, from above: the channels of a square grid, which the map actor reads.

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Partial map: the engine on the observed cloud, and the space that no camera has covered yet.

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The policy: a trained actor that turns what was seen into the next move of each camera."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """State of a rig at a time step: poses, camera models, and which cameras may be moved."""
 

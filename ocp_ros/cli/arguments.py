@@ -1,8 +1,10 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Values of the command line: read, or refused with what was found and what was expected."""
 
 import argparse
 from collections.abc import Callable
+import re
 
 from ocp_ros.util.settings import current_name, LARGEST_SEED, MOST_CAMERAS
 
@@ -93,6 +95,17 @@ def add_frame(command: argparse.ArgumentParser) -> None:
                          help='of what is written: map (metres, z up) or source (axes '
                          'and units of the scan); unless named, pages for installers are in that '
                          'of the scan and files for programs in that of the map')
+    command.add_argument('--frame-prefix', type=frame_prefix, default='', metavar='NAME',
+                         help='before the names of camera frames in files for ROS 2, such as '
+                         'rig_a_, so that those of two rigs are told apart')
+
+
+def frame_prefix(text: str) -> str:
+    """Read the beginning of names of frames."""
+    if not re.fullmatch(r'([A-Za-z_][A-Za-z0-9_/]*)?', text):
+        raise argparse.ArgumentTypeError(
+            f'found {text!r}; expected letters, digits, _ and /, a letter first, such as rig_a_')
+    return text
 
 
 def add_overwrite(command: argparse.ArgumentParser) -> None:

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """``ocp bench``: what was measured of the engine, on the screen and as a page."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """``ocp benchmark``: run a comparison, keep its results, print and report them."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """``ocp evaluate``: a policy against other planners, room by room."""
 
@@ -20,7 +21,7 @@ from ocp_ros.evaluation.summary import per_room
 from ocp_ros.evaluation.task_runner import run
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.scene_files import check_file
-from ocp_ros.scenes.splits import FRESH, TEST, TRAINING, VALIDATION
+from ocp_ros.scenes.splits import SETS
 from ocp_ros.util.files import folder_to_write, write_atomically
 from ocp_ros.util.own_files import check_own, note_own
 from ocp_ros.util.settings import ConfigurationError
@@ -29,7 +30,6 @@ from ocp_ros.util.yaml_files import timestamp
 
 #: Numbers of cameras, where none is asked for.
 CAMERAS = (4,)
-SETS = {'fresh': FRESH, 'test': TEST, 'training': TRAINING, 'validation': VALIDATION}
 
 
 def protocols_of(arguments: argparse.Namespace) -> dict[int, Protocol]:

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """``ocp``: the package's tools for people without a ROS graph."""
 
@@ -33,7 +34,7 @@ from ocp_ros.cli.replay_command import add_replay
 from ocp_ros.cli.rooms_command import add_rooms
 from ocp_ros.util.files import folder_to_write
 from ocp_ros.util.own_files import note_own
-from ocp_ros.util.resources import find_config
+from ocp_ros.util.resources import DEFAULT_MODEL, find_config
 
 
 def _train(arguments: argparse.Namespace) -> Found:
@@ -124,7 +125,7 @@ def _add_train(commands: Commands) -> None:
     """Add ``ocp train``."""
     train = commands.add(
         LEARN, 'train', 'train a policy',
-        'ocp train --config config/train/default.yaml --out out/train --model mine.safetensors')
+        'ocp train --config config/train/map.yaml --out out/train --model mine.safetensors')
     train.add_argument('--config', type=find_config, required=True,
                        help='YAML of training settings')
     train.add_argument('--out', type=Path, required=True,
@@ -180,7 +181,7 @@ def _add_evaluate(commands: Commands) -> None:
     """Add ``ocp evaluate``."""
     judged = commands.add(LEARN, 'evaluate', 'judge a policy room by room',
                           'ocp evaluate --model models/mine.safetensors --set test')
-    judged.add_argument('--model', default='default', help='weights: a path, or a name')
+    judged.add_argument('--model', default=DEFAULT_MODEL, help='weights: a path, or a name')
     judged.add_argument('--planners', type=names, default=('learned', 'greedy_step'),
                         help='names with commas between; the first is compared with the others')
     rooms = judged.add_mutually_exclusive_group()

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """``ocp plan``: where to hang the cameras of a rig, how good that is, and how many are needed."""
 
@@ -94,7 +95,8 @@ def plan(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
         judged = Assessment(problem.objective, replace(placement, scores=found['scores']), found,
                             arguments.frame)
         found['installer'] = [dict(zip(['number', *COLUMNS], row)) for row in rows_of(judged)]
-        return {**found, **written_to(folder, judged, _curve(folder, found))}
+        return {**found, **written_to(folder, judged, _curve(folder, found),
+                                      arguments.frame_prefix)}
 
 
 def _curve(folder: Path, found: dict[str, Any]) -> Iterator[Path]:

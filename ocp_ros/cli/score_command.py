@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """``ocp score``: how good is a placement of a rig in a room, and what would make it better."""
 
@@ -104,7 +105,7 @@ def score(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     judged = judge(scene, placement, room, command, arguments.frame)
     if folder is None:
         return dict(judged.found)
-    return {**judged.found, **written_to(folder, judged)}
+    return {**judged.found, **written_to(folder, judged, prefix=arguments.frame_prefix)}
 
 
 def claim_folder(arguments: argparse.Namespace, folder: Path, curve: bool = False) -> None:
@@ -118,16 +119,18 @@ def claim_folder(arguments: argparse.Namespace, folder: Path, curve: bool = Fals
     check_own([folder / name for name in names], inputs_of(arguments), arguments.overwrite)
 
 
-def written_to(folder: Path, judged: Assessment, more: Iterable[Path] = ()) -> dict[str, Any]:
+def written_to(folder: Path, judged: Assessment, more: Iterable[Path] = (), prefix: str = ''
+               ) -> dict[str, Any]:
     """
     Write a placement in all forms, and the reports; what an earlier run left beside them goes.
 
     :param more: files that are written as they are asked for.
+    :param prefix: of the names of frames.
     :returns: ``written``; where not all could be, for want of space say, ``error`` as well.
     """
     paths: list[Path] = []
     try:
-        for path in chain(export(folder, judged), reports(folder, judged), more):
+        for path in chain(export(folder, judged, prefix), reports(folder, judged), more):
             paths.append(path)
             note_own([path])
         remove_own(_earlier(folder, paths))

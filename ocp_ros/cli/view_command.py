@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """``ocp view``: a room, and where there is one a placement in it, as a page to turn around."""
 

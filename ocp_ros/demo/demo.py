@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 The main job over real ROS: a simulated rig and a policy, each a process, place cameras in a room.
@@ -48,7 +49,7 @@ def parser() -> argparse.ArgumentParser:
                      help='leave out points with NaN or inf')
     top.add_argument('--planner', choices=PLANNERS, default=PolicyNodeConfig.planner,
                      help='who chooses the moves')
-    top.add_argument('--model', default='default', help='weights: path or name')
+    top.add_argument('--model', default=PolicyNodeConfig.model, help='weights: path or name')
     top.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
     return top
 

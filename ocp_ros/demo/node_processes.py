@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Node processes for the demos: real nodes, each in a process of its own, over DDS."""
 

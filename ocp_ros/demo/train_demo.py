@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Training over real ROS: a trainer, and pairs of sim and policy in namespaces, each a process.
@@ -28,7 +29,7 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument('--pairs', type=int, default=1, choices=range(1, 65), metavar='1..64',
                      help='pairs of sim and policy')
     top.add_argument('--seed', type=int, default=1, help='of the first generated room')
-    top.add_argument('--model', default='default', help='weights to start from: path or name')
+    top.add_argument('--model', default='moves', help='weights to start from: path or name')
     top.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
     return top
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Prove which placements on candidates are the best in test rooms, and tell how long it took."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 The engine's look in plain NumPy, point by point and cell by cell: slow, obvious, and the measure.

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Planners room by room: who is better where, and whether that is more than chance.
@@ -37,7 +38,7 @@ def pairs(rows: Rows, first: str) -> dict[str, dict[str, Any]]:
     (base,) = [run for run in runs if run[0] == first][-1:]
     rooms = list(errors[base])
     own = np.array([errors[base][room] for room in rooms])
-    return {_named(run, runs): _pair(own, np.array([errors[run][room] for room in rooms]))
+    return {_named(run, runs): pair(own, np.array([errors[run][room] for room in rooms]))
             for run in runs}
 
 
@@ -47,8 +48,8 @@ def _named(run: tuple[str, int], runs: list[tuple[str, int]]) -> str:
     return planner if sum(name == planner for name, _ in runs) == 1 else f'{planner}, {budget:,}'
 
 
-def _pair(own: np.ndarray, other: np.ndarray) -> dict[str, Any]:
-    """Compare the errors (R,) of two planners in the same rooms."""
+def pair(own: np.ndarray, other: np.ndarray) -> dict[str, Any]:
+    """Compare the errors (R,) of two planners in the same rooms; see :func:`pairs`."""
     gain = np.log(own + NEGLIGIBLE) - np.log(other + NEGLIGIBLE)
     draws = np.random.default_rng(0).integers(len(gain), size=(2000, len(gain)))
     low, high = np.exp(np.percentile(gain[draws].mean(axis=1), [2.5, 97.5]))

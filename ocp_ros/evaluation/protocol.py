@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 One protocol for all planners: the same rooms, budgets and seeds, and one judge.
@@ -44,6 +45,7 @@ from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem, Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError
 
 #: The control: placements drawn at random, this many of them, without any choice.
@@ -94,7 +96,7 @@ class Protocol:
     scale: float = 1.0
     up: str = 'z'
     simulation: SimulationConfig = SimulationConfig(engine=PROMISING)
-    model: str = 'default'
+    model: str = DEFAULT_MODEL
     points: int = POINTS
     judged_points: int = JUDGED_POINTS
     truths: int = 3

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Published figures: ``docs/figures.json`` holds each one, pages show them, and both have to agree.

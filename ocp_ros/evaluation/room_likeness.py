@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """How much generated rooms are like real ones: the same figures of both, and S3DIS's own."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Whether rows that were kept are those of a task: whole, and with numbers that can be."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Camera models and poses: what a depth camera could see if nothing stood in its way."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Clouds of a fixed size, their corners, and numbers for the cells of a grid."""
 

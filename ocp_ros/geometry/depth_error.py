@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Depth observation error: what the depth maps of a room lose if only some points are seen.
@@ -302,6 +303,20 @@ class DepthError:
         left, settled = unsettled(self.trees, seen)
         trees = Trees(*left)
         return np.array([settled + lost_depth(trees, view) for view in views]) / self.pixels
+
+    def changes(self, beside: Sequence[np.ndarray], views: Sequence[np.ndarray], floor: float
+                ) -> np.ndarray:
+        """
+        Return by how much each of many views changes the error that some others leave.
+
+        :param beside: any number of (W,) uint64, packed bits of the points.
+        :param views: M of the same.
+        :param floor: share of the error of seeing nothing that is added to both errors.
+        :returns: (M,) logarithms of (error with the view / error without it); less is better.
+        """
+        seen = np.bitwise_or.reduce([no_bits(self._count), *beside])
+        added = floor * self.worst
+        return np.log((self.beyond(seen, views) + added) / (self(seen) + added))
 
     def by_point(self, seen: np.ndarray) -> np.ndarray:
         """

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Points in blocks: sorted so that neighbours lie together, seen or passed over 256 at a time.

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Cells of a horizontal grid: which are too near to surfaces, and which open one is nearest."""
 

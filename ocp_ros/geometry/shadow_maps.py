@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Spherical shadow maps of points as cubes: the distance to the nearest surface in each direction.

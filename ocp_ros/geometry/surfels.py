@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Shadow maps of surfels: points as small discs that lie on the surface they were sampled from.

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Trans-dimensional simulated annealing (TDSA), after Liu, Sridharan and Fookes (2013).

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Artificial bee colony (ABC), after Karaboga and Basturk (2007).

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """How long a search may go on: by the clock, by a count, or until somebody has had enough."""
 

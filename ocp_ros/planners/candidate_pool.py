@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Poses that a rig's cameras may take in a room, what each sees, and first choices of them."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Places and directions among which :mod:`ocp_ros.planners.lookahead` chooses a placement."""
 

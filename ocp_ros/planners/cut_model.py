@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The linear program of a choice: one variable for the loss, cuts from below, counts to keep."""
 

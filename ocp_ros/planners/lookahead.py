@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Lookahead: plan on what has been seen as if it were the room, and plan again as more is seen.
@@ -6,9 +7,9 @@ While it explores, a plan is worth the depth error of the observed cloud, less a
 unseen cells of the air that it would cover. The bonus falls to nothing early: what a plan is then
 worth is the depth error alone. Plans are sought among candidates on a grid, whose views are
 computed once for some turns, by annealing on unions of packed bits; one-camera exchanges alone
-end in worse plans. In the last turns the best plan is annealed in small steps on a model at full
-resolution, among places that the cameras can still reach: a model of thinned points promises
-what the room does not keep.
+end in worse plans. In the last turns the best plan is annealed once more among all candidates and
+then in small steps, on a model at full resolution and among places that the cameras can still
+reach: a model of thinned points promises what the room does not keep.
 """
 
 from typing import NamedTuple
@@ -83,9 +84,9 @@ class Lookahead(Online):
         #: Turn of the last model or of the last candidates.
         self._made = 0
 
-    def take_over(self, targets: np.ndarray | None) -> None:
-        """Go on with where somebody else would have gone: (K, 2) metres, if anywhere."""
-        self._plan = targets
+    def take_over(self, other: Online) -> None:
+        """Go on with where another planner would have gone, if it says so."""
+        self._plan, self._headings = other.targets, other.headings
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`Online.move`."""
@@ -107,8 +108,15 @@ class Lookahead(Online):
         """Compute what would be seen from where; the plan so far is among the candidates."""
         model = PartialMap(cloud, positions, self.max_range, QUICK_POINTS, QUICK_ROWS,
                            around=AROUND if self.directional else 0.0)
-        space, unseen = self.space(cloud, positions), self._memory.unseen(model)
-        weight = cell_weight(model, unseen, turn, turns)
+        unseen = self._memory.unseen(model)
+        self._list(model, self.space(cloud, positions), unseen,
+                   cell_weight(model, unseen, turn, turns), len(positions))
+        self._made = turn
+        self._settle(positions)
+
+    def _list(self, model: PartialMap, space: FreePlane, unseen: np.ndarray, weight: float,
+              cameras: int) -> None:
+        """List candidates; the plan so far is among them, and it is chosen."""
         count = int(np.clip(space.area / SPACING ** 2, 4, CANDIDATES))
         if self.directional:
             self._candidates = self._sites(model, space, unseen, weight, count)
@@ -118,12 +126,10 @@ class Lookahead(Online):
                 places = np.vstack([space.inside(self._plan), places])
             self._candidates = Candidates(model, places, space, unseen, weight,
                                           self._fixed(model))
-        self._made = turn
         if self._plan is None:
-            self._chosen = self._candidates.fill(len(positions))
+            self._chosen = self._candidates.fill(cameras)
         else:
-            self._chosen = list(range(len(positions)))
-        self._settle(positions)
+            self._chosen = list(range(cameras))
 
     def _sites(self, model: PartialMap, space: FreePlane, unseen: np.ndarray, weight: float,
                count: int) -> Sites:
@@ -150,16 +156,17 @@ class Lookahead(Online):
         self._plan, self._headings = candidates.places[chosen], candidates.headings(chosen)
 
     def _refine(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
-        """Anneal the plan, or the placement where there is none, among what can be reached."""
+        """Anneal the plan in small steps, among what can be reached."""
         steps = STEPS
-        if self._kept.made is None or (turn - self._made >= REFINING_KEPT
-                                       and not self._kept.lasts(cloud, positions)):
-            self._kept.make(cloud, positions, FINE,
-                            clearance_of(self.sight, self.clearance))
+        first_time = self._kept.made is None
+        if first_time or (turn - self._made >= REFINING_KEPT
+                          and not self._kept.lasts(cloud, positions)):
+            self._kept.make(cloud, positions, FINE, clearance_of(self.sight, self.clearance))
             self._made, steps = turn, FEWER_STEPS
+        if first_time:
+            self._survey(positions)
         (model, space), first = self._kept.made, REFINING * turns
-        placed = positions[:, :2] if self._plan is None else self._plan
-        placed = best = self.towards(positions, space.inside(placed), turns - turn)
+        placed = best = self.towards(positions, space.inside(self._plan), turns - turn)
         headings = best_headings = self._planned_headings()
         views = [self._view(model, MoveTrial(camera, position, None if headings is None
                                              else headings[camera]))
@@ -185,6 +192,13 @@ class Lookahead(Online):
                 if error < best_error:
                     best, best_headings, best_error = placed, headings, error
         self._plan, self._headings = best, best_headings
+
+    def _survey(self, positions: np.ndarray) -> None:
+        """Anneal the plan once more among all candidates, on the model to refine on."""
+        model, space = self._kept.made
+        self._list(model, space, self._memory.unseen(model), 0.0, len(positions))
+        self._chosen = self._candidates.anneal(self._chosen, self.rng)
+        self._settle(positions)
 
     def _trial(self, positions: np.ndarray, placed: np.ndarray, headings: np.ndarray | None,
                space: FreePlane, share: float, left: int) -> MoveTrial:

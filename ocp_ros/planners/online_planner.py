@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Planners that know only what has been seen: they move cameras turn by turn, without a scan.
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
 UNLIKE = 1e6
 #: Share of the turns after which plans are refined: before that too little has been seen.
 REFINING = 0.6
+#: Share of the turns that who explores plays, and how many it plays at least, before another
+#: planner goes on with its plan.
+HANDOVER, FIRST = 0.2, 3
 
 
 def matched(positions: np.ndarray, targets: np.ndarray, kinds: np.ndarray | None = None
@@ -190,11 +194,10 @@ class GreedyStep(Online):
 
 class ThenLookahead(Online):
     """
-    One planner explores and settles, another refines its placement on what has been seen.
+    One planner explores and settles, another goes on with its placement on what has been seen.
 
-    :param first: plays the first turns, such as :class:`Learned`.
-    :param lookahead: plays the others, in which it only refines: the targets of the first, or
-        where the cameras are.
+    :param first: plays the first turns, such as :class:`~ocp_ros.planners.map_actor.MapActor`.
+    :param lookahead: plays the others; it begins with the targets of the first, or without.
     """
 
     def __init__(self, first: Online, lookahead: 'Lookahead') -> None:
@@ -222,8 +225,8 @@ class ThenLookahead(Online):
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`Online.move`."""
-        planner = self.lookahead if turn >= REFINING * turns else self.first
+        planner = self.lookahead if turn >= max(HANDOVER * turns, FIRST) else self.first
         if planner is self.lookahead and planner is not self._playing:
-            self.lookahead.take_over(self.first.targets)
+            self.lookahead.take_over(self.first)
         self._playing = planner
         return planner.move(cloud, positions, turn, turns)

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Binary particle swarm optimisation (BPSO) over a candidate grid, after Morsly et al. (2012).

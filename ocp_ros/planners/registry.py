@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 All planners by their names.
@@ -24,14 +25,14 @@ from ocp_ros.planners.particle_swarm import BinaryParticleSwarm
 from ocp_ros.planners.planner import Planner
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
-from ocp_ros.util.resources import find_model
+from ocp_ros.util.resources import DEFAULT_MODEL, find_model
 
 if TYPE_CHECKING:
     from ocp_ros.agent.policy import Policy
     from ocp_ros.agent.value_policy import ValuePolicy
 
-#: The weights of ``learned``, unless others are named, and of ``learned_paper``.
-DEFAULT, PAPER = 'default', 'paper'
+#: The weights of ``learned_paper``.
+PAPER = 'paper'
 
 
 def settings_of(config: SimulationConfig, rng: np.random.Generator) -> tuple:
@@ -61,7 +62,8 @@ def planned_by(policy: 'Policy | ValuePolicy', settings: tuple) -> Learned | Map
     return Learned(policy, *settings)
 
 
-def _learned(config: SimulationConfig, rng: np.random.Generator, model: str = DEFAULT) -> Online:
+def _learned(config: SimulationConfig, rng: np.random.Generator, model: str = DEFAULT_MODEL
+             ) -> Online:
     """Return a policy."""
     # Only here: PyTorch takes longer to start than most searches.
     from ocp_ros.agent.checkpoint import Checkpoint
@@ -80,7 +82,7 @@ def _lookahead(config: SimulationConfig, rng: np.random.Generator, model: str = 
 
 
 def _learned_lookahead(config: SimulationConfig, rng: np.random.Generator,
-                       model: str = DEFAULT) -> ThenLookahead:
+                       model: str = DEFAULT_MODEL) -> ThenLookahead:
     """Return a policy with lookahead in the last turns."""
     return ThenLookahead(_learned(config, rng, model), _lookahead(config, rng))
 

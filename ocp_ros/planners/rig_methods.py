@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Every planner as a method that finds a placement of a rig under all its constraints.
@@ -10,11 +11,12 @@ from collections.abc import Sequence
 from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.candidate_pool import Pool, Site
 from ocp_ros.planners.exact import search_exact
-from ocp_ros.planners.registry import DEFAULT, OFFLINE, ONLINE
+from ocp_ros.planners.registry import OFFLINE, ONLINE
 from ocp_ros.planners.rig_offline import search_offline
 from ocp_ros.planners.rig_online import play_online
 from ocp_ros.planners.rig_search import Answer, Progress, search, views_of
 from ocp_ros.simulation.problem import Problem
+from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.yaml_files import nearest
 
@@ -43,7 +45,7 @@ def check_planner(name: str, counting: bool = False) -> None:
 
 def find(name: str, problem: Problem, pool: Pool, budget: Budget, seed: int,
          start: Sequence[Site] = (), progress: Progress | None = None,
-         model: str = DEFAULT) -> Answer:
+         model: str = DEFAULT_MODEL) -> Answer:
     """
     Find the best placement of a rig's cameras by a planner.
 

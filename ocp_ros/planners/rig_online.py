@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Planners that know only what has been seen, played with a rig under all its constraints.
@@ -14,15 +15,16 @@ import numpy as np
 from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.candidate_pool import check_room, Pool
 from ocp_ros.planners.pose_decoder import Decoder
-from ocp_ros.planners.registry import DEFAULT, ONLINE
+from ocp_ros.planners.registry import ONLINE
 from ocp_ros.planners.rig_search import Answer, Progress, views_of
 from ocp_ros.planners.rollout import play
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import described, Problem
+from ocp_ros.util.resources import DEFAULT_MODEL
 
 
 def play_online(name: str, problem: Problem, pool: Pool, budget: Budget, seed: int,
-                progress: Progress | None = None, model: str = DEFAULT) -> Answer:
+                progress: Progress | None = None, model: str = DEFAULT_MODEL) -> Answer:
     """
     Find a placement of a rig's cameras by an online planner.
 

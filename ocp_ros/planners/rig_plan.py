@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Where to hang the cameras of a rig in a room, how good that is, and how many are needed."""
 
@@ -12,7 +13,6 @@ from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.candidate_pool import best_addition, Pool, random_sites
 from ocp_ros.planners.candidate_proof import Certificate
 from ocp_ros.planners.exact import certify, not_covered
-from ocp_ros.planners.registry import DEFAULT
 from ocp_ros.planners.rig_methods import check_planner, find, RIG_SEARCH
 from ocp_ros.planners.rig_search import Answer, Progress, views_of
 from ocp_ros.rig.rig_file import Rig
@@ -21,6 +21,7 @@ from ocp_ros.simulation.objective import Objective, RigEvaluation
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError
 
 #: Candidates, the fewest where evaluations are counted, and the share of the time that they get.
@@ -103,7 +104,7 @@ class RigPlanner:
 
     def __init__(self, scene: Scene, rig: Rig, engine: EngineConfig, budget: Budget, seed: int = 0,
                  progress: Progress | None = None, planner: str = RIG_SEARCH,
-                 model: str = DEFAULT, simulator: type[Simulator] = Simulator) -> None:
+                 model: str = DEFAULT_MODEL, simulator: type[Simulator] = Simulator) -> None:
         check_planner(planner)
         self._simulator = simulator
         self.planner, self.model = planner, model

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Where to hang the cameras of a rig: exchanges among candidates, then small moves, by annealing.

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Episodes that online planners play: the time step of :mod:`ocp_ros.planners.step`, repeated."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Scores of placements, where a camera that stands where one stood before costs no look."""
 

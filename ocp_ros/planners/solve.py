@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The loop that every planner runs in: it owns the clock, the count, the best and the trace."""
 

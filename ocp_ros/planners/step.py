@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 One time step of a rig that knows only what it has seen: observe, plan, constrain, aim.

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """A placement that was judged in a room: what reports show of it, each thing computed once."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 How to hang up a camera, in words that an installer can follow without knowing the map frame.

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """A placement for those who carry it out: files for people, spreadsheets and ROS 2."""
 
@@ -65,7 +66,7 @@ JOINT = """    <link name="%s"/>
 """
 
 
-def export(folder: Path, judged: Assessment) -> Iterator[Path]:
+def export(folder: Path, judged: Assessment, prefix: str = '') -> Iterator[Path]:
     """
     Write a placement in all forms, the files of :data:`FORMS`, and yield each that is written.
 
@@ -73,6 +74,7 @@ def export(folder: Path, judged: Assessment) -> Iterator[Path]:
     of the scan; see :attr:`~ocp_ros.report.assessment.Assessment.data_frame` for the others.
 
     :param folder: it is made where it is not there.
+    :param prefix: of the names of frames, so that those of two rigs are told apart.
     :raises OSError: if one cannot be written.
     """
     placement, source = judged.placement, judged.scene.source
@@ -83,9 +85,10 @@ def export(folder: Path, judged: Assessment) -> Iterator[Path]:
     if not judged.data_frame.is_map:
         shown, link = placement_in(placement, source), scan_to_map(source)
     links = [] if source.is_map else [link]
-    texts = {'cameras.csv': table_of(shown, judged.data_frame.scale),
-             'cameras.launch.py': launch_of(shown, links),
-             'cameras.urdf.xacro': xacro_of(shown, links), 'cameras.rviz': rviz_of(shown),
+    texts = {'cameras.csv': table_of(shown, judged.data_frame.scale, prefix),
+             'cameras.launch.py': launch_of(shown, links, prefix),
+             'cameras.urdf.xacro': xacro_of(shown, links, prefix),
+             'cameras.rviz': rviz_of(shown),
              'installer.md': instructions(judged, 'plan.png')}
     for name, text in texts.items():
         write_atomically(folder / name, text)
@@ -139,11 +142,12 @@ def link_of(number: int) -> str:
     return f'camera_{number}'
 
 
-def table_of(placement: Placement, scale: float = 1.0) -> str:
+def table_of(placement: Placement, scale: float = 1.0, prefix: str = '') -> str:
     """
     Return the cameras as CSV: degrees, one row each.
 
     :param scale: metres per unit of the positions.
+    :param prefix: of the names of frames.
     """
     file = io.StringIO()
     rows = csv.DictWriter(file, COLUMNS, extrasaction='ignore', lineterminator='\n')
@@ -151,7 +155,8 @@ def table_of(placement: Placement, scale: float = 1.0) -> str:
     for number, placed in enumerate(placement.cameras, start=1):
         rows.writerow({
             'number': number, 'name': placed.camera.name, 'frame': placement.frame,
-            'link': link_of(number - 1), 'mount': placed.mount, **numbers_of(placed.camera),
+            'link': prefix + link_of(number - 1), 'mount': placed.mount,
+            **numbers_of(placed.camera),
             **dict(zip('xyz', (value / scale for value in placed.position))),
             **dict(zip(('yaw', 'pitch', 'roll'), placed.angles))})
     return file.getvalue()
@@ -163,16 +168,17 @@ def _angles(placed: Placed) -> tuple[float, float, float]:
     return float(roll), float(pitch), float(yaw)
 
 
-def launch_of(placement: Placement, links: Sequence[Link] = ()) -> str:
+def launch_of(placement: Placement, links: Sequence[Link] = (), prefix: str = '') -> str:
     """
     Return a ROS 2 launch file that publishes camera_<i> and camera_<i>_optical, i from 0.
 
     :param links: other transforms to publish.
+    :param prefix: of the names of frames.
     """
     lines = [(link.parent, link.child, *link.position, *(round(angle, 9) for angle in link.angles))
              for link in links]
     for number, placed in enumerate(placement.cameras):
-        body = link_of(number)
+        body = prefix + link_of(number)
         position, angles = map(float, placed.position), _angles(placed)
         lines += [(placement.frame, body, *position, *(round(angle, 9) for angle in angles)),
                   (body, f'{body}_optical', 0.0, 0.0, 0.0,
@@ -180,11 +186,11 @@ def launch_of(placement: Placement, links: Sequence[Link] = ()) -> str:
     return LAUNCH % ''.join(f'    {line!r},\n' for line in lines)
 
 
-def xacro_of(placement: Placement, links: Sequence[Link] = ()) -> str:
+def xacro_of(placement: Placement, links: Sequence[Link] = (), prefix: str = '') -> str:
     """Return a xacro macro with links and joints for the same frames as :func:`launch_of`."""
     joints = [_joint('${parent}', link.child, link.position, link.angles) for link in links]
     for number, placed in enumerate(placement.cameras):
-        body = link_of(number)
+        body = prefix + link_of(number)
         for parent, child, position, angles in (
                 ('${parent}', body, placed.position, _angles(placed)),
                 (body, f'{body}_optical', (0.0, 0.0, 0.0), OPTICAL)):

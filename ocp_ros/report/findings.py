@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """What there is to say about a placement: scores, broken constraints, what is missed, one more."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The installer's page: how to hang up each camera, beside a plan with lettered walls."""
 

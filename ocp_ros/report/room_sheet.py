@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The sheet of generated rooms: pictures of twelve, their figures beside those of real ones."""
 

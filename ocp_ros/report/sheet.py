@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """One page that says at a glance what a placement is worth and how to hang it up."""
 

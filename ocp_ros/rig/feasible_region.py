@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Feasible region: where cameras may be in a room, and which constraint is violated elsewhere."""
 

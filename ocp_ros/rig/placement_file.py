@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Where the cameras of a rig hang, as a file: what a planner writes and an installer carries out.

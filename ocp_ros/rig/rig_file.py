@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 A real rig: its cameras, where they may hang and what they shall see, read from a YAML file.

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 JSON Schemas of rig files and placement files: every key, its unit, its range, an example.

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Structure of a room, found in its points: floor, ceiling, walls and free space."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 ``policy_node``: answers each observation with where the cameras shall go.
@@ -16,8 +17,8 @@ from typing import TYPE_CHECKING
 
 from geometry_msgs.msg import PoseArray
 import numpy as np
-from rclpy.node import Node
 from std_msgs.msg import UInt8MultiArray
+from std_srvs.srv import SetBool, Trigger
 
 from ocp_ros.agent.errors import CheckpointError
 from ocp_ros.planners.online_planner import Online
@@ -36,12 +37,12 @@ from ocp_ros.ros.policy.convergence import Convergence
 from ocp_ros.ros.policy.decider import Decider
 from ocp_ros.ros.policy.live_turns import LiveTurns
 from ocp_ros.ros.policy.placement_record import placement_from
-from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
+from ocp_ros.ros.policy.policy_config import BY_HAND, PolicyNodeConfig
 from ocp_ros.ros.policy.policy_views import PolicyViews
 from ocp_ros.ros.policy.simulated_turns import SimulatedTurns, TurnInfo
 from ocp_ros.ros.runtime import diagnostics
+from ocp_ros.ros.runtime.managed_node import ManagedNode
 from ocp_ros.ros.runtime.node_main import run
-from ocp_ros.ros.runtime.parameters import declare, follow
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.threads import set_threads
 
@@ -57,7 +58,7 @@ def load_checkpoint(path: Path) -> 'Checkpoint':
     return Checkpoint.load(path)
 
 
-class PolicyNode(Node):
+class PolicyNode(ManagedNode):
     """
     Answer turns with a planner.
 
@@ -68,8 +69,14 @@ class PolicyNode(Node):
     """
 
     def __init__(self, **kwargs) -> None:
-        super().__init__('policy_node', **kwargs)
-        self.config = declare(self, PolicyNodeConfig)
+        self._commander: Arbitration | None = None
+        self._turns: SimulatedTurns | None = None
+        self._live: LiveTurns | None = None
+        self._paused = False
+        super().__init__('policy_node', PolicyNodeConfig, {'manual': BY_HAND}, **kwargs)
+
+    def configure(self) -> None:
+        """Read weights and rig, and listen; nothing is commanded yet."""
         set_threads(self.config.threads)
         path = None if self.config.weightless else find_model(self.config.model)
         self._decider = Decider(
@@ -80,8 +87,6 @@ class PolicyNode(Node):
         self._start_episode(episode=0)
         self._commands = self.create_publisher(PoseArray, topics.CAMERA_COMMANDS, LOOP)
         self._placement = self.create_publisher(PoseArray, topics.PLACEMENT, LATCHED)
-        self._turns: SimulatedTurns | None = None
-        self._live: LiveTurns | None = None
         self._experiences = None
         if self.config.explore:
             from ocp_ros.ros.policy.experiences import Experiences
@@ -91,7 +96,7 @@ class PolicyNode(Node):
         if self.config.clouds:
             self._live = LiveTurns(
                 self, self.config, self._commands, self._play, lambda: self._settled,
-                self._refuse, self._waits)
+                self._refuse, self._waits, self._decider.expected)
         else:
             self._turns = SimulatedTurns(
                 self, self._commands, self._play, self._tell, self._refuse, self._waits)
@@ -100,15 +105,31 @@ class PolicyNode(Node):
                 UInt8MultiArray, topics.POLICY_WEIGHTS, self._on_weights, LATCHED)
         self._views = PolicyViews(self, self._decider.models, self._live is not None,
                                   self._decider.state if self._decider.rig else None)
-        follow(self, self._change)
+        self.create_service(SetBool, '~/pause', self._on_pause)
+        self.create_service(Trigger, '~/reset', self._on_reset)
         self._health = diagnostics.Health(self, self._status)
-        # Last: from now on it speaks, and nothing that follows can fail.
-        self._commander = Arbitration(self)
         weights = 'no weights' if path is None else \
             f'weights of {path.name}: {self.policy.checkpoint.updates} updates'
         planner = 'exploring' if self.config.explore else self.config.planner
         cameras = f'live: {", ".join(self.config.clouds)}' if self._live else 'simulation'
         self.get_logger().info(f'{planner}, {weights}, {cameras}')
+
+    def activate(self) -> None:
+        """Command the cameras, unless somebody else does."""
+        # From now on it speaks, and nothing that follows can fail.
+        self._commander = Arbitration(self)
+        self._go_on()
+
+    def deactivate(self) -> None:
+        """Leave the cameras where they are, and let others command."""
+        self._hold()
+        self.stop()
+
+    def release(self) -> None:
+        """Forget weights, rig and all that was seen."""
+        self.stop()
+        self._live = self._turns = self._experiences = None
+        self._paused = False
 
     @property
     def planner(self) -> Online:
@@ -129,12 +150,13 @@ class PolicyNode(Node):
         """Forget the turns of the last episode."""
         self._decider.reset()
         self._episode, self._step, self._over = episode, 0, False
+        #: The final placement, once there is one.
+        self._held: PoseArray | None = None
         self._finality.begin()
         self._finality.say(self._step, self.config)
 
-    def _change(self, config: PolicyNodeConfig) -> None:
+    def change(self, config: PolicyNodeConfig) -> None:
         """Go on with other parameters."""
-        self.config = config
         self._decider.change(config)
         self._views.change(self._decider.models)
         if self._live is not None:
@@ -151,8 +173,35 @@ class PolicyNode(Node):
                 self._settle(told.answered)
             self._step += 1
 
+    def _hold(self) -> None:
+        """Tell cameras that may be on their way to stay where they are."""
+        if self._live is not None and self.active and not self._commander.first:
+            self._live.hold()
+
+    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        """Hold, or go on."""
+        if request.data and not self._paused:
+            self._hold()
+        self._paused = request.data
+        self._go_on()
+        response.success, response.message = True, 'paused' if self._paused else 'going on'
+        return response
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Begin a new placement of live cameras from where they are."""
+        if self._live is None:
+            response.message = ('turns come from a simulation; expected live cameras; call '
+                                '~/reset of sim_node')
+            return response
+        self._start_episode(self._episode + 1)
+        self._live.reset()
+        response.success, response.message = True, 'a new placement begins'
+        return response
+
     def _waits(self) -> bool:
         """Tell whether others command, or have to catch up, before this turn is answered."""
+        if self._commander is None or self._paused:
+            return True
         if self._commander.first:
             self.get_logger().error(self._commander.wrong(), throttle_duration_sec=5.0)
         return bool(self._commander.first or self._commander.settling or (
@@ -172,10 +221,13 @@ class PolicyNode(Node):
             if self._experiences:
                 # What would be chosen now belongs to the choice before: see what it led to.
                 self._decider.plan(cloud, poses, self._step)
-        answer = self._decider.decide(cloud, poses, self._step, self._settled)
+        # What was decided is held, wherever the cameras are measured to be.
+        answer = self._decider.decide(cloud, poses, self._step) if self._held is None else \
+            PoseArray(header=poses.header, poses=self._held.poses)
         target = msg_to_positions(answer)
-        self._finality.moved(np.linalg.norm(target - positions, axis=1).max(),
-                             self._decider.widest, self.config)
+        if self._held is None:
+            self._finality.moved(np.linalg.norm(target - positions, axis=1).max(),
+                                 self._decider.widest, self.config)
         if self._experiences:
             # Cameras in place come last, and nobody chooses for them.
             moved = target[:self._decider.movable(poses)]
@@ -188,7 +240,9 @@ class PolicyNode(Node):
 
     def stop(self) -> None:
         """Stop commanding, before anything of ROS is taken down."""
-        self._commander.close()
+        if self._commander is not None:
+            self._commander.close()
+            self._commander = None
 
     def destroy_node(self) -> None:
         """Stop commanding before the node goes."""
@@ -202,7 +256,7 @@ class PolicyNode(Node):
     def _settle(self, poses: PoseArray) -> None:
         """Publish the placement, once per episode, and say why it is final."""
         if not self._settled:
-            self._finality.why = self._why()
+            self._finality.why, self._held = self._why(), poses
             self._placement.publish(poses)
             self.get_logger().info(
                 f'placement is {self._finality.say(self._step, self.config)}')
@@ -248,12 +302,16 @@ class PolicyNode(Node):
         wrong, live = self._live.status() if self._live else (
             diagnostics.crowd(self, topics.OBSERVATION), {})
         wrong = wrong or '; '.join(self._decider.held)
-        wrong = self._commander.wrong() or wrong
+        if self._commander is None or self._paused:
+            message = 'paused' if self.active else 'inactive'
+        else:
+            wrong = self._commander.wrong() or wrong
         run, updates = '-', 0
         if self.policy is not None:
             run, updates = self.policy.checkpoint.run or '-', self.policy.checkpoint.updates
         return diagnostics.WARN if wrong else diagnostics.OK, wrong or message, {
-            'planner': self.config.planner, 'weights_run': run, 'weights_updates': updates,
+            'planner': 'exploring' if self.config.explore else self.config.planner,
+            'weights_run': run, 'weights_updates': updates,
             'step': self._step, **self._finality.values(), **self._counts, **live}
 
 

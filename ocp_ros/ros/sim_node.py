@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 ``sim_node``: a simulated rig in a room, in lock-step with whoever commands it.
@@ -14,7 +15,6 @@ from geometry_msgs.msg import PoseArray
 import numpy as np
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64, Float64MultiArray, Header
 from std_srvs.srv import Trigger
@@ -36,8 +36,8 @@ from ocp_ros.ros.interface.conversions import (
 from ocp_ros.ros.interface.qos import LATCHED, LOOP
 from ocp_ros.ros.interface.views import CloudView, RigView
 from ocp_ros.ros.runtime import diagnostics
+from ocp_ros.ros.runtime.managed_node import autostart, ManagedNode
 from ocp_ros.ros.runtime.node_main import run
-from ocp_ros.ros.runtime.parameters import declare, follow
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_source import make_scene, SceneConfig
 from ocp_ros.simulation.episode import Episode
@@ -58,14 +58,17 @@ class SimNodeConfig(SimulationConfig):
         0.5, 'send the latest turn again after so long without a command, seconds', 0.02, 60.0,
         running=True)
     frame_id: str = setting('map', 'frame of every message')
+    autostart: bool = autostart()
 
 
-class SimNode(Node):
+class SimNode(ManagedNode):
     """Publish what a rig sees, covers and misses; move it as commanded."""
 
     def __init__(self, **kwargs) -> None:
-        super().__init__('sim_node', **kwargs)
-        self.config = declare(self, SimNodeConfig)
+        super().__init__('sim_node', SimNodeConfig, **kwargs)
+
+    def configure(self) -> None:
+        """Read the room and place the cameras; no turn is sent yet."""
         self.problem = make_problem(make_scene(self.config.scene), self.config)
         self.simulator = self.problem.simulator
         self._rng = np.random.default_rng(self.config.seed)
@@ -76,20 +79,26 @@ class SimNode(Node):
         self.create_service(Trigger, '~/reset', self._on_reset)
         self._resend = self.create_timer(self.config.resend_period, self._on_silence,
                                          clock=Clock(clock_type=ClockType.STEADY_TIME))
-        follow(self, self._change)
         self._health = diagnostics.Health(self, self._status)
         scene, models = self.simulator.scene, self.problem.models
         self._scene.publish(cloud_to_msg(scene.points, self._header()))
         self.get_logger().info(
             f'{scene.name}: {len(scene)} points, ' + ' x '.join(f'{s:.1f}' for s in scene.size)
             + f' m, {len(models)} cameras')
-        self._begin()
+        self._place()
         if not len(self.episode.observed):
             raise SceneError(
                 f'{scene.name}: found no point within {max(m.max_range for m in models)} m of the '
                 f'cameras at the centre, at {np.round(self.episode.placement[0, :3], 2).tolist()};'
                 ' expected them inside the room; check scene.up, scene.scale and the height of '
                 'the cameras')
+
+    def activate(self) -> None:
+        """Send the turn at hand."""
+        if self._stamp:
+            self._send_turn()
+        else:
+            self._publish_turn()
 
     def _make_publishers(self) -> None:
         """Create every publisher."""
@@ -112,11 +121,15 @@ class SimNode(Node):
         """Return a header with the latest turn's stamp."""
         return Header(stamp=ns_to_stamp(self._stamp), frame_id=self.config.frame_id)
 
-    def _begin(self) -> None:
-        """Begin an episode and publish its first turn."""
+    def _place(self) -> None:
+        """Place the cameras for an episode."""
         self.episode = Episode(self.problem, self._rng)
         self._episodes += 1
         self._rig_view.forget()
+
+    def _begin(self) -> None:
+        """Begin an episode and publish its first turn."""
+        self._place()
         self._publish_turn()
 
     def _publish_turn(self) -> None:
@@ -157,9 +170,9 @@ class SimNode(Node):
             publisher.publish(message)
         self._resend.reset()
 
-    def _change(self, config: SimNodeConfig) -> None:
+    def change(self, config: SimNodeConfig) -> None:
         """Go on with other parameters, those of the episode included."""
-        self.config = self.simulator.config = config
+        self.simulator.config = config
         self.episode.config = config.episode
         self._resend.timer_period_ns = int(config.resend_period * 1e9)
         self._resend.reset()
@@ -167,13 +180,13 @@ class SimNode(Node):
     def _on_silence(self) -> None:
         """Send the turn again: its messages or the answer may have been lost."""
         # The last turn leads nowhere, but whoever commands has to know that it is the last.
-        if not (self._answered and self.episode.turn.truncated):
+        if self.active and not (self._answered and self.episode.turn.truncated):
             self._counts['resent_turns'] += 1
             self._send_turn()
 
     def _on_command(self, message: PoseArray) -> None:
         """Move the cameras if the command answers the latest turn."""
-        if stamp_to_ns(message.header.stamp) != self._stamp:
+        if not self.active or stamp_to_ns(message.header.stamp) != self._stamp:
             self._counts['stale_commands'] += 1
             return
         try:
@@ -214,6 +227,9 @@ class SimNode(Node):
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Begin a new episode."""
+        if not self.active:
+            response.message = 'the node is inactive; expected it active; activate it'
+            return response
         self._begin()
         response.success = True
         response.message = f'episode {self._episodes}'
@@ -223,6 +239,8 @@ class SimNode(Node):
         """Say how the loop is."""
         turn = self.episode.turn
         waiting = 'episode over' if turn.truncated else 'waiting for commands'
+        if not self.active:
+            waiting = 'inactive'
         wrong = diagnostics.crowd(self, topics.OBSERVATION)
         return diagnostics.WARN if wrong else diagnostics.OK, wrong or waiting, {
             'episode': self._episodes, 'step': turn.step, **self._counts}

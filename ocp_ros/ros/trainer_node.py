@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 ``trainer_node``: learns from the turns of policies that explore and publishes better weights.

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """One rig and its policy, as a trainer hears them: a namespace, its topics and its counts."""
 

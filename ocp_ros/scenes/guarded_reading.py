@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Libraries that hostile bytes can crash, asked to read a file in a process with limits."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """PLY, the Stanford polygon file format: scans with plyfile, meshes with Open3D."""
 

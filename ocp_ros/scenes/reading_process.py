@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 A process that reads a file with a library that hostile bytes can crash, hang or fill with memory.

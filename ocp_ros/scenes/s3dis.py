@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 The rooms of S3DIS (Armeni et al., 2016) where a user has them, chosen by the rules of the paper.

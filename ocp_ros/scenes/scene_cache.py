@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Scans that are read once: what was read and thinned is kept beside the user's other caches."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 The generated rooms of each set, frozen by seed; no two sets share a room.
@@ -34,3 +35,4 @@ FRESH = (
     4107, 4108, 4109, 4110, 4113, 4115, 4119, 4120, 4127, 4131)
 #: Rooms to learn in beyond those: nobody has looked whether they are hard or easy.
 MORE_TRAINING = range(1310, 3000)
+SETS = {'fresh': FRESH, 'test': TEST, 'training': TRAINING, 'validation': VALIDATION}

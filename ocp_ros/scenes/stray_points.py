@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Points of a scan that are no part of the room: reflections, dust, what windows show."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """One episode: a rig moves through a scene turn by turn, and what it has seen stays seen."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """What a placement of a rig is worth: the depth error, and what the rig's regions ask for."""
 

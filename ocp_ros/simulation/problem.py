@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 What there is to solve in a room: which cameras, where they may be, what placements are worth.

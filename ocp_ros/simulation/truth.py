@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The engine with the true visibility: rays cast at the mesh behind a generated room."""
 

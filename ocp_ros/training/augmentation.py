@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Symmetries of the task: a room turned by quarter turns or mirrored is as good a room.

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The environment as the networks read it: encoded, padded, and with what it was encoded from."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 What a policy read and chose at a turn, as one safetensors blob, so that others can learn from it.

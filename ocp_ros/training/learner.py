@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """A learner that is fed with transitions and trains beside whatever feeds it."""
 

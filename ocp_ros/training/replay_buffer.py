@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 A replay buffer that stores what is known at each turn and builds observations when it is sampled.

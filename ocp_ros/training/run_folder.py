@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The folder of a training run: whose it is, its settings, its rooms, its evaluations."""
 

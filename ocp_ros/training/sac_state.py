@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The whole state of SAC as safetensors, so that training resumes without unpickling anything."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 The rooms of a run: generated ones, those of S3DIS or a folder of scans, in three sets.

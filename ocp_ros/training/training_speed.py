@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """How fast training in one process is: what training over ROS is compared with."""
 
@@ -59,7 +60,7 @@ def in_one_process(count: int, seconds: float, starts: int) -> Speed:
         sac=SacConfig(learning_starts=starts, device='cpu'))
     model = make_sac(config.sac, config.agent, 1, environments=count, train_freq=1,
                      gradient_steps=count)
-    load_actor(model, Checkpoint.load(find_model('default')))
+    load_actor(model, Checkpoint.load(find_model('moves')))
     model.warm = True
     model.set_logger(configure(None, []))
     model.set_env(environments(config, room_names(config.rooms, 'training')))

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Transitions on disk, so that a learner that was killed has its replay buffer again."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 States and labels of the map actor: what it reads, and what each place is truly worth.
@@ -25,7 +26,6 @@ from ocp_ros.agent.observation_map import (
 )
 from ocp_ros.agent.partial_map import LookHistory, PartialMap
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.geometry.packed_bits import no_bits
 from ocp_ros.planners.map_actor import MapActor, PLAIN_POINTS, PLAIN_ROWS
 from ocp_ros.planners.registry import settings_of
 from ocp_ros.rig.motion import towards
@@ -110,12 +110,8 @@ class TrueRoom:
         :param others: numbers of their places.
         :returns: (P,) ln((D with the camera + e) / (D of the others + e)), less is better.
         """
-        error = self.engine.depth_error
-        seen = np.bitwise_or.reduce([no_bits(len(self.engine.scene)),
-                                     *(self._seen[other] for other in others)])
-        floor = FLOOR * error.worst
-        left = error.beyond(seen, self._seen)
-        return np.log((left + floor) / (error(seen) + floor))
+        return self.engine.depth_error.changes(
+            [self._seen[other] for other in others], self._seen, FLOOR)
 
 
 def play_states(task: StateTask) -> dict[str, np.ndarray]:

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Files that are whole or absent, whenever the process ends, and places to write them to."""
 

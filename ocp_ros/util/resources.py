@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Models and configuration that come with the package, wherever it is installed.
@@ -48,11 +49,15 @@ def _places() -> Iterator[Path]:
         return
 
 
+#: The weights that run unless others are named.
+DEFAULT_MODEL = 'map'
+
+
 def find_model(name: str) -> Path:
     """
     Find weights by path or by the name of a model that comes with the package.
 
-    :param name: a path, or a name such as ``default``.
+    :param name: a path, or a name such as ``map``.
     :raises FileNotFoundError: if there is none; the message lists the names there are.
     """
     if Path(name).is_file():
@@ -68,7 +73,7 @@ def find_config(path: str | Path) -> Path:
     """
     Find a file by its path or, where there is none, among those that come with the package.
 
-    :param path: such as ``config/train/default.yaml``.
+    :param path: such as ``config/train/map.yaml``.
     :returns: the path itself where the file is nowhere: who reads it says so.
     """
     path = Path(path)

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Looks of the engine, whose kernels hold no lock, spread over threads."""
 

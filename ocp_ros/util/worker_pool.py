@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Many tasks at once: in processes of this machine, or on a Ray cluster where one is named."""
 

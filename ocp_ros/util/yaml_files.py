@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 YAML and JSON files that people write: held against a schema, with errors that name the line.

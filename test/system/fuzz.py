@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Send nodes messages that lie, and see that they live, refuse, and command nothing out of bounds.
@@ -65,7 +66,7 @@ def fuzz(options: argparse.Namespace, domain: int, watch: Watch) -> dict:
 
     with stopped_at_the_end(processes), Progress(console=Console(stderr=True)) as progress:
         processes += start(options, domain)
-        weights = Checkpoint.load(find_model('default'))
+        weights = Checkpoint.load(find_model('moves'))
         fuzzer = Fuzzer(watch.node, until, options.seed, weights)
         policy = PolicyTarget(fuzzer, '/turns')
         live, sim = LiveTarget(fuzzer, '/live', ['a', 'b']), SimTarget(fuzzer, '/sim')

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Nodes that are told lies: what is sent to each kind, and what must not come of it."""
 

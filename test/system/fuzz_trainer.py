@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """A trainer that is told whole turns, of which most lie, and has to go on learning."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Messages that lie, for tests: what broken drivers, other programs and torn networks send.

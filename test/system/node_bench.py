@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Measure the nodes: how long a policy takes to answer, and how fast training over ROS is.
@@ -43,7 +44,7 @@ from ocp_ros.ros.interface.conversions import (
     ns_to_stamp,
     positions_to_msg,
 )
-from ocp_ros.ros.policy.policy_config import LEARNED, PLANNERS
+from ocp_ros.ros.policy.policy_config import LEARNED, PLANNERS, PolicyNodeConfig
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.runtime.network import LOCALHOST
 from ocp_ros.scenes.synthetic.generator import generate_room
@@ -58,7 +59,7 @@ from ocp_ros.util.yaml_files import timestamp
 
 POINTS, PAIRS = (25_000, 100_000), (1, 2, 4)
 #: Planners and weights; those of the paper's inputs ask no engine.
-PLAYED = (*((planner, 'default') for planner in PLANNERS), (LEARNED, 'paper'))
+PLAYED = (*((planner, PolicyNodeConfig.model) for planner in PLANNERS), (LEARNED, 'paper'))
 #: The first of the rooms in which turns are answered; none of them is a training room.
 FIRST_ROOM = 200
 #: Share of a room's points that cameras see in the end, about.
@@ -157,7 +158,7 @@ def _hottest(profile: cProfile.Profile) -> list[str]:
 
 def over_ros(pairs: int, seconds: float, out: Path) -> Speed:
     """Return how fast as many pairs of sim and policy, and a trainer, learn."""
-    options = argparse.Namespace(pairs=pairs, out=out, seed=1, model='default')
+    options = argparse.Namespace(pairs=pairs, out=out, seed=1, model='moves')
     domain, holder = free_domain()
     processes: list[NodeProcess] = []
     with holder, Watch(domain) as watch, stopped_at_the_end(processes):

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """What a soak sends and measures: lies, the time turns take, memory, and a trainer's files."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Good files of every format that the package reads, and the same files with errors in them."""
 
@@ -218,7 +219,7 @@ def good_files(folder: Path) -> dict[str, Callable]:
         write_mesh(folder / name, mesh)
     readers: dict[str, Callable] = {path.name: load_scene for path in sorted(folder.iterdir())}
     (folder / 'rig.yaml').write_bytes((ROOT / 'config/rig/mixed.yaml').read_bytes())
-    (folder / 'train.yaml').write_bytes((ROOT / 'config/train/default.yaml').read_bytes())
+    (folder / 'train.yaml').write_bytes((ROOT / 'config/train/moves.yaml').read_bytes())
     _placement(folder / 'placement.yaml')
     if find_spec('rosbags'):
         readers |= _write_bags(folder)

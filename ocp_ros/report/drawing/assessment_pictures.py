@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The pictures of a judged placement: plan, coverage, depth error and looks into the room."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The plan beside the installer's page: walls with their letters, cameras and where they look."""
 

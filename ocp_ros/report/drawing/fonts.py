@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Fonts of pictures: that of matplotlib, and for letters that it lacks what is installed."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """How far cameras see, as drawn: the part of a plan that they reach, and the edges of a cone."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """A picture of a placement: the room from above and cut open, with cameras, paths and ranges."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """A room as it is drawn: discs on its surfaces, without the ceiling, cut open for the viewer."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Draw how training went: what was missed in rooms never seen, and the losses, against interactions.

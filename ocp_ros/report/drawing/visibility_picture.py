@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """A picture of what one camera sees in a room: ray casting, and what the engine and others say."""
 

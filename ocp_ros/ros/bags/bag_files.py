@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """ROS 1 and ROS 2 bags, read without a ROS installation: what is in them, and their messages."""
 

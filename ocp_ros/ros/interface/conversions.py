@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Messages to arrays and back, as plain functions; what is malformed is refused with a reason."""
 

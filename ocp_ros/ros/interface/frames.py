@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Clouds of live cameras in the frame of the poses, cut to what a camera measures well."""
 

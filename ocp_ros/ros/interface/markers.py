@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Markers for RViz and Foxglove: cameras, the ways they took, and what they could see."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Names of the topics and of the fields of the ``reward`` topic, relative to the namespace."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """What ``policy_node`` decides in a turn: messages to a rig state, one step, and back."""
 
@@ -7,6 +8,7 @@ from geometry_msgs.msg import PoseArray
 import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
+from ocp_ros.agent.expected_gain import ExpectedGain
 from ocp_ros.agent.rig_state import RigState
 from ocp_ros.geometry.cameras import CameraModel, heading_of
 from ocp_ros.geometry.clouds import corners_of
@@ -22,7 +24,7 @@ from ocp_ros.ros.interface.conversions import (
 )
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from ocp_ros.ros.policy.policy_planners import make_planner, planned_alike
-from ocp_ros.scenes.scene import LARGEST
+from ocp_ros.scenes.scene import LARGEST, SceneError
 
 if TYPE_CHECKING:
     from ocp_ros.agent.checkpoint import Checkpoint
@@ -136,18 +138,14 @@ class Decider:
         return RigState(rows, models, movable, pitch, self._config.max_turn > 0.0,
                         None if self.rig is None else self.rig.clearance)
 
-    def decide(self, cloud: np.ndarray, poses: PoseArray, turn: int, settled: bool) -> PoseArray:
+    def decide(self, cloud: np.ndarray, poses: PoseArray, turn: int) -> PoseArray:
         """
         Choose where the cameras go and how they are turned there.
 
         :param cloud: (N, 3) float32, metres: the points seen so far.
         :param poses: where the cameras are.
         :param turn: turns played so far.
-        :param settled: whether the cameras shall stay where they are.
         """
-        if settled:
-            self.widest = 0.0
-            return moved_to(poses, msg_to_positions(poses), {})
         state, turns = self.state(poses), self._config.turns
         command = self.step(cloud, state, min(turn, turns), turns)
         self.held = command.held
@@ -157,6 +155,14 @@ class Decider:
         self.widest = max((float(np.linalg.norm(way_between(state.placement[camera, 3:], heading)))
                            for camera, heading in headings.items()), default=0.0)
         return moved_to(poses, command.placement[:len(poses.poses), :3], headings)
+
+    def expected(self, cloud: np.ndarray, poses: PoseArray, command: PoseArray) -> str:
+        """Say what a command is expected to bring; nothing where too little has been seen."""
+        try:
+            return str(ExpectedGain.of(cloud, self.state(poses), self.state(command).placement,
+                                       self._config.max_range))
+        except SceneError:
+            return ''
 
     def plan(self, cloud: np.ndarray, poses: PoseArray, turn: int) -> None:
         """Let the planner choose moves that nobody makes."""

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """What a person who moves the cameras has to do, in words."""
 
@@ -20,7 +21,8 @@ def moving(positions: np.ndarray, targets: np.ndarray, least: float) -> np.ndarr
 
 
 def instructions(positions: np.ndarray, targets: np.ndarray, least: float,
-                 turns: np.ndarray | None = None, least_turn: float = np.inf) -> str:
+                 turns: np.ndarray | None = None, least_turn: float = np.inf,
+                 expected: str = '') -> str:
     """
     Write one line per camera that has to be moved or turned; see :func:`moving`.
 
@@ -28,6 +30,7 @@ def instructions(positions: np.ndarray, targets: np.ndarray, least: float,
     :param turns: (K, 2) radians: how far each has to be turned, counter-clockwise seen from above
         and down; None where none has to be.
     :param least_turn: smaller turns are not worth it, radians; at least a degree.
+    :param expected: a sentence on what this is expected to bring, so that a person can stop.
     """
     turns = np.zeros((len(targets), 2)) if turns is None else turns
     moved, turned = moving(positions, targets, least), np.linalg.norm(turns, axis=1) > least_turn
@@ -36,7 +39,9 @@ def instructions(positions: np.ndarray, targets: np.ndarray, least: float,
         parts = [_move(positions[camera], targets[camera])] if moved[camera] else []
         parts += [_turn(*np.rad2deg(turns[camera]))] if turned[camera] else []
         lines.append(f'camera {camera}: {"; ".join(parts)}')
-    return '\n'.join(lines) or STAY
+    if not lines:
+        return STAY
+    return '\n'.join([*lines, expected] if expected else lines)
 
 
 def _turn(yaw: float, pitch: float) -> str:

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Turns of real cameras: clouds come when they come, and a rig or a person carries out commands.
@@ -10,6 +11,7 @@ from collections.abc import Callable
 from functools import partial
 import math
 
+from geometry_msgs.msg import Pose as PoseMsg
 from geometry_msgs.msg import PoseArray
 import numpy as np
 from rclpy.clock import Clock
@@ -22,7 +24,7 @@ from std_msgs.msg import Header, String
 from visualization_msgs.msg import MarkerArray
 
 from ocp_ros.agent.cloud_fusion import FusedCloud
-from ocp_ros.geometry.cameras import heading_of
+from ocp_ros.geometry.cameras import angle_between, heading_of, Pose
 from ocp_ros.rig.motion import way_between
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import (
@@ -32,6 +34,7 @@ from ocp_ros.ros.interface.conversions import (
     msg_to_poses,
     msg_to_positions,
     ns_to_stamp,
+    positions_to_msg,
     rotation_of,
     stamp_to_ns,
 )
@@ -60,19 +63,23 @@ class LiveTurns:
     :param final: tells whether the cameras stay where they are: then clouds are no longer read.
     :param refuse: takes note of a message that cannot be used.
     :param waits: tells whether nothing may be commanded now.
+    :param expect: says what a command is expected to bring, for a person: the fused cloud, where
+        the cameras are and the command give a sentence.
     :raises ConfigurationError: if there can be no such topic.
     """
 
     def __init__(self, node: Node, config: PolicyNodeConfig, commands: Publisher,
                  answer: Callable[[np.ndarray, PoseArray], PoseArray], final: Callable[[], bool],
-                 refuse: Callable[[ValueError], None], waits: Callable[[], bool]) -> None:
-        self._waits = waits
+                 refuse: Callable[[ValueError], None], waits: Callable[[], bool],
+                 expect: Callable[[np.ndarray, PoseArray, PoseArray], str]) -> None:
+        self._waits, self._expect = waits, expect
         self._node, self._config, self._commands = node, config, commands
         self._answer, self._final, self._refuse = answer, final, refuse
         self._fused = FusedCloud(config.voxel_size, config.most_points)
-        self._turns: Turns[PointCloud2] = Turns(config.clouds, *self._patience()[:3])
-        self._turns.change(*self._patience())
-        self._transforms, self._jumps = Transforms(node), 0
+        self._transforms = Transforms(node)
+        self._await_turns()
+        #: The message of poses that came last: it may come on two subscriptions.
+        self._last: PoseArray | None = None
         #: The newest poses, as they came and as what they mean.
         self._poses: PoseArray | None = None
         self._rig: LiveRig | None = None
@@ -81,17 +88,25 @@ class LiveTurns:
         self._command: PoseArray | None = None
         #: Where it sends the cameras, (K, 3) metres, and the rotations of those that it turns.
         self._sent: tuple[np.ndarray, dict[int, np.ndarray]] = np.empty((0, 3)), {}
-        self._instruction = ''
+        self._instruction = self._expected = ''
         self._observation = node.create_publisher(PointCloud2, topics.OBSERVATION, LOOP)
         if config.manual:
             self._instructions = node.create_publisher(String, topics.INSTRUCTIONS, LATCHED)
             self._markers = node.create_publisher(MarkerArray, topics.MARKERS, LATCHED)
-        node.create_subscription(PoseArray, topics.CAMERA_POSES, self._on_poses, LOOP)
+        # Some rigs send poses with best effort, and of the others none may be lost.
+        for profile in (LOOP, SENSOR):
+            node.create_subscription(PoseArray, topics.CAMERA_POSES, self._on_poses, profile)
         for topic, name in self._names(config.clouds).items():
             node.create_subscription(PointCloud2, name, partial(self._on_cloud, topic), SENSOR)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(TICK, self._act, clock=steady)
         self._again = node.create_timer(AGAIN, self._command_again, clock=steady)
+
+    def _await_turns(self) -> None:
+        """Wait for cameras and clouds of which nothing is known yet."""
+        self._turns: Turns[PointCloud2] = Turns(self._config.clouds, *self._patience()[:3])
+        self._turns.change(*self._patience())
+        self._jumps = self._turns.jumps
 
     def _patience(self) -> tuple[float, float, float, float, float]:
         """Return what turns wait for: distance, how long for what, and angle."""
@@ -100,6 +115,18 @@ class LiveTurns:
                 math.inf if config.manual else config.arrival_timeout, config.cloud_timeout,
                 # Cameras that shall stay need not be told so as often as clouds come.
                 max(config.turn_seconds, AGAIN if self._final() else 0.0), config.arrival_angle)
+
+    def hold(self) -> None:
+        """Tell cameras that may be on their way to stay where they are."""
+        if self._poses is not None and self._command is not None and not self._turns.standing:
+            self._commands.publish(self._poses)
+
+    def reset(self) -> None:
+        """Forget what was seen, and where cameras were sent."""
+        self._fused.clear()
+        self._known = self._command = self._poses = self._rig = None
+        self._instruction = self._expected = ''
+        self._await_turns()
 
     def change(self, config: PolicyNodeConfig) -> None:
         """Go on with other parameters."""
@@ -128,6 +155,9 @@ class LiveTurns:
 
     def _on_poses(self, message: PoseArray) -> None:
         """Take note of where the cameras are; act if that is where they were sent."""
+        if message == self._last:
+            return
+        self._last = message
         try:
             rig = LiveRig(message.header.frame_id, msg_to_poses(message))
             self._check_known(rig)
@@ -166,12 +196,17 @@ class LiveTurns:
                 self._refuse(error)
         if self._turns.due() and not self._waits():
             self._play()
+        elif self._turns.stuck and not self._waits():
+            self._node.get_logger().warning(
+                f'{self._silence()}; expected a cloud since the cameras stand, by the clock of '
+                'the poses; waiting', throttle_duration_sec=5.0)
 
     def _fuse(self, message: PointCloud2) -> None:
         """Add what a camera sees to the fused cloud."""
         if self._final():
             return
-        rig = self._rig._replace(since=self._turns.since)
+        rig = self._rig._replace(poses=list(map(Pose, *self._turns.measured)),
+                                 since=self._turns.since)
         points, cameras = placed(msg_to_cloud(message), message.header.frame_id, rig,
                                  self._transforms)
         self._fused.add(in_range(points, cameras, self._config.min_range, self._config.max_range))
@@ -180,7 +215,7 @@ class LiveTurns:
         """Ask where the cameras shall go, and wait for them."""
         self._complain()
         header = Header(stamp=ns_to_stamp(self._turns.stamp), frame_id=self._rig.frame)
-        poses = PoseArray(header=header, poses=self._poses.poses)
+        poses = self._settled(header)
         before = self._final()
         try:
             self._command = self._answer(self._fused.points, poses)
@@ -198,11 +233,43 @@ class LiveTurns:
         self._known = len(targets), header.frame_id
         turned = self._turned(poses)
         if self._config.manual:
+            self._expected = self._expect(self._fused.points, poses, self._command)
             self._instruct(self._turns.positions, targets, turned, header)
-        self._turns.sent(targets, turned)
+        self._turns.sent(targets, turned, targets[:, 2] != msg_to_positions(poses)[:, 2])
         self._sent = targets, turned
         if self._final():
             self._turns.change(*self._patience())
+
+    def _settled(self, header: Header) -> PoseArray:
+        """
+        Return where the cameras stand.
+
+        A camera that arrived is where it was sent: what is measured of it is that and noise, and
+        heights and headings that were copied from measurements would wander turn after turn.
+        """
+        message = PoseArray(header=header)
+        for camera, measured in enumerate(map(Pose, *self._turns.measured)):
+            message.poses.append(self._sent_to(camera, measured)
+                                 or self._measured(camera, measured))
+        return message
+
+    def _measured(self, camera: int, mean: Pose) -> PoseMsg:
+        """Return a mean pose as a message: the newest as it came where that is the mean."""
+        if all(map(np.array_equal, mean, self._rig.poses[camera])):
+            return self._poses.poses[camera]
+        return positions_to_msg(mean.position[None], Header(),
+                                heading_of(mean.rotation)[None]).poses[0]
+
+    def _sent_to(self, camera: int, measured: Pose) -> PoseMsg | None:
+        """Return where a camera was sent, if that is where it is."""
+        if self._command is None:
+            return None
+        sent = self._command.poses[camera]
+        rotation = rotation_of(sent.orientation, f'command: camera {camera}')
+        away = measured.position - [sent.position.x, sent.position.y, sent.position.z]
+        there = (np.linalg.norm(away) <= self._config.arrival_distance
+                 and angle_between(measured.rotation, rotation) <= self._config.arrival_angle)
+        return sent if there else None
 
     def _turned(self, poses: PoseArray) -> dict[int, np.ndarray]:
         """Return the rotations, (3, 3), of the cameras that the command turns."""
@@ -229,7 +296,7 @@ class LiveTurns:
             turns[camera] = way_between(heading_of(self._rig.poses[camera].rotation),
                                         heading_of(rotation))
         text = FINAL if self._final() else instructions(
-            positions, targets, least, turns, self._config.arrival_angle)
+            positions, targets, least, turns, self._config.arrival_angle, self._expected)
         if text != self._instruction:
             self._instruction = text
             self._instructions.publish(String(data=text))
@@ -243,7 +310,11 @@ class LiveTurns:
         if self._turns.silent():
             log.warning(f'{self._silence()}; expected a cloud since the cameras stand; going on '
                         'without', throttle_duration_sec=1.0)
-        if self._turns.overdue:
+        if self._turns.overdue and self._turns.sent_nowhere:
+            log.warning('cameras: found them moving, or their poses noisy, ever since this node '
+                        'began; expected them to stand still before the first turn; going on '
+                        'from the mean of their poses', throttle_duration_sec=1.0)
+        elif self._turns.overdue:
             log.warning('cameras: found them on their way after '
                         f'{self._config.arrival_timeout:.1f} s; expected them within '
                         f'{self._config.arrival_distance} m of where they were sent; going on '
@@ -266,7 +337,8 @@ class LiveTurns:
         elif silent:
             wrong = self._silence()
         elif self._turns.overdue:
-            wrong = 'the cameras do not arrive'
+            wrong = 'the cameras do not stand still' if self._turns.sent_nowhere else \
+                'the cameras do not arrive'
         return wrong, {
             'silent_topics': ','.join(silent), 'late_turns': self._turns.late,
             'clock_jumps': self._turns.jumps, 'fused_points': len(self._fused),

@@ -1,12 +1,17 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of ``policy_node``."""
 
 from dataclasses import dataclass
 
 from ocp_ros.rig.free_plane import CLEARANCE
+from ocp_ros.ros.runtime.managed_node import autostart
+from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError, setting
 
 LEARNED, LOOKAHEAD, BOTH = PLANNERS = 'learned', 'lookahead', 'learned_lookahead'
+#: Defaults where a person moves the cameras, to whom each turn is work: few turns, long moves.
+BY_HAND = {'turns': 5, 'max_step': 2.0, 'max_turn': 1.6}
 
 
 @dataclass(frozen=True)
@@ -14,19 +19,21 @@ class PolicyNodeConfig:
     """Parameters of ``policy_node``."""
 
     planner: str = setting(
-        LOOKAHEAD, 'who chooses the moves: learned, a trained policy; lookahead, planning on what '
+        BOTH, 'who chooses the moves: learned, a trained policy; lookahead, planning on what '
         'has been seen, which needs no weights and takes none that arrive; learned_lookahead, the '
         'policy first, then lookahead, which refines', choices=PLANNERS)
     model: str = setting(
-        'default', 'path to weights, or the name of a model of the package; lookahead does not '
-        'read it')
+        DEFAULT_MODEL, 'path to weights, or the name of a model of the package; lookahead does '
+        'not read it')
     turns: int = setting(
-        30, 'turns until the placement is final', 1, 100000, running=True)
+        30, 'turns until the placement is final; 5 with manual', 1, 100000, running=True)
     max_step: float = setting(
-        0.5, 'farthest a camera moves in one turn, metres', 0.001, 10.0, running=True)
+        0.5, 'farthest a camera moves in one turn, metres; 2 with manual', 0.001, 10.0,
+        running=True)
     max_turn: float = setting(
         0.5, 'how far a camera of a rig file that does not see all around is turned in one '
-        'turn, radians; 0 leaves cameras turned as they are', 0.0, 3.1416, running=True)
+        'turn, radians; 1.6 with manual; 0 leaves cameras turned as they are', 0.0, 3.1416,
+        running=True)
     max_range: float = setting(
         4.0, 'effective range of the cameras, metres', 0.1, 100.0, running=True)
     wall_margin: float = setting(
@@ -77,9 +84,10 @@ class PolicyNodeConfig:
     turn_seconds: float = setting(
         0.0, 'live: a turn lasts at least so long, seconds; max_step within it is the fastest '
         'that cameras are sent', 0.0, 3600.0, running=True)
+    autostart: bool = autostart()
     manual: bool = setting(
         False, 'live: a person moves the cameras, reads where to on `instructions`, and takes as '
-        'long as it takes')
+        'long as it takes; a turn is work then, so there are few, with long moves')
 
     def __post_init__(self) -> None:
         """Refuse what contradicts itself."""

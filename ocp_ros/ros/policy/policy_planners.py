@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Which planner ``policy_node`` asks, by its parameters."""
 
@@ -51,7 +52,7 @@ def make_planner(config: PolicyNodeConfig, checkpoint: 'Checkpoint | None'
         if checkpoint.config.map:
             raise ConfigurationError(
                 'explore: found true with weights of the map actor; expected false: nobody learns '
-                'from drawn moves of it; leave it out, or name other weights')
+                'from drawn moves of it; leave it out, or name others, such as model: moves')
         encoder = Encoder(checkpoint.config, config.max_range, config.max_step, *margins)
         exploring = Exploring(RecordedPolicy(checkpoint, encoder), *settings)
         return exploring, exploring

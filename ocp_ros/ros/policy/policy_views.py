@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """What ``policy_node`` has to show: what it knows, judged on what has been seen so far."""
 

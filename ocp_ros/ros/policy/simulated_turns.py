@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Turns of a simulation: an observation and poses of one stamp make a turn, whichever is first."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 When a turn of real cameras is due.
@@ -5,15 +6,19 @@ When a turn of real cameras is due.
 A turn begins when a command is sent and is due when every camera stands still where it was sent
 and every topic has delivered a cloud since. Nobody is waited for without end: neither for cameras
 that do not arrive nor for topics that are silent. Only stamps are compared with stamps; how long
-something takes is measured on this machine's own clock, which nobody sets.
+something takes is measured on this machine's own clock, which nobody sets. Poses are measurements:
+cameras that stand are where the mean of their poses is, and a single pose that is off does not
+mean that they have left.
 """
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 import math
 import time
 from typing import Generic, TypeVar
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ocp_ros.geometry.cameras import angle_between
 
@@ -22,6 +27,15 @@ T = TypeVar('T')
 #: Nanoseconds: a stamp that goes back by more is that of a clock that was set, or of a recording
 #: that began anew.
 JUMP = 1_000_000_000
+#: Cameras that were in place have left once they are so many times as far off as cameras may be
+#: that arrive: less may be the noise of their poses.
+LEFT = 4.0
+#: Nanoseconds: a cloud whose stamp is later than the poses by more has another clock, or one that
+#: is wrong; poses that came so many seconds ago tell nothing of it.
+AHEAD, FRESH = 1_000_000_000, 0.5
+#: Poses that are averaged at most, and the seconds that cameras which nobody has sent anywhere are
+#: waited for at most.
+AVERAGED, FIRST = 100, 20.0
 #: Metres, and radians, within which cameras that stand seem to move.
 STILL, STEADY = 0.02, 0.02
 #: Nanoseconds that they have to be seen within these, and seconds after which it is enough that
@@ -85,6 +99,12 @@ class Turns(Generic[T]):
         self._near: float | None = None
         #: Of the first poses that all since are about the same as: stamp, positions, rotations.
         self._anchor: tuple[int, np.ndarray, Sequence[np.ndarray]] | None = None
+        #: The newest poses: stamp, positions, rotations; and the stamp of the first of them that
+        #: show the cameras where they stand.
+        self._recent: deque[tuple[int, np.ndarray, Sequence[np.ndarray]]] = deque(maxlen=AVERAGED)
+        self._stood = 0
+        #: How much later than the poses the clouds of a topic are, nanoseconds.
+        self._ahead: dict[str, int] = {}
         #: When the newest poses came.
         self._posed_at = clock()
         #: Whose stamps went back last, and when.
@@ -97,7 +117,8 @@ class Turns(Generic[T]):
             arrival_distance, arrival_timeout, cloud_timeout, shortest)
         self._arrival_angle = arrival_angle
 
-    def sent(self, targets: np.ndarray, turned: Mapping[int, np.ndarray] | None = None) -> None:
+    def sent(self, targets: np.ndarray, turned: Mapping[int, np.ndarray] | None = None,
+             raised: np.ndarray | None = None) -> None:
         """
         Begin a turn: the cameras were sent to (K, 3) metres.
 
@@ -106,9 +127,11 @@ class Turns(Generic[T]):
 
         :param targets: (K, 3) metres.
         :param turned: the rotations, (3, 3), of the cameras that were to be turned.
+        :param raised: (K,) bool, which of them were sent up or down; None for those whose
+            height is to be another.
         """
         self._targets, self._sent_at, self.overdue = targets, self._clock(), False
-        self._raised = targets[:, 2] != self.positions[:, 2]
+        self._raised = targets[:, 2] != self.positions[:, 2] if raised is None else raised
         self._turned = turned or {}
         self._stand = (self._posed, self._sent_at) if self._arrived() else None
         self._near = None
@@ -135,18 +158,36 @@ class Turns(Generic[T]):
             return False
         self.positions, self._rotations, self._posed = positions, rotations, stamp
         self._posed_at = self._clock()
-        if self._targets is None and self._anchor and self._far(
-                self._arrival_distance, self._arrival_angle):
+        self._recent.append((stamp, positions, rotations))
+        if self._targets is None and self._anchor and not self.overdue and self._far(
+                LEFT * self._arrival_distance, LEFT * self._arrival_angle):
             # Somebody else moves them.
             self._leave()
         if self._far(STILL, STEADY):
             self._anchor = stamp, positions, rotations
-        if self._arrived():
-            self._near = self._posed_at if self._near is None else self._near
+        if self._arrived() or (self._near is not None and self._arrived(LEFT)):
+            if self._near is None:
+                self._near, self._stood = self._posed_at, stamp
             self._settle()
         elif not self.overdue:
             self._leave()
         return True
+
+    @property
+    def measured(self) -> tuple[np.ndarray, list[np.ndarray]]:
+        """
+        Return where cameras stand, by the mean of the poses that say so.
+
+        :returns: (K, 3) metres, and K rotations (3, 3).
+        """
+        poses = [(positions, rotations) for stamp, positions, rotations in self._recent
+                 if stamp >= self._stood and len(positions) == len(self.positions)]
+        if not poses:
+            return self.positions, list(self._rotations)
+        first = poses[0][0]
+        middle = first + np.mean([positions - first for positions, _ in poses], axis=0)
+        return middle, [_mean_rotation([one[k] for _, one in poses])
+                        for k in range(len(poses[0][1]))]
 
     def _leave(self) -> None:
         """Wait anew for cameras that do not stand any more."""
@@ -162,21 +203,24 @@ class Turns(Generic[T]):
         return bool((away > distance).any()) or any(
             angle_between(*pair) > angle for pair in zip(rotations, self._rotations))
 
-    def _arrived(self) -> bool:
-        """Tell whether every camera is where it was sent, and turned so."""
+    def _arrived(self, times: float = 1.0) -> bool:
+        """Tell whether every camera is where it was sent, and turned so, or not far from it."""
         if self._targets is None:
             return True
         away = self.positions - self._targets
         away[~self._raised, 2] = 0.0
         away = np.linalg.norm(away, axis=1)
-        return bool((away <= self._arrival_distance).all()) and all(
-            angle_between(self._rotations[camera], rotation) <= self._arrival_angle
+        return bool((away <= times * self._arrival_distance).all()) and all(
+            angle_between(self._rotations[camera], rotation) <= times * self._arrival_angle
             for camera, rotation in self._turned.items())
 
     def on_cloud(self, topic: str, stamp: int, cloud: T) -> None:
         """Keep a cloud, whatever it is, in place of the one of its topic that waits."""
         if self._is_news(topic, stamp):
             self._waiting[topic] = stamp, cloud
+            late = self._clock() - self._posed_at
+            if POSES in self._heard and late <= FRESH:
+                self._ahead[topic] = stamp - self._posed - int(late * 1e9)
 
     def _is_news(self, source: str, stamp: int) -> bool:
         """Tell whether a stamp is no older than the last one, or from another time altogether."""
@@ -186,8 +230,10 @@ class Turns(Generic[T]):
         if stamp < last:
             self.jumps += 1
             self._heard.clear()
+            self._ahead.clear()
+            self._recent.clear()
             self.again()
-            self._posed, self._anchor = stamp, None
+            self._posed, self._anchor, self._stood = stamp, None, stamp
             now, before = self._clock(), self._jumped[1]
             self._jumped = source, now
             if self._stand is not None:
@@ -202,7 +248,8 @@ class Turns(Generic[T]):
         if self._standing():
             for topic in self._topics:
                 if topic in self._waiting and topic not in self._used and (
-                        self._waiting[topic][0] >= self._stand[0]):
+                        self._waiting[topic][0] >= self._stand[0]) and (
+                        self._ahead.get(topic, 0) <= AHEAD):
                     self._used[topic], cloud = self._waiting.pop(topic)
                     self._silent.discard(topic)
                     return topic, cloud
@@ -214,20 +261,28 @@ class Turns(Generic[T]):
 
     def due(self) -> bool:
         """Tell whether all clouds of this turn are here, or some and time is up."""
-        up = self._standing() and self._clock() - self._stand[1] >= self._cloud_timeout
+        up = self._standing() and self._time_is_up()
         if up:
             self._silent |= set(self._topics) - set(self._used)
         soon = self._targets is not None and self._clock() - self._sent_at < self._shortest
         return not soon and (
             len(self._used) == len(self._topics) or (up and bool(self._used)))
 
+    def _time_is_up(self) -> bool:
+        """Tell whether the cameras have stood for as long as clouds are waited for."""
+        return self._clock() - self._stand[1] >= self._cloud_timeout
+
     def _standing(self) -> bool:
         """Tell whether the cameras stand, or have been waited for long enough."""
         self._settle()
         now = self._clock()
+        patience = self._arrival_timeout
+        if self._targets is None:
+            # They have not been sent anywhere: a person has nothing to do yet.
+            patience = min(patience, FIRST)
         if self._stand is None and self.positions is not None and (
-                now - self._sent_at >= self._arrival_timeout):
-            self._stand = self._posed, now
+                now - self._sent_at >= patience):
+            self._stand, self._stood = (self._posed, now), self._posed
             self.overdue = True
             self.late += 1
         return self._stand is not None
@@ -239,7 +294,7 @@ class Turns(Generic[T]):
         now = self._clock()
         if self._anchor and (self._posed - self._anchor[0] >= HOLD
                              or now - self._posed_at >= QUIET):
-            self._stand = self._anchor[0], now
+            self._stand, self._stood = (self._anchor[0], now), self._anchor[0]
         elif now - self._near >= self._cloud_timeout:
             # They never seem to be still.
             self._stand = self._posed, now
@@ -252,6 +307,8 @@ class Turns(Generic[T]):
         """Say what a topic that was silent has last sent."""
         if topic not in self._heard:
             return 'nothing came'
+        if self._ahead.get(topic, 0) > AHEAD:
+            return f'stamps {self._ahead[topic] * 1e-9:.1f} s after the poses'
         behind = 0 if self._stand is None else self._stand[0] - self._heard[topic]
         return f'stamps {behind * 1e-9:.1f} s before the poses' if behind > 0 else 'nothing usable'
 
@@ -271,6 +328,16 @@ class Turns(Generic[T]):
         return self._stand[0]
 
     @property
+    def sent_nowhere(self) -> bool:
+        """Return whether no command has sent the cameras anywhere yet."""
+        return self._targets is None
+
+    @property
+    def stuck(self) -> bool:
+        """Return whether the cameras stand and time is up, but no cloud can be used."""
+        return self.standing and not self._used and self._time_is_up()
+
+    @property
     def lost(self) -> bool:
         """Return whether nobody has said for long where the cameras are."""
         return self.positions is None and self._clock() - self._sent_at >= self._cloud_timeout
@@ -279,3 +346,10 @@ class Turns(Generic[T]):
     def stamp(self) -> int:
         """Return the stamp of the newest cloud that was taken, nanoseconds."""
         return max(self._used.values())
+
+
+def _mean_rotation(rotations: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the mean of rotations (3, 3), which are near to each other."""
+    if all(np.array_equal(rotation, rotations[0]) for rotation in rotations[1:]):
+        return rotations[0]
+    return Rotation.from_matrix(np.array(rotations)).mean().as_matrix()

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """How far nodes are heard: no farther than this machine, unless somebody asks for more."""
 

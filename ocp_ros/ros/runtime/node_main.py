@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 What every node's ``main`` does: start, spin, and end with code 0 when they are told to.

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """ROS parameters from configuration dataclasses, which own the defaults."""
 
@@ -20,7 +21,7 @@ from ocp_ros.util.settings import check_known, ConfigurationError, from_flat, le
 T = TypeVar('T')
 
 
-def declare(node: Node, cls: type[T]) -> T:
+def declare(node: Node, cls: type[T], instead: dict[str, dict[str, Any]] | None = None) -> T:
     """
     Declare every setting of a dataclass as a parameter and read what was given.
 
@@ -28,15 +29,20 @@ def declare(node: Node, cls: type[T]) -> T:
 
     :param node: the node that gets the parameters.
     :param cls: configuration dataclass; groups become dotted names.
+    :param instead: other defaults of some settings, by the name of the flag that asks for them.
     :returns: the configuration in effect.
     :raises ConfigurationError: for a parameter that does not exist.
     """
     settings = leaves(cls)
-    values = {name: node.declare_parameter(name, item.default, _descriptor(item)).value
+    defaults = {name: item.default for name, item in settings.items()}
+    for flag, others in (instead or {}).items():
+        given = node._parameter_overrides.get(flag)
+        if given is not None and given.value is True:
+            defaults |= others
+    values = {name: node.declare_parameter(name, defaults[name], _descriptor(item)).value
               for name, item in settings.items()}
     # Overrides that nobody declares would be dropped without a word.
-    unknown = [name for name in node._parameter_overrides
-               if not node.has_parameter(name) and not name.startswith('qos_overrides.')]
+    unknown = [name for name in node._parameter_overrides if not node.has_parameter(name)]
     check_known(unknown, settings, f'{node.get_name()} parameters')
     node.add_on_set_parameters_callback(partial(_check, node, cls))
     return from_flat(cls, values, node.get_name())
@@ -55,14 +61,14 @@ def follow(node: Node, change: Callable[[T], None]) -> None:
     def apply(parameters: list[Parameter]) -> None:
         changed = [f'{one.name} = {one.value!r}' for one in parameters if one.name in settings]
         if changed:
-            change(_configured(node, cls, {}))
+            change(configured(node, cls, {}))
             node.get_logger().info(f'from now on {", ".join(changed)}')
 
     node.add_post_set_parameters_callback(apply)
 
 
-def _configured(node: Node, cls: type[T], changes: dict[str, Any]) -> T:
-    """Return the configuration of a node with some changes."""
+def configured(node: Node, cls: type[T], changes: dict[str, Any]) -> T:
+    """Return the configuration of a node by its parameters, with some changes."""
     values = {name: node.get_parameter(name).value for name in leaves(cls)}
     return from_flat(cls, values | changes, node.get_name())
 
@@ -71,14 +77,17 @@ def _check(node: Node, cls: type, parameters: list[Parameter]) -> SetParametersR
     """Refuse changes that a running node cannot follow, and those that contradict others."""
     settings = leaves(cls)
     changes = {one.name: one.value for one in parameters if one.name in settings}
+    # What is read when a node is configured can change until then.
+    unconfigured = not getattr(node, 'configured', True)
     try:
         for name, value in changes.items():
             before = node.get_parameter(name).value
-            if value != before and not settings[name].metadata['running']:
+            if value != before and not (
+                    settings[name].metadata['running'] or unconfigured):
                 raise ConfigurationError(
                     f'{node.get_name()}: {name}: found {value!r}, but it is read once, at the '
                     f'start; expected {before!r}; start the node again to change it')
-        _configured(node, cls, changes)
+        configured(node, cls, changes)
     except ConfigurationError as error:
         return SetParametersResult(successful=False, reason=str(error))
     return SetParametersResult(successful=True)

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """What is built in a room before it is furnished: walls, columns, ceiling, doors and windows."""
 

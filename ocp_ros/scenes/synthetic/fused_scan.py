@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Scans as a depth camera in the hand makes them: noisy frames along a path, fused to one cloud.

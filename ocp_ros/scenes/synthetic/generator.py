@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Generated rooms: offices and what is around them, scanned, with the mesh behind the points."""
 

@@ -1,3 +1,4 @@
+# Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
 Scan a plan as a depth camera on a few tripods would: what no tripod sees is missing.

@@ -1,0 +1,168 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Nodes with a life cycle: nothing is sent before they are told to, and they can be put away.
+
+By default a node configures and activates itself, so that ``ros2 run`` is one step. With
+``autostart: false`` it waits for ``ros2 lifecycle``, a launch file or a life cycle manager. Where
+it cannot be configured it says why, and another try can follow.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+
+from ocp_ros.agent.errors import CheckpointError
+from ocp_ros.ros.runtime.parameters import configured, declare, follow
+from ocp_ros.scenes.scene import SceneError
+from ocp_ros.util.settings import ConfigurationError, setting
+
+#: What whoever configures a node can put right.
+MENDABLE = (CheckpointError, ConfigurationError, SceneError, OSError)
+SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+
+
+def autostart() -> Any:
+    """Declare the setting that all of them have."""
+    return setting(True, 'configure and activate the node when it starts; false: wait until '
+                   'somebody does, such as `ros2 lifecycle set`')
+
+
+class ManagedNode(LifecycleNode):
+    """
+    A node whose life cycle is that of ROS 2.
+
+    :param name: of the node.
+    :param settings: dataclass of its parameters, with a field ``autostart``.
+    :param instead: other defaults, see :func:`~ocp_ros.ros.runtime.parameters.declare`.
+    :ivar config: parameters in effect.
+    :ivar configured: whether it has what it works with.
+    :ivar active: whether it sends anything.
+    :raises ConfigurationError: for parameters that cannot be.
+    """
+
+    def __init__(self, name: str, settings: type,
+                 instead: dict[str, dict[str, Any]] | None = None, **kwargs) -> None:
+        super().__init__(name, **kwargs)
+        self.configured = self.active = False
+        self._mark: dict[str, set] = {}
+        self._acting: dict[str, set] = {}
+        self._failure: Exception | None = None
+        #: Whether whoever starts the node is told what fails.
+        self._starting = True
+        self.config = declare(self, settings, instead)
+        follow(self, self._change)
+        if self.config.autostart:
+            for trigger in (self.trigger_configure, self.trigger_activate):
+                if trigger() != SUCCESS:
+                    raise self._failure
+        self._starting = False
+
+    def configure(self) -> None:
+        """Get ready with the parameters; whatever is created is destroyed in the end."""
+
+    def activate(self) -> None:
+        """Begin, or go on."""
+
+    def deactivate(self) -> None:
+        """Hold."""
+
+    def release(self) -> None:
+        """Let go of what is no entity of ROS."""
+
+    def change(self, config: Any) -> None:
+        """Go on with other parameters, where the node is configured."""
+
+    def _change(self, config: Any) -> None:
+        """Take note of other parameters."""
+        self.config = config
+        if self.configured:
+            self.change(config)
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Get ready, or say what is missing."""
+        self.config = configured(self, type(self.config), {})
+        self._mark = self._entities()
+        self.configured = self._done(self.configure, self._put_away)
+        return SUCCESS if self.configured else FAILURE
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin, or go on."""
+        self._acting = self._entities()
+        self.active = self._done(self.activate, self._stand_down)
+        return SUCCESS if self.active else FAILURE
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Hold."""
+        self._stand_down()
+        return SUCCESS
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Release everything."""
+        self._put_away()
+        return SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Hold, and release everything."""
+        if self.active:
+            self._stand_down()
+        self._put_away()
+        return SUCCESS
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Release everything; the node can be configured again."""
+        return self.on_shutdown(state)
+
+    def _done(self, begin: Callable[[], None], undo: Callable[[], None]) -> bool:
+        """Make a step of the life cycle, or undo it and say why it could not be made."""
+        try:
+            begin()
+        except Exception as error:
+            undo()
+            self._failure = error
+            if not (self._starting and self.config.autostart):
+                self.get_logger().error(
+                    str(error) if isinstance(error, MENDABLE) else
+                    f'found {type(error).__name__}: {error}; the node stays as it was')
+            return False
+        return True
+
+    def _stand_down(self) -> None:
+        """Hold, and destroy what was created since the node was activated."""
+        self.deactivate()
+        self.active = False
+        self._destroy(self._acting)
+
+    def _put_away(self) -> None:
+        """Destroy what was created since the node was configured."""
+        self.configured = False
+        self.release()
+        self._destroy(self._mark)
+
+    def _entities(self) -> dict[str, set]:
+        """Return what of ROS the node has at the moment."""
+        return {kind: set(getattr(self, f'{kind}s'))
+                for kind in ('publisher', 'subscription', 'timer', 'service', 'client')}
+
+    def _destroy(self, kept: dict[str, set]) -> None:
+        """Destroy what of ROS the node has had since."""
+        for kind, entities in self._entities().items():
+            for entity in entities - kept.get(kind, entities):
+                getattr(self, f'destroy_{kind}')(entity)
+
+    def _LifecycleNodeMixin__change_state(self, transition_id: int) -> TransitionCallbackReturn:
+        """
+        Refuse a transition that the state does not have.
+
+        rclpy raises an error then, which nobody catches: any caller of ``~/change_state`` could
+        end the node.
+        """
+        possible = {one[0]: one[1] for one in self._state_machine.available_transitions}
+        if transition_id not in possible:
+            self.get_logger().warning(
+                f'life cycle: found the transition {transition_id} while the node is '
+                f'{self._state_machine.current_state[1]}; expected one of '
+                f'{sorted(set(possible.values()))}')
+            return FAILURE
+        return super()._LifecycleNodeMixin__change_state(transition_id)

@@ -1,0 +1,58 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What moves are expected to bring is what the engine says of what has been seen."""
+
+import re
+
+import numpy as np
+import pytest
+
+from ocp_ros.agent.expected_gain import ExpectedGain
+from ocp_ros.agent.rig_state import RigState
+from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.scenes.scene import SceneError
+from ocp_ros.scenes.synthetic.generator import generate_room
+
+RANGE = 4.0
+
+
+@pytest.fixture(scope='module')
+def cloud():
+    """Return a room that has been seen whole."""
+    return generate_room(3, 8000).points
+
+
+def state_at(cloud, *shares):
+    """Return cameras at shares of the way from corner to corner, 1.5 m high."""
+    low, high = cloud.min(axis=0)[:2] + 0.4, cloud.max(axis=0)[:2] - 0.4
+    rows = np.zeros((len(shares), 6))
+    rows[:, :2], rows[:, 2] = low + np.array(shares)[:, None] * (high - low), 1.5
+    return RigState(rows, (CameraModel(0.0, RANGE),) * len(shares), len(shares))
+
+
+def test_there_and_back_again(cloud):
+    crowded, spread = state_at(cloud, 0.01, 0.03), state_at(cloud, 0.2, 0.8)
+    there = ExpectedGain.of(cloud, crowded, spread.placement, RANGE)
+    back = ExpectedGain.of(cloud, spread, crowded.placement, RANGE)
+    assert there.after < there.before
+    # The rectangle of what was seen is closed by where the cameras look from.
+    assert (back.before, back.after) == pytest.approx((there.after, there.before), rel=0.05)
+
+
+def test_cameras_that_stay_change_nothing(cloud):
+    state = state_at(cloud, 0.3, 0.7)
+    gain = ExpectedGain.of(cloud, state, state.placement, RANGE)
+    assert gain.before == gain.after
+    assert 'no less depth error' in str(gain)
+
+
+def test_words_have_the_numbers():
+    text = str(ExpectedGain(2.0, 1.5))
+    assert re.findall(r'\d+(?:\.\d+)?', text) == ['2.00', '1.50', '25']
+    assert '3.00' in str(ExpectedGain(3.0, 3.5)) and '3.50' not in str(ExpectedGain(3.0, 3.5))
+
+
+def test_what_is_no_room_is_an_error(cloud):
+    state = state_at(cloud, 0.3, 0.7)
+    with pytest.raises(SceneError):
+        ExpectedGain.of(cloud[:3], state, state.placement, RANGE)

@@ -1,0 +1,134 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Managed nodes send nothing before they are active, and can be put away and brought back."""
+
+from geometry_msgs.msg import PoseArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+import pytest
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import PointCloud2
+from std_srvs.srv import Trigger
+
+from ocp_ros.ros.interface import qos, topics
+from ocp_ros.ros.policy_node import PolicyNode
+from ocp_ros.ros.sim_node import SimNode
+
+SIM = {'scene__points': 2000, 'engine__preset': 'fast', 'resend_period': 0.1}
+CONFIGURE, ACTIVATE, DEACTIVATE, CLEANUP, SHUTDOWN = (
+    Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE,
+    Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP,
+    Transition.TRANSITION_ACTIVE_SHUTDOWN)
+
+
+@pytest.fixture
+def manager(graph, probe):
+    """Return the probe as who manages life cycles."""
+    probe.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
+    probe.listen(PointCloud2, topics.OBSERVATION, qos.LOOP)
+
+    def call(kind, service, request):
+        client = probe.node.create_client(kind, service)
+        graph.until(client.service_is_ready)
+        answer = client.call_async(request)
+        graph.until(answer.done)
+        return answer.result()
+
+    def change(name, transition):
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return call(ChangeState, f'{name}/change_state', request).success
+
+    probe.call, probe.change = call, change
+    probe.state = lambda name: call(
+        GetState, f'{name}/get_state', GetState.Request()).current_state.label
+    return probe
+
+
+def hears(manager, topic, times=3):
+    """Wait until so many more messages have come."""
+    count = len(manager.received[topic])
+    manager.graph.until(lambda: len(manager.received[topic]) >= count + times)
+
+
+def test_nodes_that_start_themselves_are_active(graph, manager):
+    graph.add(SimNode, **SIM)
+    graph.add(PolicyNode, planner='lookahead', turns=100)
+    hears(manager, topics.CAMERA_COMMANDS)
+    assert manager.state('sim_node') == manager.state('policy_node') == 'active'
+
+
+def test_nothing_is_commanded_before_somebody_says_so(graph, manager):
+    graph.add(SimNode, **SIM)
+    policy = graph.add(PolicyNode, planner='lookahead', turns=100, autostart=False)
+    hears(manager, topics.OBSERVATION)
+    assert manager.state('policy_node') == 'unconfigured'
+    assert manager.node.count_publishers(topics.CAMERA_COMMANDS) == 0
+    assert manager.change('policy_node', CONFIGURE)
+    hears(manager, topics.OBSERVATION, 5)
+    assert not manager.received[topics.CAMERA_COMMANDS] and policy._status()[1] == 'inactive'
+    # Who commands nothing keeps nobody else from it.
+    assert manager.node.count_publishers(topics.COMMANDERS) == 0
+    assert manager.change('policy_node', ACTIVATE)
+    hears(manager, topics.CAMERA_COMMANDS)
+
+
+def test_a_node_is_put_away_and_brought_back(graph, manager):
+    sim = graph.add(SimNode, **SIM)
+    policy = graph.add(PolicyNode, planner='lookahead', turns=100)
+    hears(manager, topics.CAMERA_COMMANDS)
+    assert manager.change('policy_node', DEACTIVATE)
+    count = len(manager.received[topics.CAMERA_COMMANDS])
+    hears(manager, topics.OBSERVATION, 5)
+    assert len(manager.received[topics.CAMERA_COMMANDS]) <= count + 1
+    assert manager.change('policy_node', CLEANUP)
+    assert not policy.configured
+    assert {one.topic_name for one in policy.publishers} & {'/camera_commands', '/placement'} \
+        == set()
+    # What is read once can be changed now.
+    assert policy.set_parameters([Parameter('seed', value=7)])[0].successful
+    assert manager.change('policy_node', CONFIGURE) and manager.change('policy_node', ACTIVATE)
+    assert policy.config.seed == 7
+    hears(manager, topics.CAMERA_COMMANDS)
+    assert manager.change('sim_node', DEACTIVATE)
+    step = sim.episode.turn.step
+    for _ in range(20):
+        graph.executor.spin_once(timeout_sec=0.02)
+    assert sim.episode.turn.step == step
+    assert not manager.call(Trigger, 'sim_node/reset', Trigger.Request()).success
+    assert manager.change('sim_node', ACTIVATE)
+    graph.until(lambda: sim.episode.turn.step > step)
+    assert manager.change('sim_node', SHUTDOWN) and manager.state('sim_node') == 'finalized'
+
+
+def test_a_transition_that_cannot_be_ends_no_node(graph, manager, capfd):
+    graph.add(PolicyNode, planner='lookahead')
+    for transition in (ACTIVATE, CLEANUP, 77):
+        assert not manager.change('policy_node', transition)
+    assert manager.state('policy_node') == 'active'
+    assert 'found the transition 77 while the node is active; expected one of' in \
+        capfd.readouterr().err
+
+
+def test_a_node_that_cannot_be_configured_says_why_and_tries_again(graph, manager, capfd):
+    policy = graph.add(PolicyNode, model='nowhere', autostart=False)
+    assert not manager.change('policy_node', CONFIGURE)
+    assert "no file 'nowhere'" in capfd.readouterr().err
+    assert manager.state('policy_node') == 'unconfigured'
+    assert policy.set_parameters([Parameter('planner', value='lookahead')])[0].successful
+    assert manager.change('policy_node', CONFIGURE) and manager.change('policy_node', ACTIVATE)
+
+
+def test_a_node_that_has_started_itself_says_later_why_it_cannot_be_configured(
+        graph, manager, capfd):
+    policy = graph.add(PolicyNode, planner='lookahead')
+    assert manager.change('policy_node', DEACTIVATE) and manager.change('policy_node', CLEANUP)
+    assert policy.set_parameters([Parameter('planner', value='learned'),
+                                  Parameter('model', value='nowhere')])[0].successful
+    assert not manager.change('policy_node', CONFIGURE)
+    assert "no file 'nowhere'" in capfd.readouterr().err
+
+
+def test_a_policy_of_a_simulation_is_not_what_begins_anew(graph, manager):
+    graph.add(PolicyNode, planner='lookahead')
+    answer = manager.call(Trigger, 'policy_node/reset', Trigger.Request())
+    assert not answer.success and 'call ~/reset of sim_node' in answer.message
