@@ -23,7 +23,9 @@ train-demo: $(READY)  ## the same with trainer_node in the loop: weights arrive 
 train: $(READY)  ## train the shipped model again
 	$(RUN) -m ocp_ros.cli.main train --config config/train/map.yaml --out "$(OUT)/train" --model models/map.safetensors
 
-TEST := $(RUN) -m pytest -n auto --maxprocesses 4 --dist worksteal
+# A test whose process dies is run once more and told as a rerun (test/conftest.py says why one may
+# die); a test that fails, fails.
+TEST := $(RUN) -m pytest -n auto --maxprocesses 4 --dist worksteal --reruns 1 --only-rerun "no failure"
 
 test: $(READY)  ## run the tests, on up to four cores; the whole-system drills are in make test-system
 	$(TEST) -m "not system"

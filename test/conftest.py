@@ -21,12 +21,16 @@ import pytest
 # Nothing here that takes long to import: the process that hands out the tests reads this too, and
 # the others begin when it has done so.
 from ocp_ros.agent.agent_config import AgentConfig, OF_MOVES
+from ocp_ros.ros.runtime.exit_timer import leaving_within
 from ocp_ros.util.settings import ConfigurationError
 
 ROOT = Path(__file__).resolve().parent.parent
 #: Seconds after which what a test waits for has hung. No test waits as long, on whatever machine:
 #: a limit is never a speed.
 HUNG = 600.0
+#: Seconds after which a process is ended that hangs where no Python code can end it: in a test,
+#: and while the nodes of a test are taken down, which takes less than one.
+STUCK, STUCK_LEAVING = 1000.0, 60.0
 #: Parameters of a simulation that plays a turn in milliseconds.
 SMALL = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
          'engine__coverage_cell': 0.5}
@@ -35,6 +39,13 @@ MOUNTS = {'plane': {'on': 'plane', 'height': 1.9}, 'ceiling': {'on': 'ceiling'},
           'rods': {'on': 'ceiling', 'height': 2.0},
           'walls': {'on': 'walls', 'height': [1.7, 2.3]},
           'free': {'on': 'free', 'height': [1.2, 2.2]}}
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item):
+    """End a process that hangs in native code; another one goes on with the other tests."""
+    with leaving_within(STUCK, 1):
+        return (yield)
 
 
 @cache
@@ -150,12 +161,18 @@ class Graph:
             self.executor.spin_once(timeout_sec=0.05)
 
     def close(self) -> None:
-        """Take everything down; another order can crash in the DDS layer."""
+        """
+        Take everything down; another order can crash in the DDS layer.
+
+        Where another process comes or leaves at that moment Fast DDS may wait for ever (see
+        ``exit_timer``). This process is ended then, and the test is run once more.
+        """
         import rclpy
-        self.executor.shutdown()
-        for node in self.nodes:
-            node.destroy_node()
-        rclpy.shutdown(context=self.context)
+        with leaving_within(STUCK_LEAVING, 1):
+            self.executor.shutdown()
+            for node in self.nodes:
+                node.destroy_node()
+            rclpy.shutdown(context=self.context)
 
 
 @pytest.fixture
