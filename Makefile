@@ -14,7 +14,7 @@ help:  ## list the targets
 $(READY): tools/setup setup.py $(wildcard requirements/*.txt)
 	tools/setup $(VENV)
 
-demo: $(READY)  ## place cameras over real ROS: make demo [ROOM=scan.ply] [CAMERAS=4] [HEIGHT=1.9] [SCALE=1.0] [UP=z] [DROP_NONFINITE=1] [MODEL=default]
+demo: $(READY)  ## place cameras over real ROS: make demo [ROOM=scan.ply] [CAMERAS=4] [HEIGHT=1.9] [SCALE=1.0] [UP=z] [DROP_NONFINITE=1] [MODEL=map]
 	$(RUN) -m ocp_ros.demo.demo --out "$(OUT)" $(if $(ROOM),--room "$(ROOM)") $(if $(CAMERAS),--cameras $(CAMERAS)) $(if $(HEIGHT),--height $(HEIGHT)) $(if $(SCALE),--scale $(SCALE)) $(if $(UP),--up $(UP)) $(if $(DROP_NONFINITE),--drop-nonfinite) $(if $(MODEL),--model $(MODEL))
 
 train-demo: $(READY)  ## the same with trainer_node in the loop: weights arrive in every policy_node: make train-demo [PAIRS=1] [TURNS=400]
