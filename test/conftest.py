@@ -282,6 +282,17 @@ def here(monkeypatch):
     monkeypatch.setattr(train, 'SubprocVecEnv', lambda made, start_method: DummyVecEnv(made))
 
 
+@pytest.fixture(scope='module')
+def small():
+    """Play few states of a thin scan."""
+    from ocp_ros.training import value_states
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in (('TRUE_POINTS', 3000), ('SCANS', (2000,)),
+                            ('EPISODES', 1), ('MAPS', 2), ('CHOICES', 3), ('TURNS', 3)):
+            patch.setattr(value_states, name, value)
+        yield
+
+
 def rows_for(protocol, task):
     """Return made-up rows of a task of a comparison, as if it had been run."""
     return [{'room': task.room, 'rotation': task.rotation, 'planner': task.planner,

@@ -458,7 +458,7 @@ def test_the_best_place_of_a_toy_room_is_learned(tmp_path):
         np.insert(grid, 2, simulator.height, axis=1)[:, None])[:, 1].min()
 
     def errors():
-        policy = Policy(actor_checkpoint(model, agent, 'r', {}))
+        policy = Policy(actor_checkpoint(model, 'r', {}))
         online = Learned(policy, *settings_of(simulation, np.random.default_rng(0)))
         problem = PlaneProblem(simulator)
         return np.mean([play(online, Episode(problem, np.random.default_rng(seed))).depth_error

@@ -212,7 +212,7 @@ def played_by_sac(model, env, seen):
 def test_the_policy_gives_sacs_own_actions(room, agent):
     env, cameras = wrapped(room, agent)
     model = make_sac(SAC, agent, cameras, env, seed=3)
-    policy = Policy(actor_checkpoint(model, agent, 'r', {}))
+    policy = Policy(actor_checkpoint(model, 'r', {}))
     (seen, _), truncated, longest = env.reset(seed=0), False, 0.0
     while not truncated:
         one = {name: value for name, value in seen.items() if name != 'present'}
@@ -256,7 +256,7 @@ def test_weights_run_without_what_trained_them(room, small_agent, tmp_path):
         model = make_sac(SAC, agent, cameras, env, seed=3)
         seen, _ = env.reset(seed=1)
         names.append(str(tmp_path / inputs))
-        actor_checkpoint(model, agent, 'r', {}).save(tmp_path / f'{inputs}.safetensors')
+        actor_checkpoint(model, 'r', {}).save(tmp_path / f'{inputs}.safetensors')
         (cloud, positions, _), expected, *_ = played_by_sac(model, env, seen)
         np.savez(names[-1], cloud=cloud, positions=positions, expected=expected)
     done = subprocess.run([sys.executable, '-c', ALONE, *names], capture_output=True, text=True,
@@ -354,7 +354,7 @@ def test_weights_go_into_sac_and_come_out(agent):
     model = make_sac(SAC, agent, 4)
     start = random_checkpoint(agent, seed=5)
     load_actor(model, start)
-    found = actor_checkpoint(model, agent, 'r', {}).weights
+    found = actor_checkpoint(model, 'r', {}).weights
     assert all(torch.equal(found[name], value) for name, value in start.weights.items())
     other = random_checkpoint(replace(agent, hidden=8))
     with pytest.raises(CheckpointError, match="expected the trainer's own agent settings"):
@@ -371,9 +371,9 @@ def test_the_same_seed_is_the_same_training(room, small_agent, inputs):
     def run():
         env, cameras = wrapped(room, agent, pair, fewest=1, rotations=(0.0, 30.0))
         model = make_sac(SAC, agent, cameras, DummyVecEnv([lambda: env]), seed=9)
-        before = actor_checkpoint(model, agent, 'r', {}).weights
+        before = actor_checkpoint(model, 'r', {}).weights
         model.learn(60)
-        return before, actor_checkpoint(model, agent, 'r', {}).weights
+        return before, actor_checkpoint(model, 'r', {}).weights
 
     (before, one), (_, two) = run(), run()
     assert all(torch.equal(one[name], value) for name, value in two.items())
@@ -443,15 +443,15 @@ def test_the_actor_rests_while_its_critics_burn_in(small_agent):
     env = Bandit(small_agent)
     sac = replace(SAC, burn_in=20)
     model = make_sac(sac, small_agent, 2, env, seed=0, warm=True)
-    before = actor_checkpoint(model, small_agent, 'r', {}).weights
+    before = actor_checkpoint(model, 'r', {}).weights
     critic = [value.clone() for value in model.critic.parameters()]
     model.learn(SAC.learning_starts + 20)
-    rested = actor_checkpoint(model, small_agent, 'r', {}).weights
+    rested = actor_checkpoint(model, 'r', {}).weights
     assert model.own_updates == 20
     assert all(torch.equal(rested[name], value) for name, value in before.items())
     assert not all(map(torch.equal, critic, model.critic.parameters()))
     model.learn(10, reset_num_timesteps=False)
-    moved = actor_checkpoint(model, small_agent, 'r', {}).weights
+    moved = actor_checkpoint(model, 'r', {}).weights
     assert not any(torch.equal(moved[name], value) for name, value in before.items())
 
 

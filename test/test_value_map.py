@@ -33,8 +33,6 @@ from ocp_ros.ros.policy.policy_planners import make_planner
 from ocp_ros.scenes.scene import turned
 from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.simulation_config import SimulationConfig
-from ocp_ros.training import value_states
-from ocp_ros.training.sac import make_sac
 from ocp_ros.training.train import train
 from ocp_ros.training.training_config import RoomsConfig, TrainingConfig, ValuesConfig
 from ocp_ros.training.value_fit import at_places, loss_of, turned_at_random, ValueFit, ValueSet
@@ -179,16 +177,6 @@ def test_labels_are_what_the_true_room_loses(room, small):
 
 
 @pytest.fixture(scope='module')
-def small():
-    """Play few states of a thin scan."""
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in (('TRUE_POINTS', 3000), ('SCANS', (2000,)),
-                            ('EPISODES', 1), ('MAPS', 2), ('CHOICES', 3), ('TURNS', 3)):
-            patch.setattr(value_states, name, value)
-        yield
-
-
-@pytest.fixture(scope='module')
 def states(small):
     """Return the states of a room."""
     return play_states(StateTask(RoomsConfig(), '1000', (0, 0, 0)))
@@ -261,16 +249,17 @@ def test_the_map_actor_is_trained_and_goes_on_where_it_stopped(small, here, tmp_
     assert again.run == first.run and again.provenance['curve'] == lines
     for name, value in first.weights.items():
         assert torch.equal(value, again.weights[name]), name
+    (tmp_path / 'values_state.safetensors').unlink()
     (tmp_path / 'states' / 'walked_00000.npz').write_bytes(b'torn')
     with pytest.raises(UserError, match='walked_00000.npz: found no whole states'):
         train(config, tmp_path, 'a command')
 
 
-def test_the_map_actor_is_refused_where_it_cannot_learn(tmp_path):
-    with pytest.raises(ConfigurationError, match='interactions: found 5 .* with agent.inputs'):
-        from_nested(TrainingConfig, {**TINY, 'interactions': 5})
-    with pytest.raises(ConfigurationError, match="agent.inputs: found 'map'"):
-        make_sac(TrainingConfig().sac, AGENT, 2)
+def test_the_map_actor_is_refused_where_it_cannot_learn():
+    with pytest.raises(ConfigurationError, match='interactions: found 0 and no values.steps'):
+        from_nested(TrainingConfig, {**TINY, 'values': {'steps': 0}})
+    with pytest.raises(ConfigurationError, match='rounds: found 1 .* learns dense values first'):
+        from_nested(TrainingConfig, {**TINY, 'demonstrations': {'rounds': 1}})
 
 
 class Recorded:
@@ -316,5 +305,3 @@ def test_policy_node_runs_the_map_actor_and_takes_new_weights_of_it():
     assert isinstance(planner, ThenLookahead) and isinstance(learned, MapActor)
     newer = Checkpoint(AGENT, ValueMapNetwork(AGENT).state_dict(), 1)
     assert learned.policy.replaced(newer).checkpoint is newer
-    with pytest.raises(ConfigurationError, match='explore: found true with weights of the map'):
-        make_planner(PolicyNodeConfig(planner='learned', explore=True), checkpoint)

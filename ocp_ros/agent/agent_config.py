@@ -47,6 +47,11 @@ class AgentConfig:
         return self.inputs in ('cloud', 'both')
 
     @property
+    def one_by_one(self) -> bool:
+        """Return whether one camera chooses after the other, each told of those before it."""
+        return self.world or self.map
+
+    @property
     def map(self) -> bool:
         """Return whether the network reads a map of what was observed."""
         return self.inputs == 'map'

@@ -12,12 +12,14 @@ from torch import nn, Tensor
 from torch.nn.functional import pixel_shuffle, pixel_unshuffle, relu
 
 from ocp_ros.agent.agent_config import AgentConfig
-from ocp_ros.agent.observation_map import NUMBERS, OF_OTHERS, OF_ROOM
+from ocp_ros.agent.observation_map import CELLS, NUMBERS, OF_OTHERS, OF_ROOM, used_part
 
 #: Channels at half, a quarter and an eighth of the resolution, and the blocks on the way down.
 WIDTHS, DOWN = (32, 64, 96), (1, 2, 2)
 #: Cells along each side that the network takes together.
 TOGETHER = 2
+#: Differences of values by which the likelihoods of two cells differ by the factor e.
+TEMPERATURE = 0.05
 
 
 class ResidualBlock(nn.Module):
@@ -77,6 +79,67 @@ class ValueMapNetwork(nn.Module):
         quarter = self.up_2(quarter + pixel_shuffle(self.from_eighth(relu(eighth)), 2))
         half = self.up_1(half + pixel_shuffle(self.from_quarter(relu(quarter)), 2))
         return pixel_shuffle(self.leave(relu(half)), TOGETHER)[:, 0]
+
+
+def valued(network: nn.Module, observation: dict[str, Tensor]) -> Tensor:
+    """
+    Value whole maps; the network reads no more of them than is used.
+
+    :param network: :class:`ValueMapNetwork`.
+    :param observation: of it, with maps of 64 x 64 cells, batched.
+    :returns: (B, 64, 64): inf beyond what was seen in any of the maps.
+    """
+    rows, columns = used_part(observation['room'].amax(dim=0).cpu().numpy())
+    numbers = observation['numbers']
+    values = numbers.new_full((len(numbers), CELLS, CELLS), torch.inf)
+    values[:, rows, columns] = network({
+        'room': observation['room'][:, :, rows, columns],
+        'others': observation['others'][:, :, rows, columns], 'numbers': numbers})
+    return values
+
+
+class CellChoices:
+    """
+    How likely a camera goes to each cell: the softmax of what the network says, among some cells.
+
+    :param values: (B, 64, 64) from :func:`valued`.
+    :param free: (B, 64, 64), not 0 where it may go.
+    """
+
+    def __init__(self, values: Tensor, free: Tensor) -> None:
+        # Cells beyond the map of a batch that was cut are as bad as they can be said to be.
+        logits = (-values / TEMPERATURE).clamp(min=-1e4).flatten(1)
+        self._log = logits.masked_fill(free.flatten(1) == 0, -1e9).log_softmax(dim=1)
+
+    @property
+    def shares(self) -> Tensor:
+        """Return the likelihood of each cell: (B, 64 * 64)."""
+        return self._log.exp()
+
+    @property
+    def entropy(self) -> Tensor:
+        """Return the entropy: (B,), in nats."""
+        return -(self.shares * self._log).sum(dim=1)
+
+    def best(self) -> Tensor:
+        """Return the likeliest cells as actions: (B, 2)."""
+        return action_of(self._log.argmax(dim=1))
+
+    def sample(self) -> Tensor:
+        """Draw cells and return them as actions: (B, 2)."""
+        return action_of(torch.multinomial(self.shares, 1)[:, 0])
+
+
+def action_of(cells: Tensor) -> Tensor:
+    """Return the middles (B, 2) of cells (B,), from the map's middle in units of half its side."""
+    at = torch.stack([cells // CELLS, cells % CELLS], dim=-1)
+    return (2.0 * at + 1.0) / CELLS - 1.0
+
+
+def cell_of(actions: Tensor) -> Tensor:
+    """Return the numbers (B,) of the cells that actions (B, 2) mean."""
+    at = ((actions + 1.0) * (0.5 * CELLS)).long().clamp(0, CELLS - 1)
+    return at[:, 0] * CELLS + at[:, 1]
 
 
 def _blocks(width: int, count: int) -> nn.Sequential:

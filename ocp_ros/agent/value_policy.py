@@ -6,8 +6,7 @@ import numpy as np
 import torch
 
 from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.observation_map import CELLS, used_part
-from ocp_ros.agent.value_network import ValueMapNetwork
+from ocp_ros.agent.value_network import CellChoices, valued, ValueMapNetwork
 
 
 class ValuePolicy:
@@ -25,7 +24,7 @@ class ValuePolicy:
 
     def replaced(self, checkpoint: Checkpoint) -> 'ValuePolicy':
         """Return what runs other weights."""
-        return ValuePolicy(checkpoint)
+        return type(self)(checkpoint)
 
     def values(self, room: np.ndarray, others: np.ndarray, numbers: np.ndarray) -> np.ndarray:
         """
@@ -37,11 +36,23 @@ class ValuePolicy:
         :returns: (64, 64) float32: ln((D with the camera + e) / (D of the others + e)); inf
             beyond what was seen.
         """
-        rows, columns = used_part(room)
-        values = np.full((CELLS, CELLS), np.inf, dtype=np.float32)
+        return self._valued({'room': room, 'others': others, 'numbers': numbers})[0].numpy()
+
+    def draw(self, inputs: dict[str, np.ndarray], rng: np.random.Generator) -> np.ndarray:
+        """
+        Draw where a camera goes from the distribution that soft actor-critic trains.
+
+        :param inputs: of :meth:`values`, and ``choices`` (64, 64), not 0 where it may go.
+        :param rng: the only source of chance.
+        :returns: (2,) float32, from the map's middle in units of half its side.
+        """
+        free = torch.from_numpy(inputs['choices'])[None]
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(int(rng.integers(1 << 62)))
+            return CellChoices(self._valued(inputs), free).sample()[0].numpy()
+
+    def _valued(self, inputs: dict[str, np.ndarray]) -> torch.Tensor:
+        """Value all cells: (1, 64, 64)."""
         with torch.inference_mode():
-            values[rows, columns] = self._network({
-                'room': torch.from_numpy(room[None, :, rows, columns]),
-                'others': torch.from_numpy(others[None, :, rows, columns]),
-                'numbers': torch.from_numpy(numbers)[None]})[0].numpy()
-        return values
+            return valued(self._network, {name: torch.from_numpy(inputs[name])[None]
+                                          for name in ('room', 'others', 'numbers')})

@@ -8,6 +8,7 @@ Shows that weights trained from the topics arrive in every ``policy_node``; writ
 """
 
 import argparse
+from math import nan
 from pathlib import Path
 import sys
 import time
@@ -17,9 +18,18 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
+from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.demo.demo import START_TIMEOUT
 from ocp_ros.demo.node_processes import NodeProcess, stopped_at_the_end
 from ocp_ros.demo.watcher import run_watched, Watch
+from ocp_ros.util.resources import DEFAULT_MODEL, find_model
+from ocp_ros.util.settings import to_nested
+
+#: How the trainer learns from moves, and from places on maps, whose batches take longer: so that
+#: the demo takes a few minutes.
+OF_MOVES = {'updates_per_turn': 0.125}
+OF_MAPS = {'updates_per_turn': 0.0625, 'sac.batch_size': 16, 'sac.buffer_size': 4000,
+           'sac.learning_rate': 1e-4, 'sac.gamma': 0.99}
 
 
 def parser() -> argparse.ArgumentParser:
@@ -29,7 +39,8 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument('--pairs', type=int, default=1, choices=range(1, 65), metavar='1..64',
                      help='pairs of sim and policy')
     top.add_argument('--seed', type=int, default=1, help='of the first generated room')
-    top.add_argument('--model', default='moves', help='weights to start from: path or name')
+    top.add_argument('--model', default=DEFAULT_MODEL,
+                     help='weights to start from: path or name')
     top.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
     return top
 
@@ -59,14 +70,22 @@ def start_all(options: argparse.Namespace, domain: int, trainer: dict[str, Any],
             processes.append(NodeProcess(name, domain, log, parameters, namespace))
 
 
+def trainer_of(model: str) -> dict[str, Any]:
+    """Return the trainer's parameters for weights: settings of their network, and a quick pace."""
+    agent = Checkpoint.load(find_model(model)).config
+    return {'publish_every': 20, 'sac.learning_starts': 100, 'sac.burn_in': 20,
+            **{f'agent.{name}': value for name, value in to_nested(agent).items()},
+            **(OF_MAPS if agent.map else OF_MOVES)}
+
+
 def policies_of(watch: Watch, pairs: int) -> list[dict[str, str]]:
     """Return what the policies said of themselves last, empty for those that have not yet."""
     return [watch.node.health.get(f'{namespace}/policy_node'.lstrip('/'), {})
             for namespace in namespaces(pairs)]
 
 
-def play(options: argparse.Namespace, domain: int, watch: Watch) -> float:
-    """Run the loop for the turns asked for, and until all have new weights; turns a second."""
+def play(options: argparse.Namespace, domain: int, watch: Watch) -> dict[str, float]:
+    """Run the loop for the turns asked for, and until all have new weights; speed and losses."""
     node, processes = watch.node, []
     columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
                TextColumn('{task.fields[state]}'))
@@ -77,11 +96,14 @@ def play(options: argparse.Namespace, domain: int, watch: Watch) -> float:
     with stopped_at_the_end(processes), \
             Progress(*columns, console=Console(stderr=True)) as progress:
         task = progress.add_task('starting nodes', total=options.turns, state='')
-        start_all(options, domain, {
-            'publish_every': 20, 'sac.learning_starts': 100, 'sac.burn_in': 20,
-            'updates_per_turn': 0.125}, processes)
+        start_all(options, domain, trainer_of(options.model), processes)
+
+        losses: list[float] = []
 
         def done() -> bool:
+            loss = node.health.get('trainer_node', {}).get('critic_loss', '-')
+            if loss != '-' and losses[-1:] != [float(loss)]:
+                losses.append(float(loss))
             swapped = [int(one.get('weights_swapped', 0))
                        for one in policies_of(watch, options.pairs)]
             progress.update(task, completed=min(turns(), options.turns), state=(
@@ -95,17 +117,20 @@ def play(options: argparse.Namespace, domain: int, watch: Watch) -> float:
         began, first = time.monotonic(), turns()
         watch.until(done, 2.0 * patience + options.turns, 'new weights in every policy_node',
                     processes)
-        return (turns() - first) / (time.monotonic() - began)
+        return {'turns_per_second': (turns() - first) / (time.monotonic() - began),
+                'critic_loss_at_first': losses[0] if losses else nan,
+                'critic_loss_at_last': losses[-1] if losses else nan}
 
 
-def result_of(options: argparse.Namespace, watch: Watch, speed: float) -> dict[str, Any]:
+def result_of(options: argparse.Namespace, watch: Watch, played: dict[str, float]
+              ) -> dict[str, Any]:
     """Collect the counts that the nodes published about themselves."""
     trainer, policies = watch.node.health['trainer_node'], policies_of(watch, options.pairs)
     names = ('turns', 'transitions', 'incomplete', 'inconsistent', 'dropped', 'updates',
              'weights_published')
     sources = {name.removeprefix('turns '): int(value) for name, value in trainer.items()
                if name.startswith('turns ')}
-    return {'pairs': options.pairs, 'turns_per_second': speed,
+    return {'pairs': options.pairs, **played,
             **{name: int(trainer[name]) for name in names},
             'turns_by_source': sources,
             'weights_arrived': min(int(policy['weights_swapped']) for policy in policies),
@@ -117,7 +142,7 @@ def show(options: argparse.Namespace, result: dict[str, Any]) -> None:
     """Print the figures as a table."""
     table = Table('what', 'count', title='Training over ROS')
     for name, value in result.items():
-        table.add_row(name.replace('_', ' '), f'{value:.1f}' if isinstance(value, float) else
+        table.add_row(name.replace('_', ' '), f'{value:.2f}' if isinstance(value, float) else
                       str(value))
     Console().print(table)
     print(f'wrote {options.out / "train_demo.json"}')

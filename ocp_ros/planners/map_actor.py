@@ -16,16 +16,15 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from ocp_ros.agent.encoder import order_of
-from ocp_ros.agent.observation_map import FLOOR, ObservationMap, Window
+from ocp_ros.agent.observation_map import FLOOR, Window
 from ocp_ros.agent.partial_map import KeptModel, LookHistory, NO_CELL, PartialMap
-from ocp_ros.agent.rig_state import clearance_of, fixed_views, remember, RigState
+from ocp_ros.agent.rig_state import clearance_of, remember, RigState
 from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.geometry.visibility import FAST
 from ocp_ros.planners.candidate_sites import kinds_of, PITCHES, YAWS
+from ocp_ros.planners.map_turn import MapTurn
 from ocp_ros.planners.online_planner import matched, Online
-from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.scenes.scene import SceneError
-from ocp_ros.simulation.simulator import View
 
 if TYPE_CHECKING:
     from ocp_ros.agent.value_policy import ValuePolicy
@@ -66,6 +65,8 @@ class MapActor(Online):
         self._kept = KeptModel(self.max_range, self.wall_margin, PLAIN_POINTS, PLAIN_ROWS)
         #: (K, 6) metres and radians: where each camera goes, and how it is turned there.
         self._plan: np.ndarray | None = None
+        #: Whether the cameras have gone nowhere yet.
+        self._fresh = True
 
     @property
     def targets(self) -> np.ndarray | None:
@@ -79,60 +80,67 @@ class MapActor(Online):
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`~ocp_ros.planners.online_planner.Online.move`."""
-        if len(cloud) == 0:
+        known = self.begin(cloud, positions, turn, turns)
+        if known is None:
             return self.wander(cloud, positions)
+        for camera in self.asked(len(positions), turn, turns):
+            self.choose(known, camera, turn / turns)
+        return self.end(known)
+
+    def begin(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int
+              ) -> MapTurn | None:
+        """Take note of a turn, see :meth:`move`; None where nothing is known of the room."""
+        if len(cloud) == 0:
+            return None
         remember(self._memory, positions, self.sight)
         try:
-            model, space = self._kept(cloud, positions, FAST,
-                                      clearance_of(self.sight, self.clearance))
+            model, self._space = self._kept(cloud, positions, FAST,
+                                            clearance_of(self.sight, self.clearance))
         except SceneError:
-            return self.wander(cloud, positions)
-        count = len(positions)
-        asked = max(AGAIN, -(-OFTEN * count // turns))
-        if self._plan is None or len(self._plan) != count:
-            self._plan, asked = _standing(positions, self.sight), max(asked, 2 * count)
-        self._plan[:, :2], self._plan[:, 2] = space.inside(self._plan[:, :2]), positions[:, 2]
-        self._choose(model, space, positions, np.resize(order_of(turn * AGAIN, count), asked),
-                     turn, turns)
-        flat = positions[:, :2]
-        return space.moved(flat, self.towards(positions, self.targets) - flat,
-                           self.max_step) - flat
+            return None
+        self._fresh = self._plan is None or len(self._plan) != len(positions)
+        plan = _standing(positions, self.sight) if self._fresh else self._plan.copy()
+        plan[:, :2], plan[:, 2] = self._space.inside(plan[:, :2]), positions[:, 2]
+        return MapTurn(model, self._space, self._memory.unseen(model), plan, positions, self.sight,
+                       self.max_range, (turns - turn) * self.max_step)
 
-    def _choose(self, model: PartialMap, space: FreePlane, positions: np.ndarray,
-                asked: np.ndarray, turn: int, turns: int) -> None:
-        """Let some cameras, one after the other, choose again where they go."""
-        plan, unseen = self._plan, self._memory.unseen(model)
-        known = ObservationMap(model, unseen, len(plan), self.max_range,
-                               float(np.median(positions[:, 2])))
-        window, cells = known.window, known.window.middles.reshape(-1, 2)
-        free, reach = space.contains(cells), (turns - turn) * self.max_step
-        curiosity = CURIOSITY * max(1.0 - turn / (EXPLORING * turns), 0.0)
-        bonus = curiosity * _nearby(known.unseen_air(), window).ravel()
-        trust = float(np.clip(PER_UNSEEN * _share(model, unseen), TRUST, 1.0))
-        fixed = fixed_views(model, self.sight)
-        views = [self._look(model, camera, row[None])[0] for camera, row in enumerate(plan)]
-        for camera in asked:
-            others = [k for k in range(len(plan)) if k != camera]
-            beside = [views[k] for k in others] + fixed
-            values = self.policy.values(known.room, *known.others(beside, plan[others])).ravel()
-            away = np.linalg.norm(cells - positions[camera, :2], axis=-1)
-            extra = PER_METRE * away - bonus
-            scores = np.where(free & (away <= reach), values + extra, np.inf)
-            best = np.argpartition(scores, TRIED)[:TRIED]
-            best = best[np.isfinite(scores[best])]
-            rows, of_cells = self._turned(camera, np.column_stack(
-                [cells[best], np.full(len(best), plan[camera, 2])]))
-            at = np.append(window.cell_of(plan[camera, None]), best[of_cells])
-            rows = np.concatenate([plan[camera, None], rows])
-            looks = self._look(model, camera, rows)
-            change = model.depth_error.changes(
-                [view.seen for view in beside], [look.seen for look in looks], FLOOR)
-            tried = trust * values[at] + (1.0 - trust) * change + extra[at]
-            found = int(np.argmin(tried))
-            # Beyond what was seen the network says inf.
-            if not tried[found] > tried[0] - GAIN:
-                plan[camera], views[camera] = rows[found], looks[found]
-        self._plan = plan[matched(positions, plan[:, :2], self._kinds())]
+    def asked(self, cameras: int, turn: int, turns: int) -> np.ndarray:
+        """Return the cameras that choose again at the turn that was begun, in their order."""
+        asked = max(AGAIN, -(-OFTEN * cameras // turns))
+        if self._fresh:
+            asked = max(asked, 2 * cameras)
+        return np.resize(order_of(turn * AGAIN, cameras), asked)
+
+    def end(self, known: MapTurn) -> np.ndarray:
+        """Let cameras go where a turn has sent them: the next moves (K, 2), metres."""
+        self._plan = known.plan[matched(known.positions, known.plan[:, :2], self._kinds())]
+        flat = known.positions[:, :2]
+        return self._space.moved(flat, self.towards(known.positions, self.targets) - flat,
+                                 self.max_step) - flat
+
+    def choose(self, known: MapTurn, camera: int, over: float) -> None:
+        """Let a camera choose again where it goes, when a share of the turns is over."""
+        plan, window = known.plan, known.room.window
+        values = self.policy.values(**known.inputs(camera)).ravel()
+        curiosity = CURIOSITY * max(1.0 - over / EXPLORING, 0.0)
+        bonus = curiosity * _nearby(known.room.unseen_air(), window).ravel()
+        extra = PER_METRE * known.away(camera) - bonus
+        scores = np.where(known.open_to(camera), values + extra, np.inf)
+        best = np.argpartition(scores, TRIED)[:TRIED]
+        best = best[np.isfinite(scores[best])]
+        rows, of_cells = self._turned(camera, np.column_stack(
+            [known.cells[best], np.full(len(best), plan[camera, 2])]))
+        at = np.append(window.cell_of(plan[camera, None]), best[of_cells])
+        rows = np.concatenate([plan[camera, None], rows])
+        looks = known.look(camera, rows)
+        change = known.model.depth_error.changes(
+            [view.seen for view in known.beside(camera)], [look.seen for look in looks], FLOOR)
+        trust = float(np.clip(PER_UNSEEN * _share(known.model, known.unseen), TRUST, 1.0))
+        tried = trust * values[at] + (1.0 - trust) * change + extra[at]
+        found = int(np.argmin(tried))
+        # Beyond what was seen the network says inf.
+        if not tried[found] > tried[0] - GAIN:
+            known.send(camera, rows[found], looks[found])
 
     def _turned(self, camera: int, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Turn a camera all ways at places (M, 3): rows (M * H, 6), and the place of each."""
@@ -141,15 +149,6 @@ class MapActor(Online):
             headings = self.sight.headings(camera, YAWS, PITCHES)
         of_places = np.repeat(np.arange(len(places)), len(headings))
         return np.hstack([places[of_places], np.tile(headings, (len(places), 1))]), of_places
-
-    def _look(self, model: PartialMap, camera: int, rows: np.ndarray) -> list[View]:
-        """Compute what a camera would see from rows (M, 6); those of a place are in a row."""
-        lens = self.sight.lenses[camera] if self.directional else None
-        if lens is None:
-            return [model.look(row[:3]) for row in rows]
-        ends = np.flatnonzero(np.any(np.diff(rows[:, :3], axis=0), axis=1)) + 1
-        return [view for some in np.split(rows, ends)
-                for view in model.look_many(some[0, :3], some[:, 3:], lens)]
 
     def _kinds(self) -> np.ndarray | None:
         """Tell which cameras may take each other's places: (K,); None for all."""

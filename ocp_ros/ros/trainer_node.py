@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 import sys
 
+import numpy as np
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
@@ -130,9 +131,10 @@ class TrainerNode(Node):
 
     def _status(self) -> diagnostics.Status:
         """Say how the training is."""
-        learner, totals = self.learner, self.totals()
+        learner, totals, losses = self.learner, self.totals(), list(self.learner.losses)
         values = {'run': learner.run, 'stored_transitions': learner.transitions, **totals,
                   'refused_messages': totals['refused'], 'updates': learner.updates,
+                  'critic_loss': round(float(np.mean(losses)), 4) if losses else '-',
                   'behind': round(max(learner.behind, 0.0)), 'policies_wait': self._hold,
                   'weights_published': self._published, 'sources': len(self.sources),
                   **{f'turns {name}': source.assembler.assembled

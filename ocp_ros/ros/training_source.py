@@ -91,8 +91,9 @@ class Source:
     def __init__(self, node: Node, namespace: str, agent: AgentConfig, together: int,
                  learn: Callable[[Transition], bool]) -> None:
         self._node, self.namespace, self._learn = node, namespace, learn
-        self._expected, self._ends, self._together = arrays_of(agent), ends_of(agent), together
-        self.assembler = Assembler()
+        self._expected, self._ends = arrays_of(agent), ends_of(agent)
+        self._together = None if agent.map else together
+        self.assembler = Assembler(last=agent.map)
         self.counts = {'transitions': 0, 'refused': 0, 'dropped': 0}
         self._newest = 0
 

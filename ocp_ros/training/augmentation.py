@@ -17,12 +17,15 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 import torch
 
 from ocp_ros.agent.move_effects import WAYS
+from ocp_ros.agent.observation_map import CELLS, used_part
 
 #: (8, 2, 2): the rotations by 0, 90, 180 and 270 degrees, then the same after a mirror.
 SYMMETRIES = torch.tensor([
     [[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]],
     [[-1, 0], [0, 1]], [[0, -1], [-1, 0]], [[1, 0], [0, -1]], [[0, 1], [1, 0]]],
     dtype=torch.float32)
+#: What the map actor reads that is seen from above.
+MAPS = ('room', 'others', 'choices')
 _WAYS = torch.tensor(WAYS, dtype=torch.float32)
 #: (8, D): which direction becomes direction d.
 SOURCES = (_WAYS @ (SYMMETRIES @ _WAYS.T)).argmax(dim=2)
@@ -90,6 +93,80 @@ def symmetric(batch: DictReplayBufferSamples) -> DictReplayBufferSamples:
         observations=turn_observation(batch.observations, maps),
         next_observations=turn_observation(batch.next_observations, maps),
         actions=actions.flatten(1))
+
+
+def turned_maps(observation: dict[str, torch.Tensor], places: torch.Tensor, number: int
+                ) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
+    """
+    Turn or mirror maps, and places on them, by one of the eight symmetries of the square.
+
+    :param observation: what the map actor reads, batched.
+    :param places: (B, ..., 2) from the middle of the maps.
+    """
+    mirrored, quarters = divmod(number, 4)
+    turned = dict(observation)
+    for name in MAPS:
+        if name in observation:
+            value = observation[name].flip(-1) if mirrored else observation[name]
+            turned[name] = torch.rot90(value, quarters, (-2, -1))
+    x, y = places.unbind(-1)
+    y = -y if mirrored else y
+    for _ in range(quarters):
+        # The first axis of a map turns towards its second one.
+        x, y = -y, x
+    return turned, torch.stack([x, y], dim=-1)
+
+
+def turned_batch(batch: DictReplayBufferSamples) -> DictReplayBufferSamples:
+    """Turn or mirror all transitions of a batch of maps alike, at random."""
+    number = int(np.random.randint(len(SYMMETRIES)))
+    before, actions = turned_maps(batch.observations, batch.actions, number)
+    after, _ = turned_maps(batch.next_observations, batch.actions, number)
+    return batch._replace(observations=before, next_observations=after, actions=actions)
+
+
+class MapReplayBuffer(DictReplayBuffer):
+    """
+    A replay buffer of maps, whose batches are turned or mirrored at random.
+
+    The maps of a batch are used as far: the network reads as much as the largest of them needs.
+    """
+
+    def __init__(self, *args, **kwargs) -> None:
+        super().__init__(*args, **kwargs)
+        #: How far the maps of each transition are used.
+        self.parts = np.zeros((self.buffer_size, self.n_envs), dtype=np.int16)
+
+    def add(self, obs, next_obs, action, reward, done, infos) -> None:
+        """Store a transition of each environment."""
+        self.parts[self.pos] = [_part(rooms) for rooms in next_obs['room']]
+        super().add(obs, next_obs, action, reward, done, infos)
+
+    def sample(self, batch_size: int, env=None) -> DictReplayBufferSamples:
+        """Draw a batch, each transition as likely, and a symmetry for all of it."""
+        parts = self.parts[:self.size()]
+        row, column = np.random.randint(parts.shape[0]), np.random.randint(parts.shape[1])
+        alike = np.flatnonzero(parts == parts[row, column])
+        return turned_batch(self._get_samples(np.random.choice(alike, batch_size), env))
+
+    def _get_samples(self, batch_inds: np.ndarray, env=None) -> DictReplayBufferSamples:
+        """Return transitions by their numbers, those of all environments counted."""
+        at = np.divmod(batch_inds, self.n_envs)
+        ended = self.dones[at] * (1.0 - self.timeouts[at])
+
+        def taken(arrays: dict[str, np.ndarray]) -> dict[str, torch.Tensor]:
+            return {name: self.to_torch(values[at]) for name, values in arrays.items()}
+
+        return DictReplayBufferSamples(
+            taken(self.observations), self.to_torch(self.actions[at]),
+            taken(self.next_observations), self.to_torch(ended[:, None]),
+            self.to_torch(self.rewards[at][:, None]))
+
+
+def _part(room: np.ndarray) -> int:
+    """Return a number for how far a map is used."""
+    rows, columns = used_part(room)
+    return rows.start * CELLS + columns.start
 
 
 class SymmetricReplayBuffer(DictReplayBuffer):

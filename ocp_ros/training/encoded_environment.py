@@ -12,6 +12,7 @@ from ocp_ros.agent import move_effects
 from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.encoder import EncodedTurn, Encoder, order_of, PER_CAMERA
 from ocp_ros.agent.heading_planner import HeadingPlanner
+from ocp_ros.agent.observation_map import CELLS, NUMBERS, OF_OTHERS, OF_ROOM
 from ocp_ros.planners.rollout import state_of
 from ocp_ros.rig.motion import bounded_moves, way_between
 from ocp_ros.simulation.environment import CameraPlacementEnv
@@ -47,6 +48,13 @@ def encoded_space(agent: AgentConfig, cameras: int) -> spaces.Dict:
     def index(*shape):
         return spaces.Box(0, np.iinfo(np.int16).max, shape, np.int16)
 
+    def maps(*shape):
+        return spaces.Box(0, 255, shape, np.uint8)
+
+    if agent.map:
+        return spaces.Dict({'room': maps(OF_ROOM, CELLS, CELLS),
+                            'others': maps(OF_OTHERS, CELLS, CELLS),
+                            'numbers': real(NUMBERS), 'choices': maps(CELLS, CELLS)})
     space = {'present': real(cameras)}
     if agent.cloud:
         space |= {

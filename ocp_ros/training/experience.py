@@ -33,7 +33,8 @@ class Choice(NamedTuple):
     What the network read, and what it answered.
 
     :ivar observation: encoded, see :class:`~ocp_ros.agent.encoder.Encoder`.
-    :ivar actions: (C, 2) float32 in [-1, 1], of the cameras that chose together: one, or all.
+    :ivar actions: (C, 2) float32 in [-1, 1], of the cameras that chose together: one, or all. A
+        move in units of the longest step, or, of the map actor, where on the map a camera goes.
     """
 
     observation: dict[str, np.ndarray]
@@ -70,13 +71,14 @@ def to_bytes(experience: Experience) -> bytes:
 
 
 def from_bytes(blob: bytes, expected: Mapping[str, tuple[tuple[int, ...], np.dtype]],
-               together: int = 1) -> Experience:
+               together: int | None = 1) -> Experience:
     """
     Read and check a blob.
 
     :param blob: of :func:`to_bytes`.
     :param expected: shape, for a single camera, and type of each array of an observation.
-    :param together: how many cameras choose together.
+    :param together: how many cameras choose together; None for choices of single cameras of which
+        there may be more, or fewer, than cameras.
     :raises ExperienceError: if it is torn, not finite or of another network.
     """
     try:
@@ -90,7 +92,7 @@ def from_bytes(blob: bytes, expected: Mapping[str, tuple[tuple[int, ...], np.dty
             f'experience: found no readable one ({type(error).__name__}: {error}); expected a '
             'whole safetensors blob of a policy that explores') from error
     count = _choices(actions, targets, together)
-    shapes = {f'observation.{name}': ((count, *_shape(name, shape, together)), np.dtype(kind))
+    shapes = {f'observation.{name}': ((count, *_shape(name, shape, together or 1)), np.dtype(kind))
               for name, (shape, kind) in expected.items()}
     found = {name: (value.shape, value.dtype) for name, value in arrays.items()}
     if found != shapes:
@@ -106,14 +108,18 @@ def from_bytes(blob: bytes, expected: Mapping[str, tuple[tuple[int, ...], np.dty
                 for name, value in arrays.items()}, actions[number]) for number in range(count)])
 
 
-def _choices(actions: np.ndarray, targets: np.ndarray, together: int) -> int:
+def _choices(actions: np.ndarray, targets: np.ndarray, together: int | None) -> int:
     """Return how many choices there are."""
     if targets.ndim != 2 or targets.shape[1] != 3 or not 1 <= len(targets) <= MOST:
         raise ExperienceError(f'experience: found targets of shape {targets.shape}; expected '
                               f'(K, 3) with at most {MOST} cameras')
-    count = len(targets) if together == 1 else 1
-    if actions.shape != (count, together, 2) or count * together != len(targets) \
-            or actions.dtype != np.float32:
+    counts = range(1, MOST + 1)
+    if together is not None:
+        counts = range(len(targets), len(targets) + 1) if together == 1 else range(
+            1, 1 + (together == len(targets)))
+    count, together = len(actions) if actions.ndim else 0, together or 1
+    if count not in counts or actions.shape != (count, together, 2) or (
+            actions.dtype != np.float32):
         raise ExperienceError(
             f'experience: found actions as {actions.dtype} {actions.shape} of {len(targets)} '
             f'cameras; expected float32 choices of {together} at a time')

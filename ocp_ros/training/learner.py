@@ -60,6 +60,7 @@ class Learner:
     :param sac: settings of SAC.
     :param start: weights to start from, or None.
     :ivar dropped: transitions that came when there was no room for them.
+    :ivar losses: of the critics, in the latest bursts of gradient steps.
     """
 
     def __init__(self, config: LearnerConfig, agent: AgentConfig, sac: SacConfig,
@@ -67,7 +68,7 @@ class Learner:
         self.config, self.agent, self.sac = config, agent, sac
         self.folder = Path(config.folder)
         #: How many cameras choose together.
-        self.cameras = 1 if agent.world else config.cameras
+        self.cameras = 1 if agent.one_by_one else config.cameras
         self.model = make_sac(sac, agent, self.cameras, seed=config.seed)
         if start is not None:
             load_actor(self.model, start)
@@ -76,6 +77,7 @@ class Learner:
         self.log = TransitionLog(self.folder / TRANSITIONS, sac.buffer_size)
         self.run = self._resume()
         self.dropped = 0
+        self.losses: deque[float] = deque(maxlen=max(config.publish_every // BURST, 1))
         self.failure: BaseException | None = None
         self._first_update = self.updates
         self._fresh: deque[Checkpoint] = deque(maxlen=1)
@@ -172,6 +174,8 @@ class Learner:
             while self._read_inbox():
                 if self._behind():
                     self.model.train(BURST, self.sac.batch_size)
+                    self.losses.append(float(
+                        self.model.logger.name_to_value['train/critic_loss']))
                     self._after(self.updates)
         except BaseException as error:
             # Whoever feeds the learner reports it: an exception ends silently in a thread.
@@ -214,7 +218,7 @@ class Learner:
         """Return the actor as it is now."""
         provenance: dict[str, Any] = {'interactions': int(self.model.num_timesteps),
                                       'seed': self.config.seed}
-        return actor_checkpoint(self.model, self.agent, self.run, provenance)
+        return actor_checkpoint(self.model, self.run, provenance)
 
     def _save(self) -> None:
         """Write transitions, actor and state, each whole or not at all."""
@@ -224,6 +228,6 @@ class Learner:
 
     def _batched(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Say which cameras there are and give each array a leading axis of one environment."""
-        if 'present' not in observation:
+        if 'present' not in observation and not self.agent.map:
             observation = padded(observation, self.cameras)
         return {name: value[None] for name, value in observation.items()}

@@ -20,6 +20,8 @@ from ocp_ros.util.yaml_files import read_plain
 
 CONFIG, ROOMS, PROGRESS = 'config.yaml', 'rooms.json', 'progress.jsonl'
 BEST, STATE, SHOWN = 'best.safetensors', 'state.safetensors', 'demonstrations'
+#: The state of dense values, which come before soft actor-critic, and what lines of them say.
+VALUES_STATE, VALUES = 'values_state.safetensors', 'values'
 #: Settings with which a run may go on though it was begun with others.
 MAY_CHANGE = ('interactions', 'workers', 'evaluate_every')
 #: The same for one that has not begun with soft actor-critic.

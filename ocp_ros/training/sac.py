@@ -15,10 +15,10 @@ import torch
 from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.agent.networks import CriticHead, Extractor, head_of, present_of
-from ocp_ros.training.augmentation import SymmetricReplayBuffer
+from ocp_ros.training.augmentation import MapReplayBuffer, SymmetricReplayBuffer
 from ocp_ros.training.encoded_environment import action_space, encoded_space
+from ocp_ros.training.map_networks import MapPolicy
 from ocp_ros.training.training_config import SacConfig
-from ocp_ros.util.settings import ConfigurationError
 
 
 class SharedExtractor(BaseFeaturesExtractor):
@@ -129,11 +129,13 @@ class RigSac(SAC):
     that fades keeps the actor near what it imitates.
 
     :param config: how long either takes.
+    :param agent: inputs and sizes of the networks.
     :param warm: whether the actor has learned already; it then plays from the first turn on.
     """
 
-    def __init__(self, *args, config: SacConfig, warm: bool = False, **kwargs) -> None:
-        self.config, self.warm = config, warm
+    def __init__(self, *args, config: SacConfig, agent: AgentConfig, warm: bool = False,
+                 **kwargs) -> None:
+        self.config, self.agent, self.warm = config, agent, warm
         #: Gradient steps of SAC itself so far, and the loss of imitation of a random batch.
         self.own_updates, self.imitation_loss = 0, None
         super().__init__(*args, **kwargs)
@@ -178,20 +180,18 @@ def make_sac(sac: SacConfig, agent: AgentConfig, cameras: int, env=None, seed: i
     :param environments: how many there will be where ``env`` is None.
     :param kwargs: passed on to ``stable_baselines3.SAC``.
     """
-    if agent.map:
-        raise ConfigurationError(
-            "agent.inputs: found 'map'; expected world, cloud or both: the map actor learns dense "
-            'values, as ocp train does with config/train/map.yaml')
+    policy, arguments, replay = (
+        (MapPolicy, {'agent': agent}, MapReplayBuffer) if agent.map else
+        (RigPolicy, {'features_extractor_class': SharedExtractor,
+                     'features_extractor_kwargs': {'agent': agent}, 'hidden': agent.hidden,
+                     'share_features_extractor': sac.shared_extractor}, SymmetricReplayBuffer))
     model = RigSac(
-        RigPolicy, env, config=sac, learning_rate=sac.learning_rate, buffer_size=sac.buffer_size,
-        learning_starts=sac.learning_starts, batch_size=sac.batch_size, tau=sac.tau,
-        gamma=sac.gamma, ent_coef=f'auto_{sac.entropy}',
+        policy, env, config=sac, agent=agent, learning_rate=sac.learning_rate,
+        buffer_size=sac.buffer_size, learning_starts=sac.learning_starts,
+        batch_size=sac.batch_size, tau=sac.tau, gamma=sac.gamma, ent_coef=f'auto_{sac.entropy}',
         target_entropy=sac.target_entropy * 2 * cameras, tensorboard_log=tensorboard, seed=seed,
-        device=sac.device, _init_setup_model=False, policy_kwargs={
-            'features_extractor_class': SharedExtractor,
-            'features_extractor_kwargs': {'agent': agent}, 'hidden': agent.hidden,
-            'share_features_extractor': sac.shared_extractor},
-        **{'replay_buffer_class': SymmetricReplayBuffer, **kwargs})
+        device=sac.device, _init_setup_model=False, policy_kwargs=arguments,
+        **{'replay_buffer_class': replay, **kwargs})
     if env is None:
         model.observation_space = encoded_space(agent, cameras)
         model.action_space, model.n_envs = action_space(cameras), environments
@@ -199,39 +199,42 @@ def make_sac(sac: SacConfig, agent: AgentConfig, cameras: int, env=None, seed: i
     return model
 
 
-def _actor_parts(model: SAC) -> dict[str, torch.nn.Module]:
-    """Return the parts of SAC's actor by their names in :class:`ocp_ros.agent.networks.Actor`."""
+def _actor_parts(model: RigSac) -> dict[str, torch.nn.Module]:
+    """Return the parts of SAC's actor by how names of what a robot runs begin."""
     actor = model.policy.actor
-    return {'extractor': actor.features_extractor.extractor, 'head': actor.head}
+    if model.agent.map:
+        return {'': actor.network}
+    return {'extractor.': actor.features_extractor.extractor, 'head.': actor.head}
 
 
-def actor_checkpoint(model: SAC, agent: AgentConfig, run: str, provenance: dict[str, Any]
-                     ) -> Checkpoint:
+def actor_checkpoint(model: RigSac, run: str, provenance: dict[str, Any]) -> Checkpoint:
     """
     Take the actor out of SAC.
 
     :param model: from :func:`make_sac`.
-    :param agent: the sizes it was built with.
     :param run: identity of the training run.
     :param provenance: how it was trained.
     """
-    weights = {f'{part}.{name}': value.detach().cpu().clone()
+    weights = {f'{part}{name}': value.detach().cpu().clone()
                for part, module in _actor_parts(model).items()
                for name, value in module.state_dict().items()}
-    return Checkpoint(agent, weights, int(model._n_updates), run, provenance)
+    return Checkpoint(model.agent, weights, int(model._n_updates), run, provenance)
 
 
-def load_actor(model: SAC, checkpoint: Checkpoint) -> None:
+def load_actor(model: RigSac, checkpoint: Checkpoint) -> None:
     """
-    Start SAC's actor from given weights; the critics start afresh.
+    Start SAC's actor from given weights; the critics start afresh, or as the same value map.
 
     :raises CheckpointError: if they are those of another network.
     """
-    if checkpoint.config != model.policy.features_extractor_kwargs['agent']:
+    if checkpoint.config != model.agent:
         raise CheckpointError(
             f"weights: found {checkpoint.config}; expected the trainer's own agent settings, "
-            f'{model.policy.features_extractor_kwargs["agent"]}')
+            f'{model.agent}')
+    if model.agent.map:
+        model.policy.begin_with(checkpoint.weights)
+        return
     for part, module in _actor_parts(model).items():
-        module.load_state_dict({name.removeprefix(f'{part}.'): value
+        module.load_state_dict({name.removeprefix(part): value
                                 for name, value in checkpoint.weights.items()
-                                if name.startswith(f'{part}.')})
+                                if name.startswith(part)})

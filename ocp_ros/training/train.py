@@ -34,9 +34,17 @@ from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.training import demonstrations
 from ocp_ros.training.demonstration_rounds import ENDS, LAST, load_rounds, save_round
-from ocp_ros.training.encoded_environment import encoded
+from ocp_ros.training.map_environment import playable
 from ocp_ros.training.replay_buffer import Rebuild, TurnReplay
-from ocp_ros.training.run_folder import add_record, BEST, claim, records, SHOWN, STATE
+from ocp_ros.training.run_folder import (
+    add_record,
+    BEST,
+    claim,
+    records,
+    SHOWN,
+    STATE,
+    VALUES,
+)
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac, RigSac
 from ocp_ros.training.sac_state import load_state, new_run, save_state
 from ocp_ros.training.training_config import TrainingConfig
@@ -99,7 +107,7 @@ class Run:
 
     def checkpoint(self) -> Checkpoint:
         """Return the actor as it is now."""
-        return actor_checkpoint(self.model, self.config.agent, self.name, {
+        return actor_checkpoint(self.model, self.name, {
             'interactions': self.model.num_timesteps, 'seed': self.config.seed,
             'date': date.today().isoformat(), 'training': to_nested(self.config)})
 
@@ -138,7 +146,8 @@ class Run:
         :raises CheckpointError: if the state or the best weights cannot be used; the message says
             what is lost and how to go on.
         """
-        begun = self.past or any((self.folder / SHOWN).glob('*.fitted'))
+        begun = any(line['phase'] != VALUES for line in self.past) or any(
+            (self.folder / SHOWN).glob('*.fitted'))
         if self.state.exists():
             self.name = load_state(self.model, self.state)
         elif begun:
@@ -266,7 +275,7 @@ def environments(config: TrainingConfig, rooms: Sequence[str]) -> VecMonitor:
         torch.set_num_threads(1)
         env = CameraPlacementEnv(Rooms(rooms, config.rooms), config.simulation,
                                  fewest=config.fewest_cameras, rotations=config.rooms.angles)
-        return encoded(env, config.agent)
+        return playable(env, config.agent)
     return VecMonitor(SubprocVecEnv([make] * config.environments, start_method='spawn'))
 
 
@@ -279,7 +288,8 @@ def learn(run: Run) -> None:
     last = first + config.interactions
     if model.num_timesteps >= last:
         return
-    model.warm = shown is not None or bool(config.model) or model.num_timesteps > 0
+    model.warm = (shown is not None or bool(config.model) or config.agent.map
+                  or model.num_timesteps > 0)
     # Moves are not kept when a run is interrupted: play some before learning from them.
     if shown is None or model.num_timesteps > first:
         model.learning_starts += model.num_timesteps
@@ -319,9 +329,14 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
     columns = (TextColumn('{task.description}'), MofNCompleteColumn(), TimeRemainingColumn(),
                TextColumn('{task.fields[error]}'))
     with WorkerPool(config.workers, config.ray or None) as pool, Progress(*columns) as progress:
-        if config.agent.map:
-            return _train_values(ValueRun(config, folder, pool, progress, new_run()), command)
-        run = Run(config, folder, _model(config, folder), pool, progress, new_run())
+        start = Checkpoint.load(find_model(config.model)) if config.model else None
+        if config.agent.map and config.values.steps:
+            values = ValueRun(config, folder, pool, progress, new_run())
+            values.resume()
+            start = learn_values(values)
+            if not config.interactions:
+                return _report_values(values, command)
+        run = Run(config, folder, _model(config, folder, start), pool, progress, new_run())
         run.resume()
         imitate(run)
         learn(run)
@@ -331,36 +346,33 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
         return report(run, command)
 
 
-def _train_values(run: ValueRun, command: str) -> Checkpoint:
-    """Train the map actor, or go on with it."""
-    run.resume()
-    learn_values(run)
+def _report_values(run: ValueRun, command: str) -> Checkpoint:
+    """Play the validation rooms with a map actor that has learned dense values, and report."""
     if any('ratio' in line for line in records(run.folder)):
         return report(run, command)
     blob = run.checkpoint().to_bytes()
     result = evaluate(run.pool, [replace(trial, weights=blob)
                                  for trial in trials_of(run.config, 'validation')])
-    run.note('values', **result)
+    run.note(VALUES, **result)
     return report(run, command)
 
 
-def _model(config: TrainingConfig, folder: Path) -> RigSac:
+def _model(config: TrainingConfig, folder: Path, start: Checkpoint | None) -> RigSac:
     """Build SAC; its actor may start from given weights."""
     steps = max(round(config.updates_per_turn * config.environments), 1)
-    # Where moves are tried, cameras choose one after the other.
-    cameras = 1 if config.agent.world else config.simulation.rig.cameras
+    cameras = 1 if config.agent.one_by_one else config.simulation.rig.cameras
     model = make_sac(config.sac, config.agent, cameras, seed=config.seed,
                      environments=config.environments, train_freq=1, gradient_steps=steps,
                      tensorboard=str(folder / 'tensorboard'), **_replay(config))
     model.set_logger(configure(str(folder / 'tensorboard'), ['tensorboard']))
-    if config.model:
-        load_actor(model, Checkpoint.load(find_model(config.model)))
+    if start is not None:
+        load_actor(model, start)
     return model
 
 
 def _replay(config: TrainingConfig) -> dict[str, Any]:
     """Choose the replay buffer: clouds are rebuilt, what moves would change is small enough."""
-    if config.agent.world:
+    if config.agent.one_by_one:
         return {}
     rooms, angles = room_names(config.rooms, 'training'), config.rooms.angles
 

@@ -121,7 +121,7 @@ class ValuesConfig:
     own_rooms: int = setting(
         100, 'rooms in which the network itself then plays, to learn from where it goes', 0,
         100000)
-    steps: int = setting(7000, 'gradient steps on the walks', 1, 1 << 31)
+    steps: int = setting(7000, 'gradient steps on the walks; 0 for no dense values', 0, 1 << 31)
     own_steps: int = setting(3000, 'gradient steps on all of it', 0, 1 << 31)
     batch_size: int = setting(32, 'choices per gradient step', 1, 65536)
     learning_rate: float = setting(1.5e-3, 'first step size of AdamW', 1e-7, 1.0)
@@ -175,18 +175,17 @@ class TrainingConfig:
                 f'simulation.episode.max_step: found {longest} with agent.inputs '
                 f'{self.agent.inputs!r}; expected {LONGEST}, the longest of the moves that these '
                 'try; leave it out, or read the cloud alone')
-        if self.agent.map and (self.interactions or self.demonstrations.rounds):
+        shown = self.values.steps if self.agent.map else self.demonstrations.rounds
+        if not (shown or self.interactions):
             raise ConfigurationError(
-                f'interactions: found {self.interactions} and {self.demonstrations.rounds} '
-                "demonstrations.rounds with agent.inputs 'map'; expected 0 of both: the map actor "
-                'learns dense values, see values')
-        if not (self.demonstrations.rounds or self.interactions or self.agent.map):
-            raise ConfigurationError('interactions: found 0 and no demonstrations.rounds; '
-                                     'expected something to learn from')
+                f'interactions: found 0 and no {"values.steps" if self.agent.map else ""}'
+                f'{"" if self.agent.map else "demonstrations.rounds"}; expected something to '
+                'learn from')
         if self.demonstrations.rounds and not self.agent.world:
             raise ConfigurationError(
                 f'demonstrations.rounds: found {self.demonstrations.rounds} with agent.inputs '
-                f'{self.agent.inputs!r}; expected 0: who imitates reads world or both')
+                f'{self.agent.inputs!r}; expected 0: who imitates reads world or both; the map '
+                'actor learns dense values first, see values')
 
     def _read_rig(self) -> None:
         """Take the number of cameras from a rig file, and refuse what does not go with one."""

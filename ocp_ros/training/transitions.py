@@ -3,6 +3,7 @@
 """Transitions from what arrives on its own, in any order, and may be missing."""
 
 from collections import OrderedDict
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -73,14 +74,16 @@ class Assembler:
     was worth, and what the policy read next.
 
     :param patience: turns after which what is still incomplete is dropped and counted.
+    :param last: whether the last choice of a turn gets its whole reward, and the others nothing: a
+        choice is then where a camera goes, which takes turns.
     :ivar assembled: turns that were complete.
     :ivar incomplete: turns that never were.
     :ivar inconsistent: turns that ended elsewhere than the policy meant, or were another turn of
         the episode than it thought.
     """
 
-    def __init__(self, patience: int = 32) -> None:
-        self.patience = patience
+    def __init__(self, patience: int = 32, last: bool = False) -> None:
+        self.patience, self.last = patience, last
         self.assembled = self.incomplete = self.inconsistent = 0
         self.clear()
 
@@ -135,7 +138,9 @@ class Assembler:
         if len(reward.shares) == len(before.targets):
             # Those that have a share are the cameras that move; those in place come behind them.
             positions = positions[:len(reward.shares)]
-        shares = reward.shares if len(choices) > 1 else (reward.reward,)
+        shares: Sequence[float] = reward.shares
+        if self.last or len(choices) == 1:
+            shares = (len(choices) - 1) * [0.0] + [reward.reward]
         if (before.targets.shape != positions.shape or before.turn != reward.step - 1
                 or len(shares) != len(choices)
                 or np.abs(before.targets - positions)[:, :2].max() > TOLERANCE):

@@ -23,6 +23,7 @@ from ocp_ros.agent.checkpoint import read_metadata
 from ocp_ros.agent.errors import CheckpointError
 from ocp_ros.agent.observation_map import CELLS, used_part
 from ocp_ros.agent.value_network import ValueMapNetwork
+from ocp_ros.training.augmentation import turned_maps
 from ocp_ros.training.training_config import ValuesConfig
 
 #: Where the loss is no more quadratic, how much more the best place counts than a bad one, and
@@ -109,19 +110,10 @@ def at_places(values: Tensor, places: Tensor) -> Tensor:
 def turned_at_random(observation: dict[str, Tensor], places: Tensor, number: int
                      ) -> tuple[dict[str, Tensor], Tensor]:
     """Turn or mirror maps and places by one of the eight symmetries of the square."""
-    mirrored, quarters = divmod(number, 4)
     half = 0.5 * torch.tensor(observation['room'].shape[2:])
-    turned, middle = dict(observation), places - half
-    for name in ('room', 'others'):
-        value = observation[name].flip(-1) if mirrored else observation[name]
-        turned[name] = torch.rot90(value, quarters, (-2, -1))
-    x, y = middle.unbind(-1)
-    y = -y if mirrored else y
-    for _ in range(quarters):
-        # The first axis of a map turns towards its second one.
-        x, y = -y, x
+    turned, middle = turned_maps(observation, places - half, number)
     half = 0.5 * torch.tensor(turned['room'].shape[2:])
-    return turned, torch.stack([x, y], dim=-1) + half
+    return turned, middle + half
 
 
 def loss_of(predicted: Tensor, values: Tensor) -> Tensor:

@@ -20,7 +20,7 @@ import torch
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.errors import CheckpointError
 from ocp_ros.agent.value_network import ValueMapNetwork
-from ocp_ros.training.run_folder import add_record, BEST, records, STATE
+from ocp_ros.training.run_folder import add_record, BEST, records, VALUES, VALUES_STATE
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import room_names
 from ocp_ros.training.value_fit import regret_of, ValueFit, ValueSet
@@ -86,7 +86,7 @@ class ValueRun:
 
     def save(self) -> None:
         """Write what is needed to resume, and the weights so far."""
-        write_atomically(self.folder / STATE, self.fit.to_bytes(self.name))
+        write_atomically(self.folder / VALUES_STATE, self.fit.to_bytes(self.name))
         self.checkpoint().save(self.folder / BEST)
 
     def resume(self) -> None:
@@ -95,7 +95,7 @@ class ValueRun:
 
         :raises CheckpointError: if it cannot be used.
         """
-        path = self.folder / STATE
+        path = self.folder / VALUES_STATE
         if path.exists():
             self.name = self.fit.load(path)
 
@@ -152,9 +152,11 @@ def _read(path: Path) -> dict[str, np.ndarray]:
 def learn_values(run: ValueRun) -> Checkpoint:
     """Learn dense values, first in rooms that were walked through, then in the run's own."""
     values, rooms = run.config.values, room_names(run.config.rooms, 'training')
+    total = values.steps + values.own_steps
+    if run.fit.step >= total:
+        return run.checkpoint()
     checked = run.states(CHECKED, room_names(run.config.rooms, 'validation')[::EVERY])
     choices = [run.states(WALKED, rooms[:values.rooms])]
-    total = values.steps + values.own_steps
     bar = run.progress.add_task('dense values', total=total, error='')
 
     def watch(step: int, loss: float) -> None:
@@ -162,7 +164,7 @@ def learn_values(run: ValueRun) -> Checkpoint:
         if step % values.evaluate_every == 0 or step == total:
             regret = regret_of(run.fit.average, checked)
             run.progress.update(bar, error=f'regret {regret:.3f}, loss {loss:.3f}')
-            run.note('values', loss=loss, regret=regret)
+            run.note(VALUES, loss=loss, regret=regret)
             run.save()
 
     run.fit.run(choices[0], values.steps, total, watch)

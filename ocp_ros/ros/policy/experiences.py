@@ -14,7 +14,7 @@ from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import bytes_to_msg, MessageError, msg_to_fields
 from ocp_ros.ros.interface.qos import LATCHED, LOOP
-from ocp_ros.ros.policy.recorded_policy import RecordedPolicy
+from ocp_ros.ros.policy.recorded_policy import RecordedPolicy, RecordedValues
 from ocp_ros.training.experience import Experience, to_bytes
 
 #: Seconds after which a trainer that asked to wait and says nothing more is not waited for.
@@ -30,7 +30,7 @@ class Experiences:
     :param go_on: is called when the trainer has caught up.
     """
 
-    def __init__(self, node: Node, policy: Callable[[], RecordedPolicy],
+    def __init__(self, node: Node, policy: Callable[[], RecordedPolicy | RecordedValues],
                  go_on: Callable[[], None]) -> None:
         self._policy, self._go_on = policy, go_on
         self._held_at: float | None = None
@@ -63,12 +63,16 @@ class Experiences:
         """
         Publish what was chosen since the last call, if it was for all cameras.
 
+        With the map actor, some cameras choose again in a turn, and the others go on.
+
         :param stamp: of the turn, nanoseconds.
         :param turn: turns of the episode before it.
         :param targets: (K, 3) metres: where the cameras were sent, those in place left out.
         """
-        choices = self._policy().take()
-        whole = sum(len(choice.actions) for choice in choices) == len(targets)
-        if whole and all(np.isfinite(choice.actions).all() for choice in choices):
+        policy = self._policy()
+        choices = policy.take()
+        whole = policy.checkpoint.config.map or (
+            sum(len(choice.actions) for choice in choices) == len(targets))
+        if choices and whole and all(np.isfinite(choice.actions).all() for choice in choices):
             self._publisher.publish(bytes_to_msg(
                 to_bytes(Experience(stamp, turn, targets, choices))))

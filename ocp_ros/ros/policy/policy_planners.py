@@ -9,17 +9,25 @@ import numpy as np
 from ocp_ros.agent.encoder import Encoder
 from ocp_ros.planners.lookahead import Lookahead
 from ocp_ros.planners.map_actor import MapActor
+from ocp_ros.planners.map_turn import MapTurn
 from ocp_ros.planners.online_planner import Learned, Online, ThenLookahead
 from ocp_ros.planners.registry import planned_by
 from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.ros.policy.policy_config import LEARNED, PolicyNodeConfig
-from ocp_ros.util.settings import ConfigurationError
 
 if TYPE_CHECKING:
     from ocp_ros.agent.checkpoint import Checkpoint
 
 #: Parameters that a planner is made with and that may change.
 PLANNED_WITH = ('max_step', 'max_range', 'wall_margin', 'clearance')
+
+
+class ExploringMap(MapActor):
+    """Places drawn from the distribution of a trained map actor."""
+
+    def choose(self, known: MapTurn, camera: int, over: float) -> None:
+        """Draw where a camera goes."""
+        known.send_to(camera, self.policy.draw(known.experience(camera), self.rng))
 
 
 class Exploring(Learned):
@@ -47,14 +55,14 @@ def make_planner(config: PolicyNodeConfig, checkpoint: 'Checkpoint | None'
         return Lookahead(*settings), None
     # Only here: PyTorch takes longer to import than all the rest.
     from ocp_ros.agent.policy import make_policy
-    from ocp_ros.ros.policy.recorded_policy import RecordedPolicy
+    from ocp_ros.ros.policy.recorded_policy import RecordedPolicy, RecordedValues
     if config.explore:
+        exploring: Learned | MapActor
         if checkpoint.config.map:
-            raise ConfigurationError(
-                'explore: found true with weights of the map actor; expected false: nobody learns '
-                'from drawn moves of it; leave it out, or name others, such as model: moves')
-        encoder = Encoder(checkpoint.config, config.max_range, config.max_step, *margins)
-        exploring = Exploring(RecordedPolicy(checkpoint, encoder), *settings)
+            exploring = ExploringMap(RecordedValues(checkpoint), *settings)
+        else:
+            encoder = Encoder(checkpoint.config, config.max_range, config.max_step, *margins)
+            exploring = Exploring(RecordedPolicy(checkpoint, encoder), *settings)
         return exploring, exploring
     learned = planned_by(make_policy(checkpoint), settings)
     if config.planner == LEARNED:

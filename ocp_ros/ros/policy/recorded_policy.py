@@ -1,19 +1,29 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A policy whose choices others can learn from."""
+"""Policies whose choices others can learn from."""
 
 import numpy as np
 
 from ocp_ros.agent.policy import Policy
+from ocp_ros.agent.value_policy import ValuePolicy
 from ocp_ros.training.experience import Choice
 
 
-class RecordedPolicy(Policy):
-    """A policy that remembers what it read and chose since somebody asked last."""
+class _Record:
+    """What was read and chosen since somebody asked last."""
 
     def __init__(self, *args) -> None:
         super().__init__(*args)
         self._choices: list[Choice] = []
+
+    def take(self) -> list[Choice]:
+        """Return the choices since the last call, in their order."""
+        choices, self._choices = self._choices, []
+        return choices
+
+
+class RecordedPolicy(_Record, Policy):
+    """A policy of moves that remembers what it read and chose."""
 
     def choose(self, encoded: dict[str, np.ndarray], rng: np.random.Generator | None = None
                ) -> np.ndarray:
@@ -22,7 +32,12 @@ class RecordedPolicy(Policy):
         self._choices.append(Choice(encoded, moves))
         return moves
 
-    def take(self) -> list[Choice]:
-        """Return the choices since the last call, in their order."""
-        choices, self._choices = self._choices, []
-        return choices
+
+class RecordedValues(_Record, ValuePolicy):
+    """A policy of places that remembers what it read and drew."""
+
+    def draw(self, inputs: dict[str, np.ndarray], rng: np.random.Generator) -> np.ndarray:
+        """Draw where a camera goes; see :meth:`~ocp_ros.agent.value_policy.ValuePolicy.draw`."""
+        place = super().draw(inputs, rng)
+        self._choices.append(Choice(inputs, place[None]))
+        return place

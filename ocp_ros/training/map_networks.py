@@ -1,0 +1,128 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The map actor's network as soft actor-critic's actor and critics.
+
+An action is a cell of the map, so means over actions are not drawn but summed up over all cells
+(Christodoulou, 2019). To stable-baselines3 an action is the place of a cell, (B, 2), where it was
+chosen, and the likelihood of every cell, (B, 64 * 64), where it is asked for.
+"""
+
+import math
+
+from gymnasium import spaces
+from stable_baselines3.common.policies import ContinuousCritic
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.sac.policies import Actor as SacActor
+from stable_baselines3.sac.policies import MultiInputPolicy
+import torch
+
+from ocp_ros.agent.agent_config import AgentConfig
+from ocp_ros.agent.observation_map import CELLS
+from ocp_ros.agent.value_network import cell_of, CellChoices, valued, ValueMapNetwork
+
+#: What a unit of the network's values, a logarithm of the depth error, is in units of the reward:
+#: see ``potential`` in :mod:`ocp_ros.simulation.reward`. The critics begin with it.
+IN_REWARDS = 2.0
+#: Logarithm of the cells in a unit of area of the actions: entropies are those of places.
+PER_AREA = 2.0 * math.log(0.5 * CELLS)
+#: How much the weights of the critics differ at first, as shares of them.
+UNLIKE = 0.01
+
+
+class AsItIs(BaseFeaturesExtractor):
+    """Hand on what was observed: the networks read maps, not features."""
+
+    def __init__(self, observation_space: spaces.Dict) -> None:
+        super().__init__(observation_space, CELLS * CELLS)
+
+    def forward(self, observation: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+        """Return the same."""
+        return observation
+
+
+class MapSacActor(SacActor):
+    """SAC's actor: the softmax of the value map."""
+
+    def __init__(self, *args, agent: AgentConfig, **kwargs) -> None:
+        super().__init__(*args, **kwargs)
+        del self.latent_pi, self.mu, self.log_std
+        self.network = ValueMapNetwork(agent)
+
+    def _choices(self, observation: dict[str, torch.Tensor]) -> CellChoices:
+        """Return how likely each cell is."""
+        maps: dict[str, torch.Tensor] = self.extract_features(
+            observation, self.features_extractor)  # type: ignore[assignment]
+        return CellChoices(valued(self.network, maps), maps['choices'])
+
+    def forward(self, obs, deterministic: bool = False) -> torch.Tensor:
+        """Return places (B, 2)."""
+        choices = self._choices(obs)
+        return choices.best() if deterministic else choices.sample()
+
+    def action_log_prob(self, obs) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the likelihood of each cell (B, 64 * 64), and the mean of its logarithm (B,)."""
+        choices = self._choices(obs)
+        return choices.shares, PER_AREA - choices.entropy
+
+
+class _MapQ(torch.nn.Module):
+    """A critic: what the rewards to come are if a camera goes to a cell."""
+
+    def __init__(self, agent: AgentConfig) -> None:
+        super().__init__()
+        self.network = ValueMapNetwork(agent)
+
+    def forward(self, maps: dict[str, torch.Tensor], actions: torch.Tensor) -> torch.Tensor:
+        """Return (B, 1) of places (B, 2), or the mean over likelihoods (B, 64 * 64)."""
+        chosen = actions.shape[1] == 2
+        # A mean over likelihoods is asked for to learn them; this network learns of places alone.
+        with torch.set_grad_enabled(chosen and torch.is_grad_enabled()):
+            values = -IN_REWARDS * valued(self.network, maps).nan_to_num(posinf=0.0).flatten(1)
+        if chosen:
+            return values.gather(1, cell_of(actions)[:, None])
+        return (values * actions).sum(dim=1, keepdim=True)
+
+
+class MapCritic(ContinuousCritic):
+    """SAC's critics on maps."""
+
+    def __init__(self, *args, agent: AgentConfig, **kwargs) -> None:
+        super().__init__(*args, **kwargs)
+        self.q_networks = [_MapQ(agent) for _ in self.q_networks]
+        for index, network in enumerate(self.q_networks):
+            self.add_module(f'qf{index}', network)
+
+    def forward(self, obs, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Return (B, 1) of each critic."""
+        maps = self.extract_features(obs, self.features_extractor)
+        return tuple(network(maps, actions) for network in self.q_networks)
+
+
+class MapPolicy(MultiInputPolicy):
+    """stable-baselines3's SAC policy on maps."""
+
+    def __init__(self, *args, agent: AgentConfig, **kwargs) -> None:
+        self.agent = agent
+        # The network divides the maps itself.
+        super().__init__(*args, features_extractor_class=AsItIs, normalize_images=False, **kwargs)
+
+    def make_actor(self, features_extractor=None) -> MapSacActor:
+        """Build the actor."""
+        arguments = self._update_features_extractor(self.actor_kwargs, features_extractor)
+        return MapSacActor(**arguments, agent=self.agent).to(self.device)
+
+    def make_critic(self, features_extractor=None) -> MapCritic:
+        """Build the critics."""
+        arguments = self._update_features_extractor(self.critic_kwargs, features_extractor)
+        return MapCritic(**arguments, agent=self.agent).to(self.device)
+
+    def begin_with(self, weights: dict[str, torch.Tensor]) -> None:
+        """Start the actor and the critics from weights of a value map."""
+        self.actor.load_state_dict({f'network.{name}': value for name, value in weights.items()})
+        for number, critic in enumerate(self.critic.q_networks):
+            # From the very same weights the same batches would make the same critics.
+            critic.load_state_dict({
+                f'network.{name}': value * (1.0 + number * UNLIKE * torch.randn_like(value))
+                for name, value in weights.items()})
+        self.critic_target.load_state_dict(self.critic.state_dict())

@@ -1,0 +1,283 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Soft actor-critic on the map actor's network: in one process, and over what nodes tell."""
+
+from conftest import assert_same
+import numpy as np
+import pytest
+from stable_baselines3.common.env_checker import check_env
+from stable_baselines3.common.logger import configure
+import torch
+
+from ocp_ros.agent.agent_config import AgentConfig
+from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.agent.observation_map import BOX, CELLS, NUMBERS, OF_OTHERS, OF_ROOM
+from ocp_ros.agent.value_network import (
+    action_of,
+    cell_of,
+    CellChoices,
+    TEMPERATURE,
+    valued,
+    ValueMapNetwork,
+)
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
+from ocp_ros.ros.policy.policy_planners import ExploringMap, make_planner
+from ocp_ros.simulation.environment import CameraPlacementEnv
+from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
+from ocp_ros.training.augmentation import turned_batch
+from ocp_ros.training.encoded_environment import encoded_space
+from ocp_ros.training.experience import Choice, Experience, ExperienceError, from_bytes, to_bytes
+from ocp_ros.training.map_environment import playable
+from ocp_ros.training.map_networks import IN_REWARDS
+from ocp_ros.training.run_folder import records
+from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
+from ocp_ros.training.train import train
+from ocp_ros.training.training_config import SacConfig, TrainingConfig
+from ocp_ros.training.transitions import Assembler, Reward
+from ocp_ros.util.settings import from_nested
+
+AGENT = AgentConfig(inputs='map')
+SAC = SacConfig(learning_starts=1, batch_size=8, buffer_size=64, device='cpu',
+                learning_rate=3e-3, gamma=0.5)
+TURNS = 3
+
+
+def made_up(seed, side=10):
+    """Return what the map actor reads of a made-up room of some cells."""
+    rng, first = np.random.default_rng(seed), (CELLS - side) // 2
+    middle = slice(first, first + side)
+    found = {'room': np.zeros((OF_ROOM, CELLS, CELLS), np.uint8),
+             'others': np.zeros((OF_OTHERS, CELLS, CELLS), np.uint8),
+             'numbers': rng.random(NUMBERS).astype(np.float32),
+             'choices': np.zeros((CELLS, CELLS), np.uint8)}
+    for name in ('room', 'others'):
+        part = found[name][:, middle, middle]
+        part[:] = rng.integers(256, size=part.shape)
+    found['room'][BOX] = 0
+    found['room'][BOX, middle, middle] = 255
+    found['choices'][middle, middle] = 1
+    return found
+
+
+def batch(*seeds):
+    """Return such observations as one batch."""
+    made = [made_up(seed) for seed in seeds]
+    return {name: torch.from_numpy(np.stack([one[name] for one in made])) for name in made[0]}
+
+
+def network(seed=0):
+    """Return a network that says of each cell something else."""
+    torch.manual_seed(seed)
+    made = ValueMapNetwork(AGENT)
+    for name, weight in made.named_parameters():
+        if name == 'leave.weight':
+            weight.data *= 10.0
+    return made
+
+
+@pytest.fixture(autouse=True)
+def logs(tmp_path, monkeypatch):
+    """Let stable-baselines3 leave its logs where they are cleared away."""
+    monkeypatch.setenv('SB3_LOGDIR', str(tmp_path / 'sb3'))
+
+
+@pytest.fixture
+def model():
+    """Return soft actor-critic that begins with a value map."""
+    made = make_sac(SAC, AGENT, 1)
+    load_actor(made, Checkpoint(AGENT, network().state_dict()))
+    return made
+
+
+@pytest.fixture
+def env(room):
+    """Return a small environment."""
+    config = SimulationConfig(
+        rig=RigConfig(cameras=3), episode=EpisodeConfig(turns=TURNS, max_step=1.0),
+        engine=EngineConfig(preset='fast', error_rows=16, coverage_cell=1.0))
+    return playable(CameraPlacementEnv([room], config, 64, fewest=2), AGENT)
+
+
+def test_cells_are_actions_and_back():
+    cells = torch.arange(CELLS * CELLS)
+    actions = action_of(cells)
+    assert torch.equal(cell_of(actions), cells) and actions.abs().max() < 1.0
+    assert torch.equal(cell_of(torch.tensor([[-1.0, 1.0]])), torch.tensor([CELLS - 1]))
+
+
+def test_a_camera_goes_where_the_map_is_low_among_what_is_free():
+    values, free = torch.zeros(1, CELLS, CELLS), torch.zeros(1, CELLS, CELLS)
+    free[0, 20:24, 30] = 1
+    values[0, 20, 30], values[0, 5, 5] = -0.1, -9.0
+    choices = CellChoices(values, free)
+    assert cell_of(choices.best()).item() == 20 * CELLS + 30
+    weights = np.exp([0.1 / TEMPERATURE, 0.0, 0.0, 0.0])
+    shares = choices.shares[0].reshape(CELLS, CELLS)
+    np.testing.assert_allclose(shares[20:24, 30], weights / weights.sum(), rtol=1e-5)
+    assert shares.sum().item() == pytest.approx(1.0)
+    likely = weights / weights.sum()
+    assert choices.entropy.item() == pytest.approx(-(likely * np.log(likely)).sum(), rel=1e-4)
+    torch.manual_seed(0)
+    drawn = {cell_of(choices.sample()).item() for _ in range(60)}
+    assert drawn == {row * CELLS + 30 for row in range(20, 24)}
+
+
+def test_the_critics_begin_as_the_value_map_and_the_policy_as_its_softmax(model):
+    seen = batch(0, 1)
+    with torch.no_grad():
+        values = valued(network(), seen)
+        cells = torch.tensor([30 * CELLS + 31, 33 * CELLS + 29])
+        first, second = model.critic(seen, action_of(cells))
+        expected = -IN_REWARDS * values.flatten(1).gather(1, cells[:, None])
+        torch.testing.assert_close(first, expected)
+        assert not torch.equal(first, second) and torch.allclose(first, second, atol=0.5)
+        shares, log_prob = model.actor.action_log_prob(seen)
+        torch.testing.assert_close(shares, CellChoices(values, seen['choices']).shares)
+        mean, _ = model.critic(seen, shares)
+        whole = -IN_REWARDS * values.flatten(1).nan_to_num(posinf=0.0)
+        torch.testing.assert_close(mean[:, 0], (shares * whole).sum(dim=1))
+    assert (log_prob < 8.0).all()
+    taken = actor_checkpoint(model, 'r', {})
+    assert taken.config == AGENT
+    for name, value in network().state_dict().items():
+        assert torch.equal(taken.weights[name], value), name
+
+
+def test_a_batch_is_turned_whole_with_its_actions(model):
+    """The one cell that is free stays the one that was chosen."""
+    buffer, rng = model.replay_buffer, np.random.default_rng(0)
+    for seed in range(6):
+        before, after = made_up(seed, 10 if seed % 2 else 30), made_up(seed + 50, 30)
+        cell = int(rng.choice(np.flatnonzero(before['choices'])))
+        before['choices'][:] = 0
+        before['choices'].flat[cell] = 1
+        place = action_of(torch.tensor([cell])).numpy()
+        buffer.add(*({name: value[None] for name, value in one.items()}
+                     for one in (before, after)), place[None], np.array([float(seed)]),
+                   np.array([False]), [{}])
+    rewards = set()
+    for _ in range(20):
+        drawn = buffer.sample(4)
+        cells = cell_of(drawn.actions)
+        assert drawn.observations['choices'].flatten(1).gather(1, cells[:, None]).all()
+        assert (drawn.observations['choices'].flatten(1).sum(dim=1) == 1).all()
+        rewards |= set(drawn.rewards.flatten().tolist())
+    assert rewards == set(range(6))
+    assert (turned_batch(drawn).rewards == drawn.rewards).all()
+
+
+def test_maps_of_a_batch_are_used_as_far(model):
+    buffer = model.replay_buffer
+    for seed, side in enumerate([10, 10, 34, 34, 34]):
+        made = {name: value[None] for name, value in made_up(seed, side).items()}
+        buffer.add(made, made, np.zeros((1, 1, 2)), np.zeros(1), np.array([False]), [{}])
+    for _ in range(20):
+        sides = buffer.sample(6).next_observations['room'][:, BOX].amax(dim=2).gt(0).sum(dim=1)
+        assert len(set(sides.tolist())) == 1
+
+
+def test_what_is_rewarded_is_learned(model):
+    """Half of the cells pay: soft actor-critic goes there though the map said nothing of it."""
+    rng = np.random.default_rng(0)
+    made = {name: value[None] for name, value in made_up(3).items()}
+    for _ in range(64):
+        cell = int(rng.choice(np.flatnonzero(made['choices'])))
+        pays = made['room'][0, 0].flat[cell] > 128
+        place = action_of(torch.tensor([cell])).numpy()[None]
+        model.replay_buffer.add(made, made, place, np.array([float(pays)]), np.array([True]),
+                                [{}])
+    seen = {name: torch.from_numpy(value) for name, value in made.items()}
+    good = (seen['room'][:, 0] > 128).flatten(1)
+
+    def paid():
+        with torch.no_grad():
+            return float((model.actor.action_log_prob(seen)[0] * good).sum())
+
+    model.set_logger(configure(None, []))
+    before = paid()
+    model.train(60, 16)
+    assert paid() > before + 0.2 and paid() > 0.75
+
+
+def test_the_environment_is_one(env):
+    check_env(env, warn=False)
+
+
+def test_an_episode_pays_what_its_turns_pay(env):
+    found, _ = env.reset(seed=3)
+    rewards, ends, rng, length = [], [], np.random.default_rng(0), 0
+    while not ends or not ends[-1]:
+        assert env.observation_space.contains(found)
+        cell = torch.tensor([int(rng.choice(np.flatnonzero(found['choices'])))])
+        found, reward, terminated, truncated, info = env.step(action_of(cell).numpy())
+        rewards.append(reward)
+        ends.append(truncated)
+        length += 1
+        assert not terminated
+    assert info['step'] == TURNS and length > TURNS
+    assert sum(reward != 0.0 for reward in rewards) <= TURNS
+    # Whoever goes where nobody may goes to the nearest place where one may.
+    found, _ = env.reset(seed=3)
+    env.step(np.full((1, 2), 5.0, np.float32))
+
+
+def test_who_explores_tells_what_it_read_and_drew(room):
+    config = PolicyNodeConfig(planner='learned', explore=True, max_step=1.0)
+    planner, learned = make_planner(config, Checkpoint(AGENT, network().state_dict()))
+    assert planner is learned and isinstance(planner, ExploringMap)
+    middle = np.append(room.bounds.mean(axis=0)[:2], 1.9)
+    positions = middle + np.array([[0.4, 0.1, 0.0], [-0.3, 0.5, 0.0], [0.1, -0.6, 0.0]])
+    expected = {name: (space.shape, space.dtype)
+                for name, space in encoded_space(AGENT, 1).spaces.items()}
+    for turn, count in ((0, 6), (1, 2)):
+        moves = planner.move(room.points, positions, turn, 30)
+        choices = planner.policy.take()
+        assert len(choices) == count
+        made = Experience(5, turn, positions + np.pad(moves, ((0, 0), (0, 1))), choices)
+        found = from_bytes(to_bytes(made), expected, None)
+        for one, other in zip(found.choices, choices, strict=True):
+            assert_same(one.observation, other.observation)
+            free = one.observation['choices'].ravel()
+            assert free[cell_of(torch.from_numpy(one.actions))].all()
+    newer = learned.policy.replaced(Checkpoint(AGENT, network(1).state_dict(), 1))
+    assert newer.take() == []
+    with pytest.raises(ExperienceError, match='found actions'):
+        from_bytes(to_bytes(made._replace(choices=[
+            Choice(choices[0].observation, np.zeros((2, 2), np.float32))])), expected, None)
+
+
+def test_the_last_choice_of_a_turn_gets_its_reward():
+    assembler = Assembler(last=True)
+    for stamp, count in ((1, 5), (2, 2)):
+        assembler.add_experience(Experience(stamp, stamp - 1, np.zeros((3, 3)), [
+            Choice({'n': (stamp, number)}, np.zeros((1, 2), np.float32))
+            for number in range(count)]))
+    assembler.add_positions(2, np.zeros((3, 3)))
+    found = assembler.add_reward(Reward(1, 2, 1, 0.6, (0.1, 0.2, 0.3), False))
+    assert [one.reward for one in found] == [0.0, 0.0, 0.0, 0.0, 0.6]
+    assert [one.next_observation['n'] for one in found] == [
+        (1, 1), (1, 2), (1, 3), (1, 4), (2, 0)]
+
+
+TINY = {'interactions': 24, 'environments': 1, 'workers': 1, 'evaluate_every': 12,
+        'updates_per_turn': 0.25, 'agent': {'inputs': 'map'},
+        'rooms': {'training': 2, 'validation': 1, 'test': 1, 'points': 1500, 'rotations': '0'},
+        'simulation': {'engine': {'preset': 'fast', 'error_rows': 16, 'coverage_cell': 1.0},
+                       'rig': {'cameras': 4}, 'episode': {'turns': TURNS}},
+        'values': {'rooms': 1, 'own_rooms': 0, 'steps': 2, 'own_steps': 0, 'batch_size': 2,
+                   'evaluate_every': 2},
+        'sac': {'learning_starts': 4, 'batch_size': 4, 'buffer_size': 100, 'device': 'cpu'}}
+
+
+def test_dense_values_then_soft_actor_critic_in_one_run(small, here, tmp_path):
+    first = train(from_nested(TrainingConfig, TINY), tmp_path, 'a command')
+    lines = records(tmp_path)
+    assert [line['phase'] for line in lines] == ['values', 'sac', 'sac']
+    assert [line['interactions'] for line in lines] == [0, 12, 24]
+    assert first.config == AGENT and {'policy', 'random_moves'} <= first.provenance['test'].keys()
+    longer = from_nested(TrainingConfig, {**TINY, 'interactions': 36})
+    again = train(longer, tmp_path, 'a command')
+    assert again.run == first.run
+    assert [line['interactions'] for line in records(tmp_path)] == [0, 12, 24, 36]
