@@ -25,6 +25,7 @@ def played(monkeypatch):
         error = episode.turns + (task.planner == 'greedy_step')
         return [{'depth_error': float(error), 'seconds_per_turn': 0.01}]
     monkeypatch.setattr(few_turns, 'run_task', play)
+    monkeypatch.setattr(few_turns, 'start_error', lambda protocol, room, rotation: 2.5)
     monkeypatch.setattr(few_turns, 'WorkerPool', Here)
     return done
 
@@ -40,6 +41,9 @@ def test_what_was_played_is_not_played_again(tmp_path, played):
         'greedy_step,lookahead --cameras 2 --truths 0')
     row = record['summary']['2x1']['greedy_step']
     assert (row['sum'], row['wins'], row['rooms']) == (3.0, 1, 1)
+    # The cameras began at 2.5 m.
+    assert {length: [planners[name]['worse'] for name in ('greedy_step', 'lookahead')]
+            for length, planners in record['summary'].items()} == {'2x1': [1, 0], '3x0.5': [1, 1]}
     # The best known is that of lookahead after two turns.
     assert record['summary']['3x0.5']['lookahead']['ratio_to_best'] == pytest.approx(1.5)
     del record['rooms']['8, 0']['errors']['3x0.5']['lookahead']

@@ -87,12 +87,13 @@ def fixed_views(model: PartialMap, sight: RigState | None) -> list[View]:
 
 
 def view_from(model: PartialMap, sight: RigState | None, camera: int,
-              position: np.ndarray) -> View:
-    """Compute what a camera would see at a position (3,), turned as it is."""
-    if sight is None or sight.lenses[camera] is None:
+              position: np.ndarray, heading: np.ndarray | None = None) -> View:
+    """Compute what a camera would see at a position (3,), turned by a heading (3,) or as it is."""
+    lens = None if sight is None else sight.lenses[camera]
+    if lens is None:
         return model.look(position)
-    row = np.concatenate([position, sight.placement[camera, 3:]])
-    return model.look(row, sight.lenses[camera])
+    turned = sight.placement[camera, 3:] if heading is None else heading
+    return model.look(np.concatenate([position, turned]), lens)
 
 
 def remember(memory: LookHistory, positions: np.ndarray, sight: RigState | None) -> None:

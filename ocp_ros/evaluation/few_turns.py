@@ -26,7 +26,7 @@ from rich.progress import track
 from rich.table import Table
 
 from ocp_ros.evaluation.paired import pair
-from ocp_ros.evaluation.protocol import BenchmarkTask, Protocol, run_task, TRUTH
+from ocp_ros.evaluation.protocol import BenchmarkTask, Protocol, run_task, start_error, TRUTH
 from ocp_ros.scenes.splits import SETS
 from ocp_ros.simulation.simulation_config import EpisodeConfig
 from ocp_ros.util.files import write_atomically
@@ -64,7 +64,8 @@ class RoomTask(NamedTuple):
     def lacks(self, protocol: Protocol, lengths: Sequence[tuple[int, float]]) -> bool:
         """Tell whether anything is left to be played."""
         errors = self.known.get('errors', {})
-        return bool(protocol.truths and 'truth' not in self.known) or any(
+        return bool(protocol.truths and 'truth' not in self.known) or (
+            'start' not in self.known and not protocol.simulation.rig_file) or any(
             planner not in errors.get(named(*length), {})
             for length in lengths for planner in protocol.planners)
 
@@ -76,13 +77,15 @@ def play_room(protocol: Protocol, lengths: Sequence[tuple[int, float]], task: Ro
 
     :param task: the room; what is known of it is not played again.
     :returns: ``errors``, depth errors in metres by length and planner; ``ms``, milliseconds a turn
-        in the median; ``truth``, metres, where the searches with the truth end; none of these
-        where there are none.
+        in the median; ``truth``, metres, where the searches with the truth end, unless there are
+        none; ``start``, metres, where the cameras begin, unless they are those of a rig file.
     """
     found: dict[str, Any] = {'errors': {}, 'ms': {}} | task.known
     if protocol.truths and 'truth' not in found:
         found['truth'] = min(row['depth_error'] for row in run_task(
             protocol, BenchmarkTask(task.room, task.rotation, TRUTH)))
+    if 'start' not in found and not protocol.simulation.rig_file:
+        found['start'] = start_error(protocol, task.room, task.rotation)
     for turns, metres in lengths:
         episode = replace(protocol.simulation.episode, turns=turns, max_step=metres)
         played = replace(protocol, simulation=replace(protocol.simulation, episode=episode))
@@ -104,18 +107,21 @@ def summed(rooms: dict[str, dict[str, Any]], first: str) -> dict[str, dict[str, 
     :param rooms: of :func:`play_room`, by name.
     :param first: the planner that others are compared with.
     :returns: by length and planner: ``sum`` of depth errors, metres; ``ratio``, that sum / the one
-        of the best known placements; ``ms`` a turn; and the paired comparison with the first, see
+        of the best known placements; ``worse``, the rooms in which it ends worse than it began;
+        ``ms`` a turn; and the paired comparison with the first, see
         :func:`~ocp_ros.evaluation.paired.pair`.
     """
     found = list(rooms.values())
     best = sum(min([room.get('truth', np.inf), *(
         error for errors in room['errors'].values() for error in errors.values())])
         for room in found)
+    starts = np.array([room.get('start', np.inf) for room in found])
     result: dict[str, dict[str, Any]] = {}
     for length, planners in found[0]['errors'].items():
         own = np.array([room['errors'][length][first] for room in found])
         result[length] = {planner: {
             **pair(own, errors), 'ratio_to_best': float(errors.sum()) / best,
+            'worse': int(np.count_nonzero(errors > starts)),
             'ms': _median([room['ms'][length].get(planner) for room in found])}
             for planner in planners
             for errors in [np.array([room['errors'][length][planner] for room in found])]}
@@ -130,11 +136,12 @@ def _median(times: list[float | None]) -> float | None:
 
 def show(result: dict[str, dict[str, Any]], first: str) -> None:
     """Print a table."""
-    table = Table('turns', 'planner', 'sum (m)', 'to best', 'ms a turn', f'{first} better in',
-                  'its error : theirs', 'p')
+    table = Table('turns', 'planner', 'sum (m)', 'to best', 'worse than at first', 'ms a turn',
+                  f'{first} better in', 'its error : theirs', 'p')
     for length, planners in result.items():
         for planner, row in planners.items():
             table.add_row(length, planner, f'{row["sum"]:.1f}', f'{row["ratio_to_best"]:.2f}',
+                          str(row['worse']),
                           '' if row['ms'] is None else f'{row["ms"]:.0f}',
                           f'{row["wins"]} of {row["rooms"]}',
                           f'{row["ratio"]:.3f}', '' if row['p'] is None else f'{row["p"]:.1e}')

@@ -18,7 +18,7 @@ import numpy as np
 
 from ocp_ros.agent.move_effects import cell_weight
 from ocp_ros.agent.partial_map import KeptModel, LookHistory, PartialMap
-from ocp_ros.agent.rig_state import AROUND, clearance_of, fixed_views, remember
+from ocp_ros.agent.rig_state import AROUND, clearance_of, fixed_views, remember, view_from
 from ocp_ros.geometry.visibility import FINE
 from ocp_ros.planners.annealing import accepted, between
 from ocp_ros.planners.candidate_sites import Candidates, most_places, Sites
@@ -168,8 +168,8 @@ class Lookahead(Online):
         (model, space), first = self._kept.made, REFINING * turns
         placed = best = self.towards(positions, space.inside(self._plan), turns - turn)
         headings = best_headings = self._planned_headings()
-        views = [self._view(model, MoveTrial(camera, position, None if headings is None
-                                             else headings[camera]))
+        views = [view_from(model, self.sight, camera, position,
+                           None if headings is None else headings[camera])
                  for camera, position in enumerate(space.placement(placed))]
         fixed = self._fixed(model)
         error = best_error = model.error(views + fixed)
@@ -178,7 +178,7 @@ class Lookahead(Online):
             temperature = max(best_error, LEAST) * between(WARM, COOL, share)
             trials = [self._trial(positions, placed, headings, space, share, turns - turn)
                       for _ in range(TOGETHER)]
-            looks = mapped(lambda trial, model=model: self._view(model, trial), trials)
+            looks = mapped(lambda trial, model=model: view_from(model, self.sight, *trial), trials)
             for (camera, position, heading), view in zip(trials, looks):
                 trial_views = [*views[:camera], view, *views[camera + 1:]]
                 trial_error = model.error(trial_views + fixed)
@@ -231,10 +231,3 @@ class Lookahead(Online):
         turned[:2] += self.rng.normal(0.0, most, 2)
         turned[1] = np.clip(turned[1], *self.sight.pitch)
         return turned
-
-    def _view(self, model: PartialMap, trial: MoveTrial) -> View:
-        """Compute what a camera would see."""
-        if trial.heading is None:
-            return model.look(trial.position)
-        return model.look(np.concatenate([trial.position, trial.heading]),
-                          self.sight.models[trial.camera].lens)

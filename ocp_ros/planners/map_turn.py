@@ -39,11 +39,6 @@ class MapTurn:
         self._fixed = fixed_views(model, sight)
         self._views = [self.look(camera, row[None])[0] for camera, row in enumerate(plan)]
 
-    @property
-    def directional(self) -> bool:
-        """Return whether a camera is known not to see all around."""
-        return self._sight is not None and bool(self._sight.aimed)
-
     def beside(self, camera: int) -> list[View]:
         """Return what all others see, those in place included, from where they go."""
         return [view for k, view in enumerate(self._views) if k != camera] + self._fixed
@@ -112,7 +107,7 @@ class MapTurn:
 
     def look(self, camera: int, rows: np.ndarray) -> list[View]:
         """Compute what a camera would see from rows (M, 6); those of a place are in a row."""
-        lens = self._sight.lenses[camera] if self.directional else None
+        lens = None if self._sight is None else self._sight.lenses[camera]
         if lens is None:
             return [self.model.look(row[:3]) for row in rows]
         ends = np.flatnonzero(np.any(np.diff(rows[:, :3], axis=0), axis=1)) + 1

@@ -359,10 +359,13 @@ def _report_values(run: ValueRun, command: str) -> Checkpoint:
 
 def _model(config: TrainingConfig, folder: Path, start: Checkpoint | None) -> RigSac:
     """Build SAC; its actor may start from given weights."""
-    steps = max(round(config.updates_per_turn * config.environments), 1)
+    # Of all environments together; less than one means to wait for more of them.
+    steps = config.updates_per_turn * config.environments
     cameras = 1 if config.agent.one_by_one else config.simulation.rig.cameras
     model = make_sac(config.sac, config.agent, cameras, seed=config.seed,
-                     environments=config.environments, train_freq=1, gradient_steps=steps,
+                     environments=config.environments,
+                     train_freq=1 if steps == 0.0 else max(round(1.0 / steps), 1),
+                     gradient_steps=max(round(steps), 1) if steps else 0,
                      tensorboard=str(folder / 'tensorboard'), **_replay(config))
     model.set_logger(configure(str(folder / 'tensorboard'), ['tensorboard']))
     if start is not None:
