@@ -14,19 +14,15 @@ pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray, Quaternion
+from live_rig import BODY, CAMERAS, episode_in, HEADINGS, MAP, OPTICAL, Rig, S
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.logging import get_logger
-from rclpy.node import Node
 from rclpy.qos import qos_check_compatible, QoSCompatibility
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ocp_ros.geometry.cameras import rotation_matrix
-from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.geometry.packed_bits import Subset
-from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import (
     cloud_to_msg,
@@ -41,99 +37,12 @@ from ocp_ros.ros.policy.instructions import FINAL, instructions, STAY
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.runtime import diagnostics
-from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.problem import PlaneProblem
-from ocp_ros.simulation.simulation_config import SimulationConfig
-from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.settings import ConfigurationError
-
-S = 1_000_000_000
-CAMERAS = 3
-HEADINGS = np.array([[0.4, 0.1, 0.0], [-2.0, -0.2, 0.1], [3.0, 0.0, -0.3]])
-#: Frames that clouds come in.
-BODY, OPTICAL, MAP = 'camera_{}', 'camera_{}_optical', 'map'
-#: What a driver has to say where it sees nothing.
-NO_RETURN = np.array([[0.0, 0.0, 0.0], [np.nan, 1.0, 1.0], [9.0, 0.0, 0.0]])
-
-
-class Rig(Node):
-    """
-    Cameras in a simulated room: they send what they see and where they are, and go where told.
-
-    :param episode: its cameras are turned as ``HEADINGS`` have it.
-    :param frames: of the cameras' clouds.
-    """
-
-    def __init__(self, episode, frames, **kwargs):
-        super().__init__('rig', **kwargs)
-        self.episode, self.frames = episode, [f.format(k) for k, f in enumerate(frames)]
-        self.stamp, self.obeys, self.silent = 1000 * S, True, set()
-        #: Metres: standard deviation of what is said of where the cameras are.
-        self.noise, self.rng = 0.0, np.random.default_rng(3)
-        self.spoil = {}
-        self.commands, self.target = [], None
-        self._poses = self.create_publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
-        # Drivers come with any profile.
-        self._clouds = [self.create_publisher(
-            PointCloud2, f'points_{k}', (qos.LOOP, qos.SENSOR, qos.LATCHED)[k])
-            for k in range(len(frames))]
-        self.create_subscription(PoseArray, topics.CAMERA_COMMANDS, self._on_command, qos.LOOP)
-        self.create_timer(0.02, self.send)
-
-    @property
-    def positions(self):
-        """Return where the cameras are."""
-        return self.episode.turn.positions
-
-    @property
-    def turns(self):
-        """Return how many turns have been commanded; a command may come again."""
-        return len({stamp_to_ns(message.header.stamp) for message in self.commands})
-
-    def _on_command(self, message):
-        """Go where the cameras shall go, unless somebody else moves them."""
-        self.commands.append(message)
-        self.target = msg_to_positions(message)
-        if self.obeys:
-            self.go()
-
-    def go(self):
-        """Carry out the latest command."""
-        self.episode.move((self.target - self.positions)[:, :2])
-        self.send()
-
-    def send(self):
-        """Send where the cameras are and what they see."""
-        self.stamp += 20_000_000
-        header = Header(stamp=ns_to_stamp(self.stamp), frame_id='map')
-        measured = self.positions + self.rng.normal(0.0, self.noise, self.positions.shape)
-        headings = HEADINGS + self.rng.normal(0.0, 0.3 * self.noise, HEADINGS.shape)
-        self._poses.publish(positions_to_msg(measured, header, headings))
-        for camera in set(range(len(self.frames))) - self.silent:
-            message = self.cloud(camera)
-            self.spoil.get(camera, lambda message: None)(message)
-            self._clouds[camera].publish(message)
-
-    def cloud(self, camera):
-        """Return what a camera sees, in its frame."""
-        simulator = self.episode.simulator
-        seen = simulator.look(self.positions[camera], camera).seen
-        points = simulator.scene.points[Subset(seen, simulator.visibility.order).mask]
-        header = Header(stamp=ns_to_stamp(self.stamp), frame_id=self.frames[camera])
-        if self.frames[camera] == MAP:
-            return cloud_to_msg(points, header)
-        points = (points - self.positions[camera]) @ rotation_matrix(*HEADINGS[camera])
-        points = np.concatenate([points, NO_RETURN])
-        if self.frames[camera].endswith('optical'):
-            points = np.stack([-points[:, 1], -points[:, 2], points[:, 0]], axis=1)
-        return cloud_to_msg(points, header)
 
 
 @pytest.fixture
 def live(graph, probe, room):
     """Return what starts a rig and a node, which is in a hurry, and records what it says."""
-    config = SimulationConfig(rig=RigConfig(cameras=CAMERAS), engine=EngineConfig(
-        preset='fast', error_rows=32, coverage_cell=0.5))
     probe.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
     probe.listen(PointCloud2, topics.OBSERVATION, qos.LOOP)
     for kind, topic in ((PoseArray, topics.PLACEMENT), (String, topics.INSTRUCTIONS),
@@ -141,9 +50,8 @@ def live(graph, probe, room):
         probe.listen(kind, topic, qos.LATCHED)
 
     def start(frames=(BODY, OPTICAL, MAP), **parameters):
-        episode = Episode(PlaneProblem(Simulator(room, config)), np.random.default_rng(0))
         probe.rig = graph.add(lambda **kwargs: Rig(
-            episode, frames, **{**kwargs, 'parameter_overrides': []}))
+            episode_in(room), frames, **{**kwargs, 'parameter_overrides': []}))
         probe.policy = graph.add(PolicyNode, **{
             'cloud_topics': ', '.join(f'points_{k}' for k in range(len(frames))),
             'arrival_timeout': HUNG, 'cloud_timeout': HUNG, 'voxel_size': 0.001, **parameters})

@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
 
 from std_msgs.msg import Header
-from system import soak, soak_watch
+from system import hold_soak, soak, soak_watch
 
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.demo.node_processes import grown
@@ -33,6 +33,15 @@ def test_the_loop_goes_on_whichever_node_is_killed_and_no_file_is_torn(tmp_path,
     # Who was killed has gone on from what it had saved, if anything.
     if (tmp_path / 'soak_trainer' / ACTOR).exists():
         assert Checkpoint.load(tmp_path / 'soak_trainer' / ACTOR).updates > 0
+
+
+@pytest.mark.system
+def test_a_placement_is_held_while_poses_are_noisy_and_clocks_jump(tmp_path, capsys):
+    command = ['--out', str(tmp_path), '--minutes', '0.6', '--noise', '0.03']
+    assert hold_soak.main(command) == 0, capsys.readouterr().err
+    result = json.loads((tmp_path / 'hold_soak.json').read_text())
+    assert all(result['faults_made'].values()) and result['commands'] > 10
+    assert result['worst_m'] < 1e-3 and result['off_m'] < 1e-3
 
 
 def test_a_torn_file_is_noticed(tmp_path, small_agent):
