@@ -162,6 +162,8 @@ class Learner:
             except queue.Full:
                 continue
         self._thread.join()
+        # What is still in its memory is to be in its files.
+        self.model.logger.close()
         if self.failure is None:
             self.log.save()
             if self.updates > self._first_update:

@@ -17,6 +17,7 @@ import logging
 import os
 import signal
 import sys
+from types import FrameType
 
 import rclpy
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
@@ -42,6 +43,8 @@ LOOK = 0.1
 PATIENCE = 3.0
 #: ``PR_SET_PDEATHSIG`` of prctl(2).
 DEATH_SIGNAL = 1
+#: Packages that make kernels.
+COMPILERS = ('numba', 'llvmlite')
 #: What rclpy raises where it cannot read its arguments, or cannot start.
 REFUSALS = (rclpy_implementation.RCLError, rclpy_implementation.RCLInvalidROSArgsError)
 #: What a user can put right: told in one sentence, exit code 2.
@@ -94,9 +97,21 @@ def end_with_parent() -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
+def compiling(frame: FrameType | None) -> bool:
+    """Tell whether a frame is of the compiler, or called by it: errors would be its end."""
+    while frame is not None:
+        if str(frame.f_globals.get('__name__')).partition('.')[0] in COMPILERS:
+            return True
+        frame = frame.f_back
+    return False
+
+
 def interrupt_on_signals() -> list[int]:
     """
     Raise KeyboardInterrupt at the first signal that ends a node, and ignore those that follow.
+
+    While kernels are compiled or read, nothing is raised: native code that calls Python back would
+    go on with what is not there. Whoever spins looks for the signal.
 
     :returns: a list that gets the number of that signal.
     """
@@ -106,7 +121,8 @@ def interrupt_on_signals() -> list[int]:
         # What is saved from here on must not be lost to a second Ctrl-C.
         ignore_signals()
         received.append(number)
-        raise KeyboardInterrupt
+        if not compiling(frame):
+            raise KeyboardInterrupt
 
     for number in ENDING:
         # nohup ignores SIGHUP before a node starts, and so it stays.
