@@ -48,7 +48,7 @@ class PlanTask:
     """
     What is asked of a search.
 
-    :ivar planner: one of :data:`~ocp_ros.planners.rig_methods.PLANNERS`.
+    :ivar planner: one of :func:`~ocp_ros.planners.rig_methods.planner_names`.
     :ivar seconds: of search for each number of cameras; 60, or 15 where cameras are counted,
         unless evaluations are given.
     :ivar evaluations: judge so many placements; the same seed finds the same answer.
