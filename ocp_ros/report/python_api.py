@@ -29,13 +29,21 @@ from ocp_ros.rig.schemas import PLACEMENT, RIG
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_files import scene_of
 from ocp_ros.scenes.scene_source import room_named, ROOM_POINTS, sha256_of
-from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.util.settings import (
+    check_positive,
+    check_whole,
+    ConfigurationError,
+    LARGEST_SEED,
+    MOST_CAMERAS,
+)
 from ocp_ros.util.yaml_files import check, Document
 
 RoomLike: TypeAlias = str | PathLike[str] | int | Scene | ArrayLike
 RigLike: TypeAlias = str | PathLike[str] | Mapping[str, Any] | Rig
 #: What counting cameras goes by, and the number that asks for it.
 BY, AUTO = ('error', 'seen', 'coverage'), 'auto'
+#: As placement files have it.
+FEWEST_POINTS = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,8 +143,13 @@ def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | Non
         :func:`~ocp_ros.scenes.scene_files.load_scene`.
     :raises UserError: if the room, the rig or an argument cannot be used, in one sentence.
     """
-    _check_numbers(seconds=seconds, evaluations=evaluations, seed=seed)
-    counting = _counting(target, by, most) if cameras == AUTO else None
+    check_positive('seconds', seconds)
+    check_whole('evaluations', evaluations)
+    check_whole('seed', seed, 0, LARGEST_SEED)
+    if progress is not None and not callable(progress):
+        raise ConfigurationError(f'progress: found {progress!r}; expected a function')
+    auto = isinstance(cameras, str) and cameras == AUTO
+    counting = _counting(target, by, most) if auto else None
     task = PlanTask(planner, seconds, evaluations, seed, counting)
     asked = _rig(rig, cameras, sensor)
     scene, record = _room(room, points, reading)
@@ -184,6 +197,7 @@ def _scored(judged: Assessment) -> dict[str, Any]:
 
 def _room(room: RoomLike, points: int, reading: dict[str, Any]) -> tuple[Scene, dict[str, Any]]:
     """Return a room, and which it is as placement files say it."""
+    check_whole('points', points, FEWEST_POINTS)
     for key in reading:
         if key not in ('scale', 'up', 'drop_nonfinite'):
             raise ConfigurationError(f'{key}: found an argument that is not known; expected '
@@ -196,6 +210,9 @@ def _room(room: RoomLike, points: int, reading: dict[str, Any]) -> tuple[Scene, 
         return room_named(str(room), points)
     if isinstance(room, (str, PathLike)):
         return room_named(fspath(room), points, **reading)
+    if room is None or isinstance(room, (bool, int, float)):
+        raise ConfigurationError(f'room: found {room!r}; expected the path of a scan, a seed of 0 '
+                                 'or more, (N, 3) points or a Scene')
     scene = room if isinstance(room, Scene) else scene_of(room, max_points=points, **reading)
     record: dict[str, Any] = {'sha256': sha256_of(scene)}
     if not scene.source.is_map:
@@ -205,8 +222,10 @@ def _room(room: RoomLike, points: int, reading: dict[str, Any]) -> tuple[Scene, 
 
 def _rig(rig: RigLike | None, cameras: int | str | None, sensor: str) -> Rig:
     """Return a rig with so many cameras; ``'auto'`` is for whoever counts them."""
-    _check_cameras(cameras)
-    count = None if cameras == AUTO else cameras
+    counted = isinstance(cameras, str) and cameras == AUTO
+    if not counted:
+        check_whole('cameras', cameras, 1, MOST_CAMERAS)
+    count = None if counted else cameras
     if rig is None:
         return rig_of(int(count or CAMERAS), sensor)
     if sensor != OMNIDIRECTIONAL:
@@ -269,31 +288,8 @@ def _counting(target: float, by: str, most: int) -> Counting:
     """Return what tells that there are enough cameras."""
     if by not in BY:
         raise ConfigurationError(f'by: found {by!r}; expected one of {", ".join(BY)}')
-    if isinstance(target, bool) or not isinstance(target, (int, float)) or not 0 < target <= 1:
-        raise ConfigurationError(f'target: found {target!r}; expected a share above 0, at most 1')
-    _check_numbers(most=most)
+    check_positive('target', target)
+    if target > 1.0:
+        raise ConfigurationError(f'target: found {target}; expected a share of at most 1')
+    check_whole('most', most, 1, MOST_CAMERAS)
     return Counting(float(target), by, most)
-
-
-def _check_cameras(cameras: Any) -> None:
-    """Refuse what is no number of cameras."""
-    if cameras is None or cameras == AUTO:
-        return
-    if isinstance(cameras, bool) or not isinstance(cameras, (int, np.integer)) or cameras < 1:
-        raise ConfigurationError(f'cameras: found {cameras!r}; expected a number above 0, or '
-                                 f'{AUTO!r} to count them')
-
-
-def _check_numbers(**numbers: Any) -> None:
-    """Refuse what is no time, number of evaluations or seed."""
-    for name, value in numbers.items():
-        if value is None:
-            continue
-        kinds = (int, float, np.number) if name == 'seconds' else (int, np.integer)
-        least = 0 if name == 'seed' else 1
-        usable = isinstance(value, kinds) and not isinstance(value, bool) and (
-            0.0 < value < np.inf if name == 'seconds' else value >= least)
-        if not usable:
-            raise ConfigurationError(
-                f'{name}: found {value!r}; expected '
-                + ('seconds above 0' if name == 'seconds' else f'a whole number from {least} on'))
