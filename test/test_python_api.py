@@ -142,9 +142,9 @@ def test_a_planner_of_another_package_is_in_every_command(files, plugin):
          '--json'], env=plugin, capture_output=True, text=True, timeout=200)
     assert json.loads(done.stdout)['search']['planner'] == 'few'
     warned = [line for line in done.stderr.splitlines() if line.startswith('planner lost')]
-    assert warned == ["planner lost: found the entry point few_planner:Lost of few, which cannot "
-                      "be used (AttributeError: module 'few_planner' has no attribute 'Lost'); "
-                      'going on without it; mend or remove that package']
+    assert len(warned) == 1 and warned[0].startswith(
+        'planner lost: found the entry point few_planner:Lost of few, which cannot be used '
+        '(AttributeError: ')
     done = subprocess.run(
         [*ocp, 'evaluate', '--rooms', 'room.ply', '--planners', 'few,random', '--budgets', '8',
          '--workers', '1', '--json'], env=plugin, capture_output=True, text=True, timeout=200)

@@ -184,8 +184,9 @@ class Simulator:
         """
         placement = self._checked(placement, 'placement', 2)
         if len(placement) > len(self._lenses) > 1:
-            raise ConfigurationError(f'placement: found {len(placement)} cameras; expected at most '
-                             f'{len(self._lenses)}, one for each camera of the rig')
+            raise ConfigurationError(
+                f'placement: found {len(placement)} cameras; expected at most '
+                f'{len(self._lenses)}, one for each camera of the rig')
         return self.judge([self.look(pose, camera) for camera, pose in enumerate(placement)])
 
     @staticmethod
@@ -196,8 +197,8 @@ class Simulator:
         try:
             found = np.asarray(poses, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise ConfigurationError(f'{name}: found {type(poses).__name__} that is no array of numbers; '
-                             f'{expected}') from error
+            raise ConfigurationError(f'{name}: found {type(poses).__name__} that is no array of '
+                                     f'numbers; {expected}') from error
         if found.ndim != dimensions or found.shape[-1] not in (3, 6) or not found.shape[-2]:
             raise ConfigurationError(f'{name}: found an array of shape {found.shape}; {expected}')
         if not np.isfinite(found).all():
