@@ -85,7 +85,7 @@ def test_plan_and_score_say_what_the_commands_say(files, capsys):
 def test_rooms_and_rigs_come_in_many_forms(files):
     scene, poses = load_scene('room.ply'), [[2.0, 2.0, 1.9], [4.0, 5.0, 1.9]]
     (files / 'rig.yaml').write_text('cameras: [{sensor: kinect_v2, count: 2}]\n')
-    rigs = ['rig.yaml', files / 'rig.yaml', load_rig('rig.yaml'), rig_of(2, 'kinect'),
+    rigs = ['rig.yaml', files / 'rig.yaml', load_rig('rig.yaml'), rig_of(2, 'kinect_v2'),
             {'cameras': [{'sensor': 'kinect_v2', 'count': 2}]}]
     losses = {ocp_ros.score(room, poses, rig).loss
               for rig in rigs[:3] for room in ('room.ply', scene)}
