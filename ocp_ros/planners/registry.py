@@ -163,10 +163,14 @@ def register_planner(name: str, planner: type[Planner] | type[Online]) -> None:
         raise ConfigurationError(
             f'planner {name}: found {printable(repr(planner))}; expected a class that is derived '
             'from Planner (offline) or Online and has all their methods; see docs/planners.md')
-    if kinds[0] is Planner:
+    if issubclass(planner, Planner):
         OFFLINE[name] = planner
-    else:
-        ONLINE[name] = lambda config, rng, model='': planner(*settings_of(config, rng))
+        return
+
+    def online(config: SimulationConfig, rng: np.random.Generator, model: str = '') -> Online:
+        return planner(*settings_of(config, rng))
+
+    ONLINE[name] = online
 
 
 def _load_plugins() -> None:
