@@ -18,8 +18,9 @@ import pytest
 import ocp_ros
 from ocp_ros.cli.main import main
 from ocp_ros.planners.budget import Budget
+from ocp_ros.planners.online_planner import Online
 from ocp_ros.planners.planner import Planner
-from ocp_ros.planners.registry import OFFLINE, register_planner
+from ocp_ros.planners.registry import OFFLINE, ONLINE, register_planner
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.rig_file import load_rig, rig_of
 from ocp_ros.scenes.scene_files import load_scene, save_scene
@@ -165,6 +166,20 @@ def test_what_is_no_planner_is_not_registered(name, planner, message):
     with pytest.raises(ocp_ros.UserError, match=message):
         register_planner(name, planner)
     assert known == OFFLINE
+
+
+def test_an_online_planner_of_ones_own_plays(room, monkeypatch):
+    class Still(Online):
+        def move(self, cloud, positions, turn, turns):
+            return np.zeros((len(positions), 2))
+
+    monkeypatch.setitem(ONLINE, 'still', None)
+    del ONLINE['still']
+    register_planner('still', Still)
+    plan = ocp_ros.plan(room, cameras=2, planner='still', evaluations=3)
+    assert plan.planner == 'still' and plan.evaluations == 3 and '3 turns' in str(plan)
+    with pytest.raises(ocp_ros.UserError, match='moves the cameras there are'):
+        ocp_ros.plan(room, cameras='auto', planner='still', evaluations=3)
 
 
 WRONG = {
