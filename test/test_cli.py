@@ -141,7 +141,7 @@ def test_ctrl_c_ends_quietly_whatever_is_going_on(files, capsys, monkeypatch):
     def stop(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr('ocp_ros.cli.score_command.make_room', stop)
+    monkeypatch.setattr('ocp_ros.scenes.scene_source.make_room', stop)
     assert cli.main(['score', 'room.ply', 'placement.yaml']) == 130
     assert capsys.readouterr() == ('', '')
 

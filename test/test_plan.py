@@ -419,7 +419,7 @@ def test_ctrl_c_while_drawing_leaves_the_placement(files, capsys, monkeypatch):
     def stop(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr('ocp_ros.cli.plan_command.verdict', stop)
+    monkeypatch.setattr('ocp_ros.report.rig_planning.verdict', stop)
     assert main(['plan', 'room.ply', '--cameras', '2', '--evaluations', '20']) == 130
     assert capsys.readouterr().err == (
         'ocp: stopped; where the cameras hang is in out/plan/placement.yaml\n')

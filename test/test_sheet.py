@@ -16,15 +16,16 @@ from matplotlib.text import Text
 import numpy as np
 import pytest
 
-from ocp_ros.cli.score_command import judge, room_named
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.report import sheet
+from ocp_ros.report.assessment import judge
 from ocp_ros.report.drawing import assessment_pictures, floor_plan, fonts
 from ocp_ros.report.drawing.camera_labels import apart
 from ocp_ros.report.drawing.figure_table import shortened, width_of
 from ocp_ros.report.key_figures import metres
 from ocp_ros.rig.placement_file import placement_of
 from ocp_ros.rig.rig_file import rig_from, rig_of
+from ocp_ros.scenes.scene_source import room_named
 from ocp_ros.util.yaml_files import Document
 
 LONG = 'the camera over the door to the storage room, left of the $ sign of the bank'

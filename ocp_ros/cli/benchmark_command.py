@@ -25,7 +25,7 @@ from ocp_ros.evaluation.protocol import PRESETS, Protocol
 from ocp_ros.evaluation.summary import summarise
 from ocp_ros.evaluation.task_runner import run
 from ocp_ros.planners.registry import OFFLINE, ONLINE
-from ocp_ros.planners.rig_methods import PLANNERS
+from ocp_ros.planners.rig_methods import planner_names
 from ocp_ros.report.benchmark_report import (
     budget_named,
     budgets_of,
@@ -69,7 +69,8 @@ def protocol_of(arguments: argparse.Namespace) -> Protocol:
         load_rig(arguments.rig)
         # Zones and cameras in place have coordinates of the room as it is.
         simulation = replace(PRESETS[arguments.preset].simulation, rig_file=str(arguments.rig))
-        changes = {'planners': PLANNERS, 'rotations': (0.0,), **changes, 'simulation': simulation}
+        changes = {'planners': planner_names(), 'rotations': (0.0,), **changes,
+                   'simulation': simulation}
     protocol = replace(PRESETS[arguments.preset], **changes)
     if arguments.rooms is not None:
         rooms = rooms_in(arguments.rooms, protocol.scale, protocol.up)

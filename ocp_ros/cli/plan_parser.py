@@ -39,8 +39,8 @@ def _plan(arguments: argparse.Namespace) -> Found:
 
 def _show(found: Found) -> None:
     """Print a plan."""
-    from ocp_ros.cli.plan_command import show_plan
-    show_plan(found)
+    from ocp_ros.cli.plan_command import show
+    show(found)
 
 
 def add_plan(commands: Commands) -> None:

@@ -7,7 +7,8 @@ import sys
 from typing import Any
 import webbrowser
 
-from ocp_ros.cli.score_command import judge, room_and_placement, room_asked
+from ocp_ros.cli.score_command import room_and_placement, room_asked
+from ocp_ros.report.assessment import judge
 from ocp_ros.report.viewer import write_view
 from ocp_ros.util.own_files import note_own
 from ocp_ros.util.settings import ConfigurationError

@@ -11,7 +11,7 @@ what the engine promised.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from itertools import product
 import time
 from typing import Any
@@ -34,7 +34,7 @@ from ocp_ros.planners.exact import exact_plane
 from ocp_ros.planners.finishing import search_and_finish
 from ocp_ros.planners.greedy import GreedySwap
 from ocp_ros.planners.registry import OFFLINE, ONLINE
-from ocp_ros.planners.rig_methods import PLANNERS, RIG_SEARCH
+from ocp_ros.planners.rig_methods import planner_names, RIG_SEARCH
 from ocp_ros.planners.rig_plan import RigPlanner
 from ocp_ros.planners.rollout import play
 from ocp_ros.planners.scorer import Scorer
@@ -90,7 +90,7 @@ class Protocol:
 
     rooms: tuple[str, ...] = tuple(str(seed) for seed in TEST_ROOMS)
     rotations: tuple[float, ...] = ROTATIONS
-    planners: tuple[str, ...] = (*OFFLINE, *ONLINE)
+    planners: tuple[str, ...] = field(default_factory=lambda: (*OFFLINE, *ONLINE))
     budgets: tuple[int, ...] = (100, 1000, 10000)
     seeds: int = 3
     scale: float = 1.0
@@ -106,7 +106,7 @@ class Protocol:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be compared."""
-        known = PLANNERS if self.simulation.rig_file else {**OFFLINE, **ONLINE}
+        known = planner_names() if self.simulation.rig_file else (*OFFLINE, *ONLINE)
         for name in self.planners:
             if name not in known:
                 raise ConfigurationError(f'planners: found {name!r}; expected some of '

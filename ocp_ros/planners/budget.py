@@ -6,6 +6,8 @@ from collections.abc import Callable
 from threading import Event
 import time
 
+from ocp_ros.util.settings import check_positive, check_whole, ConfigurationError
+
 
 class Budget:
     """
@@ -15,12 +17,16 @@ class Budget:
     :param evaluations: the most placements to judge; with it and without seconds the same seed
         finds the same answer.
     :param clock: tells the seconds.
+    :raises ConfigurationError: if there is no limit, or one that is not above 0.
     """
 
     def __init__(self, seconds: float | None = None, evaluations: int | None = None,
                  clock: Callable[[], float] = time.monotonic) -> None:
         if seconds is None and evaluations is None:
-            raise ValueError('budget: found no limit; expected seconds, evaluations or both')
+            raise ConfigurationError(
+                'budget: found no limit; expected seconds, evaluations or both')
+        check_positive('seconds', seconds)
+        check_whole('evaluations', evaluations)
         self.seconds, self.evaluations = seconds, evaluations
         self._clock, self._began = clock, clock()
         self._stopped = Event()

@@ -4,10 +4,16 @@
 All planners by their names.
 
 ``OFFLINE`` ones are given a scan and a budget of evaluations, ``ONLINE`` ones a rig, turns and
-what the rig has seen.
+what the rig has seen. Those of other packages are in the same tables: a package names its classes
+as entry points of the group ``ocp_ros.planners``, which are loaded with this module, here and in
+each worker; a program adds its own by :func:`register_planner`.
 """
 
 from collections.abc import Callable
+from importlib.metadata import entry_points
+import logging
+from multiprocessing import parent_process
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +32,8 @@ from ocp_ros.planners.planner import Planner
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.util.resources import DEFAULT_MODEL, find_model
+from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.util.shown_text import printable
 
 if TYPE_CHECKING:
     from ocp_ros.agent.policy import Policy
@@ -33,6 +41,11 @@ if TYPE_CHECKING:
 
 #: The weights of ``learned_paper``.
 PAPER = 'paper'
+#: Entry points of packages that bring planners, and names that mean something else.
+GROUP = 'ocp_ros.planners'
+TAKEN = ('rig_search', 'exact', 'random_placement', 'truth_search', 'exact_plane')
+
+_log = logging.getLogger(__name__)
 
 
 def settings_of(config: SimulationConfig, rng: np.random.Generator) -> tuple:
@@ -125,3 +138,54 @@ ONLINE: dict[str, Callable[..., Online]] = {
     'lookahead': _lookahead,
     'learned_lookahead': _learned_lookahead,
 }
+
+
+def register_planner(name: str, planner: type[Planner] | type[Online]) -> None:
+    """
+    Add a planner under a name that commands and calls know it by.
+
+    It is known in this process alone; worker processes find those of entry points.
+
+    :param name: letters, digits and _; no other planner has it.
+    :param planner: a subclass of :class:`~ocp_ros.planners.planner.Planner` or of
+        :class:`~ocp_ros.planners.online_planner.Online` that is made with the same arguments.
+    :raises ConfigurationError: if the name is taken or none, or the class is of neither kind.
+    """
+    if not isinstance(name, str) or not re.fullmatch(r'[A-Za-z]\w*', name, re.ASCII):
+        raise ConfigurationError(f'planner: found the name {name!r}; expected letters, digits and '
+                                 '_, a letter first; choose another')
+    if name in (*OFFLINE, *ONLINE, *TAKEN):
+        raise ConfigurationError(f'planner: found the name {name!r}, which another planner has; '
+                                 'expected one of its own; choose another')
+    kinds = [kind for kind in (Planner, Online)
+             if isinstance(planner, type) and issubclass(planner, kind)]
+    if len(kinds) != 1 or getattr(planner, '__abstractmethods__', ()):
+        raise ConfigurationError(
+            f'planner {name}: found {printable(repr(planner))}; expected a class that is derived '
+            'from Planner (offline) or Online and has all their methods; see docs/planners.md')
+    if issubclass(planner, Planner):
+        OFFLINE[name] = planner
+        return
+
+    def online(config: SimulationConfig, rng: np.random.Generator, model: str = '') -> Online:
+        return planner(*settings_of(config, rng))
+
+    ONLINE[name] = online
+
+
+def _load_plugins() -> None:
+    """Register what installed packages bring; one that is broken is left out, and is named."""
+    for entry in entry_points(group=GROUP):
+        try:
+            register_planner(entry.name, entry.load())
+        except (Exception, SystemExit) as error:  # A package of others may raise anything.
+            # Workers load them too; one warning is enough.
+            if parent_process() is None:
+                reason = printable(f'{type(error).__name__}: {error}')[:300]
+                _log.warning(
+                    'planner %s: found the entry point %s of %s, which cannot be used (%s); going '
+                    'on without it; mend or remove that package', printable(entry.name),
+                    printable(entry.value), entry.dist.name if entry.dist else 'a package', reason)
+
+
+_load_plugins()

@@ -22,7 +22,11 @@ from ocp_ros.util.yaml_files import nearest
 
 #: The planner that is used unless another is named, and the one that proves its answer.
 RIG_SEARCH, EXACT = 'rig_search', 'exact'
-PLANNERS = (RIG_SEARCH, *OFFLINE, EXACT, *ONLINE)
+
+
+def planner_names() -> tuple[str, ...]:
+    """Return the names of all planners, those of plug-ins included."""
+    return (RIG_SEARCH, *OFFLINE, EXACT, *ONLINE)
 
 
 def check_planner(name: str, counting: bool = False) -> None:
@@ -32,10 +36,11 @@ def check_planner(name: str, counting: bool = False) -> None:
     :param counting: whether it is to find out how many cameras are needed.
     :raises ConfigurationError: one sentence that begins with the option.
     """
-    if name not in PLANNERS:
+    known = planner_names()
+    if name not in known:
         raise ConfigurationError(
-            f'--planner: found {name!r}; expected one of {", ".join(PLANNERS)}; '
-            f'{nearest(name, PLANNERS, "choose one of them")}')
+            f'--planner: found {name!r}; expected one of {", ".join(known)}; '
+            f'{nearest(str(name), known, "choose one of them")}')
     if counting and name in ONLINE:
         raise ConfigurationError(
             f'--count: found auto with --planner {name}, which moves the cameras there are and '
@@ -49,7 +54,7 @@ def find(name: str, problem: Problem, pool: Pool, budget: Budget, seed: int,
     """
     Find the best placement of a rig's cameras by a planner.
 
-    :param name: one of ``PLANNERS``.
+    :param name: one of :func:`planner_names`.
     :param problem: the rig in the room.
     :param pool: candidates of all its models.
     :param budget: how long to go on.

@@ -95,7 +95,7 @@ class RigPlanner:
     :param budget: how long a search may take; that of the first plan pays for the candidates.
     :param seed: of all chance.
     :param progress: called several times a second.
-    :param planner: one of :data:`~ocp_ros.planners.rig_methods.PLANNERS`.
+    :param planner: one of :func:`~ocp_ros.planners.rig_methods.planner_names`.
     :param model: weights of planners that have learned: path or name.
     :param simulator: what engines are made by.
     :raises ConfigurationError: if there is no place for a camera, or too little of a region can

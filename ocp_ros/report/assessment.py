@@ -3,7 +3,7 @@
 """A placement that was judged in a room: what reports show of it, each thing computed once."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -11,12 +11,18 @@ import numpy as np
 
 from ocp_ros.geometry.packed_bits import unpack
 from ocp_ros.report.camera_words import Words, words_for
+from ocp_ros.report.findings import verdict
 from ocp_ros.report.wall_references import ReferenceWall, WallReferences
-from ocp_ros.rig.placement_file import Placement
+from ocp_ros.rig.placement_file import created_by, data_of, Placement
 from ocp_ros.rig.structure import floor_height
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.source_frame import SourceFrame
 from ocp_ros.simulation.objective import Objective
+from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.simulation_config import SimulationConfig
+
+#: Scores that differ by more than this are not the same.
+SAME = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,3 +112,37 @@ class Assessment:
         view = np.eye(3)
         view[0, :2], view[1, :2] = self.walls[1].outward, self.walls[0].outward
         return view
+
+
+def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str,
+          frame: str | None = None) -> Assessment:
+    """
+    Judge a placement in a room.
+
+    :param placement: it need not say what was asked for.
+    :param room: which room it is, from
+        :func:`~ocp_ros.scenes.scene_source.room_named`.
+    :param command: the command line, for the record.
+    :param frame: that files are asked for in, ``'map'`` or ``'source'``.
+    :raises ConfigurationError: if the placement's rig cannot be used in this room.
+    """
+    rig = placement.rig_in(scene)
+    problem = Problem.of(scene, rig, SimulationConfig(engine=placement.engine))
+    found = {'room': room, 'cameras': data_of(placement)['cameras'],
+             **verdict(problem, placement.poses)}
+    scores = found['scores']
+    found['notes'] += _notes(placement, room, scores)
+    created = created_by(command, placement.created.get('planner', ''))
+    return Assessment(problem.objective, replace(
+        placement, rig=rig, room=room, scores=scores, created=created), found, frame)
+
+
+def _notes(placement: Placement, room: dict[str, Any], scores: dict[str, Any]) -> list[str]:
+    """Say where the file is about something else than what was judged."""
+    before = placement.scores.get('loss')
+    if placement.room.get('sha256') not in (None, room['sha256']):
+        return ['the file was made for a room of other content; its own scores are not these']
+    if isinstance(before, float) and abs(before - scores['loss']) > SAME:
+        return [f'the file says loss {before:.6f}; found {scores["loss"]:.6f}: rig, points or '
+                'engine are not those that it was scored with']
+    return []

@@ -12,7 +12,7 @@ import numpy as np
 
 from ocp_ros.evaluation.judging import MOUNTING, MOUNTINGS
 from ocp_ros.planners.registry import KNOWS, OFFLINE, ONLINE
-from ocp_ros.planners.rig_methods import PLANNERS
+from ocp_ros.planners.rig_methods import planner_names
 from ocp_ros.report.drawing.figure_files import save_figure
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 from ocp_ros.report.markdown_text import as_code, in_markdown
@@ -261,7 +261,7 @@ def _placed(summary: dict[str, Any]) -> str:
 
 def compared(summary: dict[str, Any]) -> str:
     """Say how many of all planners are compared, and which are not."""
-    known = PLANNERS if 'rig' in summary else (*OFFLINE, *ONLINE)
+    known = planner_names() if 'rig' in summary else (*OFFLINE, *ONLINE)
     left_out = [spaced(name) for name in known if name not in summary['planners']]
     text = f'Compared are {len(summary["planners"])} of {len(known)} planners'
     return text + (f'; left out: {"; ".join(left_out)}.' if left_out else '.')

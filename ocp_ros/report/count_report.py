@@ -6,13 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
 from ocp_ros.planners.rig_plan import RigPlan
-from ocp_ros.report.drawing.figure_files import save_figure
-from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 from ocp_ros.report.key_figures import percent
 
 #: What each share is called above its column: none is a share of all points.
@@ -51,6 +48,11 @@ def sentence(count: dict[str, Any]) -> str:
 
 def draw_curve(path: Path, rows: Sequence[dict[str, Any]], count: dict[str, Any]) -> Path:
     """Draw shares and depth error against the number of cameras as PNG."""
+    # What draws is slow to import, and most plans draw no curve.
+    from matplotlib.figure import Figure
+
+    from ocp_ros.report.drawing.figure_files import save_figure
+    from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
     figure = Figure(figsize=(7.0, 4.5), dpi=100, facecolor='white')
     axes = figure.add_subplot()
     cameras = [row['cameras'] for row in rows]

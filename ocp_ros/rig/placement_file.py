@@ -166,7 +166,16 @@ def load_placement(path: str | Path, rig: Rig | None = None) -> Placement:
     :raises ConfigurationError: if the file cannot be used or is not of this rig: one sentence
         with file, line and key.
     """
-    document = read_document(path, PLACEMENT)
+    return placement_from(read_document(path, PLACEMENT), rig)
+
+
+def placement_from(document: Document, rig: Rig | None = None) -> Placement:
+    """
+    Build a placement from a document that its schema holds for.
+
+    :param rig: what is asked for, in place of what the document says.
+    :raises ConfigurationError: if it is not of this rig.
+    """
     data = document.data
     if rig is None and 'rig' in data:
         rig = rig_from(document.part('rig'))

@@ -214,6 +214,8 @@ def sensor_named(name: str) -> str:
 
     :raises ConfigurationError: if none or several have it; the message lists them.
     """
+    if not isinstance(name, str):
+        raise ConfigurationError(f'sensor: found {name!r}; expected the name of one, such as d455')
     if name in KINDS:
         return name
     found = [kind for kind in KINDS if name and name.lower() in kind]

@@ -5,6 +5,7 @@
 import difflib
 import io
 import logging
+from os import PathLike
 from pathlib import Path
 import warnings
 
@@ -66,28 +67,60 @@ def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: flo
     :returns: the scene, in metres, z up.
     :raises SceneError: if the file or an option cannot be used; the message names the file.
     """
+    if isinstance(path, bool) or not isinstance(path, (str, PathLike)):
+        raise SceneError(f'path: found {type(path).__name__}; expected the path of a scan; of '
+                         'points in memory scene_of makes a room')
     path = Path(path)
     _check_options(path.name, voxel_size, max_points, scale, up)
     points, normals = _read(path)
+    return _scene_from(points, normals, path.name, _scene_name(path), voxel_size=voxel_size,
+                       max_points=max_points, scale=scale, up=up, drop_nonfinite=drop_nonfinite)
+
+
+def scene_of(points, *, name: str = 'points', voxel_size: float = 0.0, max_points: int = 0,
+             scale: float = 1.0, up: str = 'z', drop_nonfinite: bool = False) -> Scene:
+    """
+    Make a room of points in memory, treated as those of a file are; see :func:`load_scene`.
+
+    :param points: (N, 3), in units of ``scale`` metres.
+    :param name: what messages and tables call the room.
+    :raises SceneError: if the points or an option cannot be used.
+    """
+    _check_options(name, voxel_size, max_points, scale, up)
+    try:
+        points = np.array(points, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise SceneError(f'{name}: found {type(points).__name__} that is no array of numbers; '
+                         'expected (N, 3), one row x y z per point') from error
+    if points.ndim != 2 or points.shape[1] != 3:
+        check_numbers(points, name)
+    return _scene_from(points, None, name, printable(name), voxel_size=voxel_size,
+                       max_points=max_points, scale=scale, up=up, drop_nonfinite=drop_nonfinite)
+
+
+def _scene_from(points: np.ndarray, normals: np.ndarray | None, name: str, called: str, *,
+                voxel_size: float, max_points: int, scale: float, up: str,
+                drop_nonfinite: bool) -> Scene:
+    """Make a room of points in the units and axes of a file; messages name the file."""
     if drop_nonfinite:
-        points, normals = _without_nonfinite(points, normals, path.name)
+        points, normals = _without_nonfinite(points, normals, name)
     with np.errstate(over='ignore'):
         points = points * scale
-    check_numbers(points, path.name)
-    points, normals, remarks = _without_strays(points, normals, path.name)
-    check_points(points, path.name, up)
+    check_numbers(points, name)
+    points, normals, remarks = _without_strays(points, normals, name)
+    check_points(points, name, up)
     notes = _size_notes(points, up)
     axes, signs = UP_AXES[up]
     rotation = np.eye(3)[axes] * np.array(signs)[:, None]
-    points, shift = _near_origin(points[:, axes] * signs, path.name)
+    points, shift = _near_origin(points[:, axes] * signs, name)
     normals = None if normals is None else _unit(normals[:, axes] * signs)
-    points, normals = _without_duplicates(points.astype(np.float32), normals, path.name)
+    points, normals = _without_duplicates(points.astype(np.float32), normals, name)
     if up == 'z':
         notes += _up_notes(points)
     for note in notes:
-        warnings.warn(f'{path.name}: {note}', SceneWarning, stacklevel=2)
-    merged = _merge(points, voxel_size, max_points, path.name)
-    return Scene(merged, _scene_name(path), normals if merged is points else None,
+        warnings.warn(f'{name}: {note}', SceneWarning, stacklevel=3)
+    merged = _merge(points, voxel_size, max_points, name)
+    return Scene(merged, called, normals if merged is points else None,
                  source=SourceFrame(scale, rotation, shift), notes=tuple(notes),
                  remarks=remarks)
 
@@ -166,13 +199,17 @@ def _rows(values: np.ndarray, named: list[tuple[str, str]]) -> np.ndarray:
 
 def _check_options(name: str, voxel_size: float, max_points: int, scale: float, up: str) -> None:
     """Refuse options without a meaning."""
+    for option, value in (('voxel_size', voxel_size), ('max_points', max_points),
+                          ('scale', scale)):
+        if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
+            raise SceneError(f'{name}: found {option}={value!r}; expected a number')
     for option, value, usable, expected in (
             ('voxel_size', voxel_size, voxel_size == 0 or SMALLEST <= voxel_size < np.inf,
              f'0 or at least {SMALLEST} m'),
             ('max_points', max_points, max_points == 0 or max_points >= MIN_POINTS,
              f'0 or at least {MIN_POINTS}'),
             ('scale', scale, 1e-6 <= scale <= 1e6, '0.000001 to 1000000, such as 0.001'),
-            ('up', up, up in UP_AXES, "'x', 'y' or 'z'")):
+            ('up', up, isinstance(up, str) and up in UP_AXES, "'x', 'y' or 'z'")):
         if not usable:
             raise SceneError(f'{name}: found {option}={value!r}; expected {expected}')
 

@@ -3,12 +3,18 @@
 """Where a scene comes from: a file or the generator."""
 
 from dataclasses import dataclass
+import hashlib
+from pathlib import Path
+from typing import Any
 
 from ocp_ros.scenes.scene import Scene, SceneError, turned
 from ocp_ros.scenes.scene_cache import load_cached
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.util.settings import LARGEST_SEED, setting
+
+#: Points of a room that placements are judged in, where nobody says.
+ROOM_POINTS = 60_000
 
 
 @dataclass(frozen=True)
@@ -71,3 +77,28 @@ def make_room(name: str, rotation: float, points: int = 15000, scale: float = 1.
         scene = load_cached(name, max_points=points, scale=scale, up=up,
                             drop_nonfinite=drop_nonfinite)
     return turned(scene, rotation) if rotation else scene
+
+
+def room_named(name: str, points: int = ROOM_POINTS, **reading: Any
+               ) -> tuple[Scene, dict[str, Any]]:
+    """
+    Read or generate a room, and say which it is as placement files do.
+
+    :param name: path of a scan, or seed of a generated room.
+    :param reading: of a scan: scale, up, drop_nonfinite; see :func:`make_room`.
+    :raises SceneError: if the scan cannot be used.
+    """
+    scene = make_room(name, 0.0, points, **reading)
+    if name.isdecimal():
+        return scene, {'seed': int(name), 'points': points,
+                       'sha256': sha256_of(scene)}
+    content = hashlib.sha256(Path(name).read_bytes()).hexdigest()
+    room = {'file': name, 'sha256': content, 'points': points, 'scale': 1.0, 'up': 'z', **reading}
+    if not scene.source.is_map:
+        room['source_from_map'] = scene.source.matrix.tolist()
+    return scene, room
+
+
+def sha256_of(scene: Scene) -> str:
+    """Return the SHA-256 of a room's points, for rooms without a file."""
+    return hashlib.sha256(scene.points.tobytes()).hexdigest()

@@ -4,6 +4,7 @@
 
 from collections.abc import Sequence
 from functools import lru_cache
+from os import PathLike
 from typing import Any
 
 import gymnasium as gym
@@ -14,11 +15,15 @@ from ocp_ros.geometry.clouds import corners_of, fixed_size
 from ocp_ros.rig.motion import bounded_moves, wrapped
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.scene import Scene, turned
+from ocp_ros.scenes.scene_source import make_room
+from ocp_ros.scenes.splits import TRAINING
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import make_problem, PlaneProblem, Problem, settings_for
 from ocp_ros.simulation.simulation_config import SimulationConfig
-from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.util.settings import ConfigurationError, from_nested, to_nested
 
+#: What ``gymnasium.make`` calls the environment.
+ENVIRONMENT = 'ocp_ros/CameraPlacement-v0'
 LARGEST_ROOM = 1000.0
 #: Scenes, each turned in one way, whose engines are kept ready.
 KEPT = 16
@@ -73,7 +78,7 @@ class CameraPlacementEnv(gym.Env):
                  observation_points: int = 1024, fewest: int | None = None,
                  rotations: Sequence[float] = (0.0,)) -> None:
         if not scenes:
-            raise ValueError('scenes: found none; expected at least one room')
+            raise ConfigurationError('scenes: found none; expected at least one room')
         self.scenes, self.config = scenes, settings_for(config or SimulationConfig())
         self.observation_points, self.rotations = observation_points, tuple(rotations)
         self.problem = lru_cache(maxsize=KEPT)(self._make_problem)
@@ -168,3 +173,49 @@ class CameraPlacementEnv(gym.Env):
                 'space_coverage': turn.space_coverage, 'depth_error': turn.depth_error,
                 'worst_depth_error': self.episode.simulator.depth_error.worst,
                 **turn.terms._asdict()}
+
+
+class RoomsByName(Sequence[Scene]):
+    """
+    Rooms that are made each time they are taken.
+
+    :param names: seeds of generated rooms, or paths of scans.
+    :param points: of a generated room; a larger scan is thinned to as many.
+    """
+
+    def __init__(self, names: Sequence[int | str | PathLike[str]], points: int = 15000) -> None:
+        self._names, self._points = tuple(str(name) for name in names), points
+
+    def __len__(self) -> int:
+        """Return how many rooms there are."""
+        return len(self._names)
+
+    def __getitem__(self, index):
+        """Make a room."""
+        return make_room(self._names[index], 0.0, self._points)
+
+
+def environment_of(rooms: Sequence[int | str | PathLike[str]] = TRAINING, points: int = 15000,
+                   cameras: int | None = None, config: SimulationConfig | None = None,
+                   **more: Any) -> CameraPlacementEnv:
+    """
+    Return the environment that ``gymnasium.make`` makes.
+
+    :param rooms: seeds of generated rooms, or paths of scans.
+    :param points: of a generated room; a larger scan is thinned to as many.
+    :param cameras: how many, where there is no rig file; 4 unless given.
+    :param config: rig, engine, episode and reward.
+    :param more: other arguments of :class:`CameraPlacementEnv`.
+    :raises ConfigurationError: for a number of cameras that cannot be.
+    """
+    if isinstance(rooms, (str, int, PathLike)):
+        rooms = (rooms,)
+    config = config or SimulationConfig()
+    if cameras is not None:
+        config = from_nested(SimulationConfig, {
+            **to_nested(config), 'rig': {**to_nested(config.rig), 'cameras': cameras}}, 'cameras')
+    return CameraPlacementEnv(RoomsByName(rooms, points), config, **more)
+
+
+# Gymnasium 1 looks for no entry points of packages: whoever imports this module has registered it.
+gym.register(ENVIRONMENT, f'{__name__}:{environment_of.__name__}')

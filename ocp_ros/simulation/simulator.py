@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 import logging
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from ocp_ros.rig.structure import Air
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.room_viewpoints import viewpoints_in
 from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.util.settings import ConfigurationError
 
 _log = logging.getLogger(__name__)
 #: Half the side of a point's cube in the depth maps of the error, in multiples of its spacing:
@@ -76,6 +77,10 @@ class Simulator:
 
     def __init__(self, scene: Scene, config: SimulationConfig,
                  models: Sequence[CameraModel] | None = None, air: Air | None = None) -> None:
+        if not isinstance(scene, Scene) or not isinstance(config, SimulationConfig):
+            raise ConfigurationError(
+                f'simulator: found {type(scene).__name__} and {type(config).__name__}; expected a '
+                'Scene, such as from load_scene, and a SimulationConfig')
         self.scene, self.config = scene, config
         self.models = tuple(config.rig.models if models is None else models)
         self.height = float(scene.bounds[0, 2] + config.rig.height)
@@ -174,12 +179,31 @@ class Simulator:
 
         :param placement: (K, 3) or (K, 6), K >= 1; where the rig has several kinds of camera, at
             most one row for each.
-        :raises ValueError: if there are more rows than cameras of several kinds.
+        :raises ConfigurationError: if it is none, or there are more rows than cameras of several
+            kinds.
         """
+        placement = self._checked(placement, 'placement', 2)
         if len(placement) > len(self._lenses) > 1:
-            raise ValueError(f'placement: found {len(placement)} cameras; expected at most '
-                             f'{len(self._lenses)}, one for each camera of the rig')
+            raise ConfigurationError(
+                f'placement: found {len(placement)} cameras; expected at most '
+                f'{len(self._lenses)}, one for each camera of the rig')
         return self.judge([self.look(pose, camera) for camera, pose in enumerate(placement)])
+
+    @staticmethod
+    def _checked(poses: Any, name: str, dimensions: int) -> np.ndarray:
+        """Return poses as float64, or say why they are none."""
+        shape = '(K, 3) or (K, 6)' if dimensions == 2 else '(M, K, 3) or (M, K, 6)'
+        expected = f'expected {shape}, metres and radians, a row for each camera'
+        try:
+            found = np.asarray(poses, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ConfigurationError(f'{name}: found {type(poses).__name__} that is no array of '
+                                     f'numbers; {expected}') from error
+        if found.ndim != dimensions or found.shape[-1] not in (3, 6) or not found.shape[-2]:
+            raise ConfigurationError(f'{name}: found an array of shape {found.shape}; {expected}')
+        if not np.isfinite(found).all():
+            raise ConfigurationError(f'{name}: found NaN or inf; expected finite numbers')
+        return found
 
     def evaluate_many(self, placements: np.ndarray, threads: int = 1) -> np.ndarray:
         """
@@ -188,7 +212,9 @@ class Simulator:
         :param placements: (M, K, 3) or (M, K, 6).
         :param threads: how many to use.
         :returns: (M, 2) float64: space coverage in cubic metres and depth error in metres.
+        :raises ConfigurationError: if they are no placements.
         """
+        placements = self._checked(placements, 'placements', 3)
         with ThreadPoolExecutor(threads) as pool:
             results = list(pool.map(lambda placement: self.evaluate(placement)[1:], placements))
         return np.array(results).reshape(-1, 2)

@@ -10,6 +10,7 @@ values are saved with each result.
 from dataclasses import asdict, Field, field, fields, is_dataclass
 import difflib
 import logging
+from numbers import Integral, Real
 from typing import Any, TypeVar
 
 T = TypeVar('T')
@@ -81,6 +82,30 @@ def check_known(names, known, what: str) -> None:
             near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
             hint = f'; did you mean {near[0]!r}?' if near else f'; expected one of {sorted(known)}'
             raise ConfigurationError(f'{what}: found the unknown name {_brief(name)}{hint}')
+
+
+def check_positive(name: str, value: Any) -> None:
+    """
+    Refuse what is neither a finite number above 0 nor None.
+
+    :raises ConfigurationError: if it is something else.
+    """
+    if value is not None and (isinstance(value, bool) or not isinstance(value, Real)
+                              or not 0.0 < value < float('inf')):
+        raise ConfigurationError(f'{name}: found {_brief(value)}; expected a number above 0')
+
+
+def check_whole(name: str, value: Any, least: int = 1, most: int | None = None) -> None:
+    """
+    Refuse what is neither a whole number in a range nor None.
+
+    :raises ConfigurationError: if it is something else.
+    """
+    if value is not None and (isinstance(value, bool) or not isinstance(value, Integral)
+                              or value < least or (most is not None and value > most)):
+        limit = 'or more' if most is None else f'to {most}'
+        raise ConfigurationError(f'{name}: found {_brief(value)}; expected a whole number, '
+                                 f'{least} {limit}')
 
 
 def _brief(value: Any) -> str:

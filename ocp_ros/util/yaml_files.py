@@ -13,6 +13,7 @@ from datetime import datetime, timezone
 import difflib
 import errno
 import json
+from os import PathLike
 from pathlib import Path
 import re
 from typing import Any
@@ -139,6 +140,9 @@ def read_plain(path: str | Path) -> Document:
     :returns: its data, None where it is empty.
     :raises ConfigurationError: if it cannot be read, in one sentence.
     """
+    if not isinstance(path, (str, PathLike)):
+        raise ConfigurationError(f'path: found {type(path).__name__}; expected the path of a YAML '
+                                 'or JSON file')
     path = Path(path)
     lines: dict[Way, int] = {}
     text = _text(path)

@@ -5,10 +5,11 @@
 import numpy as np
 
 from ocp_ros.geometry.cameras import rotation_matrix
-from ocp_ros.scenes.scene import Mesh, Scene
+from ocp_ros.scenes.scene import Mesh, MIN_POINTS, Scene
 from ocp_ros.scenes.synthetic.room_kinds import draw_plan
 from ocp_ros.scenes.synthetic.room_plan import RoomPlan
 from ocp_ros.scenes.synthetic.scanning import sample, scan
+from ocp_ros.util.settings import check_whole
 
 #: The triangles of a box whose corners are numbered by the bits x, y, z.
 TRIANGLES = np.array([(0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6), (0, 1, 4), (1, 5, 4),
@@ -31,7 +32,10 @@ def generate_room(seed: int, n_points: int = 15000, scanned: bool = True) -> Sce
     :param scanned: whether the points are those of a scan, with noise and shadows, or exactly and
         evenly on all surfaces.
     :returns: a scene with its mesh, called ``room-<seed>``.
+    :raises ConfigurationError: for a seed below 0 or too few points.
     """
+    check_whole('seed', seed, 0)
+    check_whole('n_points', n_points, MIN_POINTS)
     plan = plan_of(seed)
     rng = np.random.default_rng([seed, 1])
     points = scan(plan, n_points, rng)[0] if scanned else sample(plan, n_points, rng)

@@ -1,0 +1,162 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A rig planned in a room: the search, the proof, and the verdict on what was found."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ocp_ros.geometry.engine_config import PROMISING
+from ocp_ros.planners.budget import Budget
+from ocp_ros.planners.rig_methods import check_planner, EXACT, RIG_SEARCH
+from ocp_ros.planners.rig_plan import RigPlan, RigPlanner
+from ocp_ros.planners.rig_search import Progress
+from ocp_ros.report.assessment import Assessment
+from ocp_ros.report.certificate_words import certificate_data
+from ocp_ros.report.count_report import rows_of_curve
+from ocp_ros.report.findings import verdict
+from ocp_ros.report.installer import COLUMNS, rows_of
+from ocp_ros.rig.placement_file import created_by, data_of, Placement, placement_of
+from ocp_ros.rig.rig_file import Rig, with_count
+from ocp_ros.scenes.scene import Scene
+
+#: Cameras where nobody says how many, and seconds of search for each number of cameras where one
+#: is planned and where several are.
+CAMERAS, SECONDS, SECONDS_EACH = 4, 60.0, 15.0
+#: Share of the seconds for proving how good an answer is.
+PROVING = 0.25
+
+
+class Counting(NamedTuple):
+    """
+    How many cameras are needed: what tells that there are enough.
+
+    :ivar target: share of what can be reached at all, above 0, at most 1.
+    :ivar by: share of what: ``error``, ``seen`` or ``coverage``.
+    :ivar most: the most cameras to try.
+    """
+
+    target: float = 0.95
+    by: str = 'error'
+    most: int = 12
+
+
+@dataclass(frozen=True)
+class PlanTask:
+    """
+    What is asked of a search.
+
+    :ivar planner: one of :func:`~ocp_ros.planners.rig_methods.planner_names`.
+    :ivar seconds: of search for each number of cameras; 60, or 15 where cameras are counted,
+        unless evaluations are given.
+    :ivar evaluations: judge so many placements; the same seed finds the same answer.
+    :ivar seed: of all chance.
+    :ivar counting: whether the search finds out how many cameras are needed, and by what.
+    :raises ConfigurationError: if there is no such planner, or it compares no numbers of cameras.
+    """
+
+    planner: str = RIG_SEARCH
+    seconds: float | None = None
+    evaluations: int | None = None
+    seed: int = 0
+    counting: Counting | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a planner that cannot do this."""
+        check_planner(self.planner, self.counting is not None)
+
+    def budgets(self) -> tuple[Budget, float | None]:
+        """Return how long the search may take, and the seconds for proving its answer."""
+        seconds = self.seconds
+        if seconds is None and self.evaluations is None:
+            seconds = SECONDS if self.counting is None else SECONDS_EACH
+        if seconds is None or self.planner == EXACT:
+            return Budget(seconds, self.evaluations), seconds
+        return Budget((1.0 - PROVING) * seconds, self.evaluations), PROVING * seconds
+
+
+class PlannedRig:
+    """
+    A rig that is planned in a room.
+
+    :param scene: the room.
+    :param rig: with :class:`Counting`, the least number of its cameras is counted up.
+    :param task: what is asked.
+    :param budget: of the search, from :meth:`PlanTask.budgets`; whoever holds it may stop it.
+    :param proving: seconds of the proof.
+    :param progress: called several times a second.
+    :ivar plans: one, or one for each number of cameras; the last one is the answer.
+    :raises ConfigurationError: if the rig has no placement in this room.
+    """
+
+    def __init__(self, scene: Scene, rig: Rig, task: PlanTask, budget: Budget,
+                 proving: float | None = None, progress: Progress | None = None) -> None:
+        self.task, self.budget = task, budget
+        self.planner = RigPlanner(scene, rig, PROMISING, budget, task.seed, progress, task.planner)
+        self.plans = list(self._counted(rig, task.counting) if task.counting
+                          else [self.planner.plan(rig)])
+        self.plans[-1] = self.planner.certified(self.plans[-1], budget.again(proving))
+
+    @property
+    def best(self) -> RigPlan:
+        """Return the answer."""
+        return self.plans[-1]
+
+    def _counted(self, rig: Rig, counting: Counting) -> Iterator[RigPlan]:
+        """Yield plans with ever more cameras until one reaches the target."""
+        first = max(rig.seen_by - len(rig.fixed), 1)
+        for plan in self.planner.count_up(lambda count: with_count(rig, count), first,
+                                          max(counting.most, first)):
+            yield plan
+            if plan.reaches(counting.by, counting.target):
+                return
+
+    def placement(self, room: dict[str, Any], command: str) -> Placement:
+        """
+        Return where the cameras hang, before it is judged.
+
+        :param room: which room it is, as placement files say it.
+        :param command: for the record.
+        """
+        return placement_of(self.best.rig, self.best.answer.poses, room=room, engine=PROMISING,
+                            created=created_by(command, self.best.planner))
+
+    def judged(self, placement: Placement, frame: str | None = None) -> Assessment:
+        """
+        Judge the placement.
+
+        :param placement: from :meth:`placement`.
+        :param frame: that files are asked for in, ``'map'`` or ``'source'``.
+        """
+        problem = self.planner.problem(self.best.rig)
+        found = {'room': placement.room, 'cameras': data_of(placement)['cameras'],
+                 **verdict(problem, placement.poses), 'search': self._search()}
+        if self.task.counting is not None:
+            found |= self._count(self.task.counting)
+        judged = Assessment(problem.objective, replace(placement, scores=found['scores']), found,
+                            frame)
+        found['installer'] = [dict(zip(['number', *COLUMNS], row)) for row in rows_of(judged)]
+        return judged
+
+    def _count(self, counting: Counting) -> dict[str, Any]:
+        """Return how many cameras are needed, as plain data."""
+        return {'curve': rows_of_curve(self.plans),
+                'count': {'cameras': len(self.best.rig.cameras), 'by': counting.by,
+                          'target': counting.target,
+                          'reached': self.best.reaches(counting.by, counting.target)}}
+
+    def _search(self) -> dict[str, Any]:
+        """Return how the answer was found and what it compares with, as plain data."""
+        plan, answer, random = self.best, self.best.answer, self.best.random
+        return {'planner': plan.planner, 'seed': self.task.seed,
+                'loss': plan.worth.loss, 'searches': sorted(answer.losses),
+                'evaluations': answer.evaluations, 'seconds': round(plan.seconds, 2),
+                'stopped': self.budget.stopped, 'candidates': plan.candidates,
+                'random': {'placements': len(random),
+                           'median': float(np.median(random)) if len(random) else None,
+                           'best': float(random.min()) if len(random) else None},
+                'everywhere': {'loss': plan.everywhere.loss,
+                               'depth_error': plan.everywhere.depth_error},
+                'certificate': certificate_data(plan)}

@@ -1,0 +1,119 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A verdict and a plan as tables and sentences on a terminal."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+import io
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from ocp_ros.planners.registry import ONLINE
+from ocp_ros.report.count_report import show_curve
+from ocp_ros.report.installer import COLUMNS
+from ocp_ros.report.key_figures import percent
+from ocp_ros.rig.placement_file import ANGLES, FIXED
+
+#: Columns of a terminal, and that of the installer's table that it has no room for.
+WIDTH, SENSOR = 100, 'sensor'
+
+
+def as_text(show: Callable[[Console, Mapping[str, Any]], None], found: Mapping[str, Any]) -> str:
+    """Return what is shown of a verdict or a plan as plain text."""
+    text = io.StringIO()
+    show(Console(width=WIDTH, file=text, force_terminal=False, color_system=None), found)
+    return '\n'.join(line.rstrip() for line in text.getvalue().splitlines())
+
+
+def show_verdict(console: Console, found: Mapping[str, Any]) -> None:
+    """Print a verdict."""
+    scores = found['scores']
+    cameras = Table('camera', 'place (m)', 'yaw, pitch, roll', 'takes from the error',
+                    'only it sees', title='Cameras')
+    for placed, added in zip(found['cameras'], scores['cameras']):
+        name = f'{added["name"]} (in place)' if placed['mount'] == FIXED else added['name']
+        cameras.add_row(name, ', '.join(f'{value:.2f}' for value in placed['position']),
+                        ', '.join(f'{placed[angle]:.0f}' for angle in ANGLES),
+                        f'{added["depth_error"]:.2f} m', percent(added['only']))
+    console.print(cameras)
+    least = scores['seen_by']
+    by = 'a camera' if least == 1 else f'{least} cameras'
+    console.print(f'depth error {scores["depth_error"]:.3f} m of '
+                  f'{scores["depth_error_of_nothing"]:.3f} m; space coverage '
+                  f'{scores["space_coverage"]:.1f} of {scores["volume"]:.1f} m³; '
+                  f'{percent(scores["seen"])} of the points seen by {by}; loss '
+                  f'{scores["loss"]:.4f}')
+    console.print('seen by ' + ', '.join(f'{count}: {percent(points / scores["points"])}'
+                                         for count, points in scores['overlap'].items()))
+    for region in scores['regions']:
+        must = f', {percent(region["must_see"])} asked for' if region['must_see'] else ''
+        console.print(f'region {region["name"]}: {percent(region["seen"])} seen{must}')
+    _show_rest(console, found)
+
+
+def _show_rest(console: Console, found: Mapping[str, Any]) -> None:
+    """Print what is wrong and what would be better."""
+    broken, missed, more = found['broken'], found['missed'], found['one_more']
+    kept = 'every constraint is kept' + (', with doubts (notes below)' if found['notes'] else '')
+    console.print(kept if not broken else 'broken constraints:')
+    for sentence in broken:
+        console.print(f'  {sentence}', style='red', markup=False, highlight=False)
+    console.print(f'missed: {percent(missed["share"])} of the points; '
+                  f'{percent(missed["hopeless"])} no candidate sees either')
+    for part in missed['places']:
+        corners = (', '.join(f'{value:.2f}' for value in part[key]) for key in ('low', 'high'))
+        console.print(f'  {percent(part["share"])} from ({next(corners)}) to ({next(corners)})')
+    if more is None:
+        console.print('one more camera: there is no allowed place for it')
+    else:
+        place = ', '.join(f'{value:.2f}' for value in more['position'])
+        console.print(f'one more {more["sensor"]} helps most at ({place}), yaw {more["yaw"]:.0f}, '
+                      f'pitch {more["pitch"]:.0f}: depth error {more["depth_error"]:.3f} m, '
+                      f'{more["gain"]:.3f} m less')
+    for remark in found['remarks']:
+        console.print(remark, markup=False, highlight=False)
+    for note in found['notes']:
+        console.print(f'note: {note}', style='yellow', markup=False, highlight=False)
+
+
+def show_plan(console: Console, found: Mapping[str, Any]) -> None:
+    """Print a plan."""
+    show_verdict(console, found)
+    titles = [title for title in COLUMNS if title != SENSOR]
+    table = Table('', *titles, title='How to hang them up')
+    table.columns[1].no_wrap = True
+    for row in found['installer']:
+        table.add_row(row['number'], *(row[title] for title in titles))
+    console.print(table)
+    for line in quality(found['search']):
+        console.print(line, highlight=False)
+    if 'curve' in found:
+        show_curve(console, found['curve'], found['count'])
+
+
+def quality(search: dict[str, Any]) -> Iterator[str]:
+    """Say how good an answer is, by what it was compared with, and what limits it."""
+    loss, random, everywhere = search['loss'], search['random'], search['everywhere']['loss']
+    what = 'turns' if search['planner'] in ONLINE else 'placements'
+    yield (f'{search["planner"]}: {search["evaluations"]:,} {what} in {search["seconds"]:.1f} s'
+           + (', stopped by hand' if search['stopped'] else ''))
+    yield f'loss {loss:.4f}' + _others(search['searches'])
+    if random['placements']:
+        yield (f'{random["placements"]} random allowed placements: {random["median"]:.4f} in the '
+               f'middle, {random["best"]:.4f} at best')
+    yield (f'no choice among the {search["candidates"]:,} candidates is below {everywhere:.4f}, '
+           'the loss with cameras at all of them at once')
+    share = everywhere / loss if loss > 0.0 else 1.0
+    yield f'{percent(min(share, 1.0))} of the loss is out of sight wherever cameras may hang'
+    yield search['certificate']['sentence']
+
+
+def _others(losses: Sequence[float]) -> str:
+    """Say what the other searches ended with, where there were several."""
+    if len(losses) == 1:
+        return ', of one search'
+    best, second, *_ = losses
+    apart = f'{percent((second - best) / best)} more' if best > 0.0 else f'{second:.4f}'
+    return (f'; the next best of {len(losses)} searches ended at {apart}, the worst at '
+            f'{losses[-1]:.4f}')

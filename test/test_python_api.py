@@ -1,0 +1,215 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The Python interface: the same answers as the commands, plug-ins, and plain messages."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import warnings
+
+from conftest import made_room, ROOT
+import gymnasium
+from gymnasium.utils.env_checker import check_env
+import numpy as np
+import pytest
+
+import ocp_ros
+from ocp_ros.cli.main import main
+from ocp_ros.planners.budget import Budget
+from ocp_ros.planners.online_planner import Online
+from ocp_ros.planners.planner import Planner
+from ocp_ros.planners.registry import OFFLINE, ONLINE, register_planner
+from ocp_ros.rig.placement_file import load_placement
+from ocp_ros.rig.rig_file import load_rig, rig_of
+from ocp_ros.scenes.scene_files import load_scene, save_scene
+from ocp_ros.simulation.simulation_config import EngineConfig, SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
+
+#: A package as pip leaves it: one planner that works, one that cannot be imported.
+PLUGIN = """\
+from ocp_ros.planners.planner import Planner
+
+
+class Few(Planner):
+    def search(self):
+        yield [self.space.random(self.rng) for _ in range(8)]
+"""
+ENTRIES = '[ocp_ros.planners]\nfew = few_planner:Few\nlost = few_planner:Lost\n'
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    """Write a room to the folder that is worked in."""
+    save_scene(made_room(8, 2500), tmp_path / 'room.ply')
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_examples_of_the_page_run(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(OFFLINE, 'few', raising=False)
+    text = (ROOT / 'docs' / 'python.md').read_text()
+    blocks = re.findall(r'^```python\n(.*?)^```', text, re.M | re.S)
+    names = {'__name__': 'page'}
+    try:
+        for block in blocks:
+            exec(block, names)
+    finally:
+        OFFLINE.pop('few', None)
+    out = capsys.readouterr().out
+    assert 'How to hang them up' in out and '(2, 6)' in out and out.endswith('few\n')
+    assert 'placement: found an array of shape (3,)' in out and len(blocks) == 5
+
+
+def test_plan_and_score_say_what_the_commands_say(files, capsys):
+    arguments = ['--cameras', '2', '--model', 'd455', '--evaluations', '40']
+    assert main(['plan', 'room.ply', *arguments, '--json']) == 0
+    told = json.loads(capsys.readouterr().out)
+    plan = ocp_ros.plan('room.ply', cameras=2, sensor='d455', evaluations=40)
+    assert plan.found['cameras'] == told['cameras'] and plan.found['scores'] == told['scores']
+    assert plan.found['installer'] == told['installer'] and plan.reached is None
+    assert plan.evaluations == told['search']['evaluations']
+    assert main(['score', 'room.ply', 'out/plan/placement.yaml', '--json']) == 0
+    judged = json.loads(capsys.readouterr().out)
+    again = ocp_ros.score('room.ply', 'out/plan/placement.yaml')
+    assert again.found == judged and again.loss == plan.loss
+    main(['score', 'room.ply', 'out/plan/placement.yaml'])
+    shown = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
+    assert str(again).splitlines() == shown
+    plan.save('mine.yaml')
+    for placement in (plan, plan.placement, 'mine.yaml'):
+        assert ocp_ros.score('room.ply', placement).loss == plan.loss
+
+
+def test_rooms_and_rigs_come_in_many_forms(files):
+    scene, poses = load_scene('room.ply'), [[2.0, 2.0, 1.9], [4.0, 5.0, 1.9]]
+    (files / 'rig.yaml').write_text('cameras: [{sensor: kinect_v2, count: 2}]\n')
+    rigs = ['rig.yaml', files / 'rig.yaml', load_rig('rig.yaml'), rig_of(2, 'kinect_v2'),
+            {'cameras': [{'sensor': 'kinect_v2', 'count': 2}]}]
+    losses = {ocp_ros.score(room, poses, rig).loss
+              for rig in rigs[:3] for room in ('room.ply', scene)}
+    losses |= {ocp_ros.score(scene, poses, rig).loss for rig in rigs[3:]}
+    losses |= {ocp_ros.score(scene, poses, sensor='kinect_v2').loss}
+    assert len(losses) == 1
+    by_points = ocp_ros.score(scene.points, poses)
+    assert by_points.placement.room['sha256']
+    assert by_points.loss == pytest.approx(ocp_ros.score(scene, poses).loss, rel=0.05)
+    millimetres = ocp_ros.score(1000.0 * scene.points, poses, scale=0.001)
+    assert millimetres.depth_error == pytest.approx(by_points.depth_error, rel=0.01)
+
+
+def test_cameras_are_counted(room):
+    plan = ocp_ros.plan(room, cameras='auto', evaluations=20, target=0.5, most=3)
+    assert plan.reached and len(plan.poses) == plan.found['count']['cameras'] <= 3
+    assert 'How many are needed' in str(plan)
+
+
+def test_importing_the_package_is_light():
+    code = ('import sys, ocp_ros; assert "plan" in dir(ocp_ros); print(*sys.modules)')
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True,
+                          env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    assert not {'torch', 'numba', 'numpy', 'gymnasium'} & set(done.stdout.split())
+    with pytest.raises(AttributeError, match='nothing'):
+        ocp_ros.nothing  # noqa: B018
+
+
+def test_gymnasium_makes_the_environment_and_its_checker_has_nothing_to_say():
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        env = gymnasium.make('ocp_ros.simulation.environment:ocp_ros/CameraPlacement-v0',
+                             rooms=[7, 8], points=2000, cameras=2, observation_points=64)
+        check_env(env.unwrapped)
+    names = {env.reset(seed=seed)[1]['scene'] for seed in range(8)}
+    assert names == {'room-7', 'room-8'} and env.action_space.shape == (2, 2)
+
+
+@pytest.fixture
+def plugin(files):
+    """Install a package with planners into a folder; return the environment that knows it."""
+    folder = files / 'site' / 'few-1.0.dist-info'
+    folder.mkdir(parents=True)
+    (folder / 'METADATA').write_text('Metadata-Version: 2.1\nName: few\nVersion: 1.0\n')
+    (folder / 'entry_points.txt').write_text(ENTRIES)
+    (files / 'site' / 'few_planner.py').write_text(PLUGIN)
+    return {**os.environ, 'PYTHONPATH': os.pathsep.join([str(files / 'site'), str(ROOT)])}
+
+
+def test_a_planner_of_another_package_is_in_every_command(files, plugin):
+    ocp = [sys.executable, '-m', 'ocp_ros.cli.main']
+    done = subprocess.run(
+        [*ocp, 'plan', 'room.ply', '--planner', 'few', '--cameras', '2', '--evaluations', '8',
+         '--json'], env=plugin, capture_output=True, text=True, timeout=200)
+    assert json.loads(done.stdout)['search']['planner'] == 'few'
+    warned = [line for line in done.stderr.splitlines() if line.startswith('planner lost')]
+    assert len(warned) == 1 and warned[0].startswith(
+        'planner lost: found the entry point few_planner:Lost of few, which cannot be used '
+        '(AttributeError: ')
+    done = subprocess.run(
+        [*ocp, 'evaluate', '--rooms', 'room.ply', '--planners', 'few,random', '--budgets', '8',
+         '--workers', '1', '--json'], env=plugin, capture_output=True, text=True, timeout=200)
+    assert done.returncode == 0, done.stderr
+    assert 'few' in done.stdout and done.stderr.count('planner lost') == 1
+    code = ('from ocp_ros.evaluation.protocol import Protocol; '
+            'from ocp_ros.planners.rig_methods import planner_names; '
+            'assert "few" in Protocol().planners and "few" in planner_names()')
+    subprocess.run([sys.executable, '-c', code], env=plugin, check=True, capture_output=True)
+
+
+@pytest.mark.parametrize(('name', 'planner', 'message'), [
+    ('cma_es', Planner, 'which another planner has'), ('exact', Planner, 'another planner has'),
+    ('a,b', Planner, 'expected letters'), ('mine', 3, 'found 3; expected a class'),
+    ('mine', Planner, 'expected a class that is derived'), ('mine', dict, 'expected a class')])
+def test_what_is_no_planner_is_not_registered(name, planner, message):
+    known = dict(OFFLINE)
+    with pytest.raises(ocp_ros.UserError, match=message):
+        register_planner(name, planner)
+    assert known == OFFLINE
+
+
+def test_an_online_planner_of_ones_own_plays(room, monkeypatch):
+    class Still(Online):
+        def move(self, cloud, positions, turn, turns):
+            return np.zeros((len(positions), 2))
+
+    monkeypatch.setitem(ONLINE, 'still', None)
+    del ONLINE['still']
+    register_planner('still', Still)
+    plan = ocp_ros.plan(room, cameras=2, planner='still', evaluations=3)
+    assert plan.planner == 'still' and plan.evaluations == 3 and '3 turns' in str(plan)
+    with pytest.raises(ocp_ros.UserError, match='moves the cameras there are'):
+        ocp_ros.plan(room, cameras='auto', planner='still', evaluations=3)
+
+
+WRONG = {
+    'placement: found an array of shape': lambda engine: engine.evaluate([1, 2, 3]),
+    'placement: found str': lambda engine: engine.evaluate('x'),
+    'placement: found NaN': lambda engine: engine.evaluate([[np.nan, 1, 1]]),
+    'placements: found an array': lambda engine: engine.evaluate_many([[1, 2, 3]]),
+    'simulator: found NoneType': lambda _: Simulator(None, SimulationConfig()),
+    'found max_points=None': lambda _: load_scene('room.ply', max_points=None),
+    'path: found NoneType; expected the path of a scan': lambda _: load_scene(None),
+    'path: found NoneType; expected the path of a YAML': lambda _: load_rig(None),
+    'path: found int': lambda _: load_placement(3),
+    'seed: found -1': lambda _: ocp_ros.generate_room(-1),
+    'n_points: found 0': lambda _: ocp_ros.generate_room(1, 0),
+    'sensor: found 5': lambda _: rig_of(2, 5),
+    'seconds: found': lambda _: Budget('a'),
+    'evaluations: found -3': lambda _: Budget(evaluations=-3),
+    'room: found None': lambda _: ocp_ros.plan(None),
+    'cameras: found 2.5': lambda engine: ocp_ros.plan(engine.scene, cameras=2.5),
+    'points: found': lambda _: ocp_ros.plan(7, points='x'),
+    'rig: found int': lambda engine: ocp_ros.plan(engine.scene, rig=5),
+    'scal: found': lambda engine: ocp_ros.plan(engine.scene, scal=1),
+    'progress: found 3': lambda engine: ocp_ros.plan(engine.scene, progress=3),
+    'target: found 2': lambda engine: ocp_ros.plan(engine.scene, cameras='auto', target=2),
+    'placement: found 1 poses': lambda engine: ocp_ros.score(
+        engine.scene, [[1, 2, 1.9]], rig_of(2))}
+
+
+@pytest.mark.parametrize('message', WRONG)
+def test_a_wrong_argument_gets_a_sentence(room, message):
+    config = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=32))
+    with pytest.raises(ocp_ros.UserError, match=re.escape(message)):
+        WRONG[message](Simulator(room, config))
