@@ -147,7 +147,7 @@ def _add_benchmark(commands: Commands) -> None:
     compare.add_argument('--rooms', type=Path, help='folder of scans to take instead')
     add_units(compare, 'of the scans')
     compare.add_argument('--rig', type=find_config, help='cameras and what is asked of them, in '
-                         'place of omnidirectional ones: docs/rig.md')
+                         'place of omnidirectional ones: docs/reference/rig.md')
     compare.add_argument('--planners', type=names,
                          help='names with commas between; all unless named')
     compare.add_argument('--budgets', type=whole_numbers, help='evaluations, with commas between')
@@ -194,7 +194,7 @@ def _add_evaluate(commands: Commands) -> None:
     judged.add_argument('--cameras', type=camera_counts,
                         help='how many, with commas between; 4 unless told otherwise')
     judged.add_argument('--rig', type=find_config, help='the cameras and their constraints '
-                        'instead: docs/rig.md')
+                        'instead: docs/reference/rig.md')
     judged.add_argument('--budgets', type=whole_numbers, default=(1000,),
                         help='evaluations of offline planners, with commas between')
     judged.add_argument('--seeds', type=at_least(1), default=1, help='runs of each')
@@ -213,9 +213,10 @@ def _add_score(commands: Commands) -> None:
                           'ocp score room.ply placement.yaml --rig rig.yaml --out out/hang-up')
     judged.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
     judged.add_argument('placement', type=Path, metavar='PLACEMENT',
-                        help='YAML or JSON: docs/placement.md')
+                        help='YAML or JSON: docs/reference/placement.md')
     judged.add_argument('--rig', type=find_config,
-                        help='what is asked for, in place of what the placement says: docs/rig.md')
+                        help='rig file, used instead of the one in the placement: '
+                        'docs/reference/rig.md')
     judged.add_argument('--out', '--export', type=Path, metavar='DIR',
                         help='write report, placement, CSV, launch file, xacro and more here')
     add_frame(judged)
@@ -230,9 +231,10 @@ def _add_view(commands: Commands) -> None:
                         'ocp view room.ply placement.yaml --out out/view.html')
     seen.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
     seen.add_argument('placement', type=Path, nargs='?', metavar='PLACEMENT',
-                      help='cameras in it: docs/placement.md')
+                      help='cameras in it: docs/reference/placement.md')
     seen.add_argument('--rig', type=find_config,
-                      help='what is asked for, in place of what the placement says: docs/rig.md')
+                      help='rig file, used instead of the one in the placement: '
+                      'docs/reference/rig.md')
     seen.add_argument('--out', type=Path, default=Path('out/view.html'), help='page to write')
     seen.add_argument('--open', action='store_true', help='open it in a browser')
     add_overwrite(seen)

@@ -50,7 +50,7 @@ def add_plan(commands: Commands) -> None:
     planned.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
     rig = planned.add_mutually_exclusive_group()
     rig.add_argument('--rig', type=find_config,
-                     help='cameras and what is asked of them: docs/rig.md')
+                     help='cameras and what is asked of them: docs/reference/rig.md')
     rig.add_argument('--model', metavar='SENSOR', default='omnidirectional',
                      help='the sensor of all cameras, or a part of its name such as d455')
     planned.add_argument('--cameras', '--count', dest='count', type=count, metavar='N',
@@ -63,8 +63,8 @@ def add_plan(commands: Commands) -> None:
     planned.add_argument('--most', type=cameras,
                          help='with auto: the most cameras to try')
     planned.add_argument('--planner', type=current_name, default='rig_search', metavar='NAME',
-                         help='who searches: rig_search unless named, or one of docs/planners.md '
-                         'such as cma_es or lookahead')
+                         help='planner that searches: rig_search (default) or a name of '
+                         'docs/reference/planners.md, such as cma_es or lookahead')
     planned.add_argument('--seconds', type=seconds, help='of search for each number of cameras; '
                          '60, or 15 with auto, unless evaluations are named')
     planned.add_argument('--evaluations', type=at_least(1),

@@ -95,7 +95,7 @@ def page(command: str, rows: dict[str, list[tuple[int, Certificate]]], load: flo
              'include looking from all candidates. Measured on',
              f'{date.today().isoformat()}, at a load of {load:.1f} on {os.cpu_count()} processors '
              'by', '', f'    {command}', '',
-             '[plan.md](plan.md#how-good-is-the-answer) explains how to read them.']
+             '[How good a plan is](explanation/certificate.md) explains how to read them.']
     for name, found in rows.items():
         done = sum(certificate.proved for _, certificate in found)
         most = max(certificate.gap for _, certificate in found)

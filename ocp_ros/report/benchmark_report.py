@@ -315,7 +315,7 @@ def _times(summary: dict[str, Any]) -> list[str]:
     lines = ['## Time', '', 'Seconds for one placement on one core; the last column is all rooms '
              'and rotations once, at the most evaluations. Training the policy is not in it'
              + ('.' if 'rig' in summary else
-                ': [its card](../../models/README.md) says how long that took.'), '',
+                ': [its card](../reference/models.md) says how long that took.'), '',
              '| planner | ' + ' | '.join(
                  f'{int(budget):,}' if int(budget) else 'turns' for budget in budgets)
              + ' | all |', '|---|' + '---|' * (len(budgets) + 1)]

@@ -5,7 +5,7 @@ Where the cameras of a rig hang, as a file: what a planner writes and an install
 
 A file holds all that its scores depend on: the sensors' numbers, the rig, the engine's settings
 and the hash of the room. Its numbers are rounded before they are judged, so that who reads it
-gets the same scores. docs/placement.md explains every key.
+gets the same scores. docs/reference/placement.md explains every key.
 """
 
 from collections.abc import Sequence
@@ -161,7 +161,7 @@ def load_placement(path: str | Path, rig: Rig | None = None) -> Placement:
     """
     Read a placement.
 
-    :param path: a YAML or JSON file; docs/placement.md explains its keys.
+    :param path: a YAML or JSON file; docs/reference/placement.md explains its keys.
     :param rig: what is asked for, in place of what the file says.
     :raises ConfigurationError: if the file cannot be used or is not of this rig: one sentence
         with file, line and key.

@@ -3,7 +3,7 @@
 """
 A real rig: its cameras, where they may hang and what they shall see, read from a YAML file.
 
-In files angles are degrees, here they are radians; docs/rig.md explains every key.
+In files angles are degrees, here they are radians; docs/reference/rig.md explains every key.
 """
 
 from collections import Counter
@@ -171,7 +171,7 @@ def load_rig(path: str | Path) -> Rig:
     """
     Read a rig.
 
-    :param path: a YAML or JSON file; docs/rig.md explains its keys.
+    :param path: a YAML or JSON file; docs/reference/rig.md explains its keys.
     :raises ConfigurationError: if it cannot be used: one sentence with file, line and key.
     """
     return rig_from(read_document(path, RIG))

@@ -51,4 +51,5 @@ class SimulationConfig:
     episode: EpisodeConfig = group(EpisodeConfig)
     reward: RewardConfig = group(RewardConfig)
     rig_file: str = setting(
-        '', 'YAML of docs/rig.md: its cameras and constraints in place of rig.*; empty for none')
+        '', 'rig file (docs/reference/rig.md) that replaces rig.*: cameras and constraints; '
+        'empty: none')

@@ -55,10 +55,10 @@ class PolicyNodeConfig:
     threads: int = setting(
         0, 'threads that try places at once; 0 for one on each core', 0, 1024)
     rig_file: str = setting(
-        '', 'YAML of docs/rig.md that every command is held to; empty for none')
+        '', 'rig file whose constraints every command keeps (docs/reference/rig.md); empty: none')
     placement_file: str = setting(
-        '', 'the final placement is written here as well, .yaml or .json of docs/placement.md; '
-        'empty for nowhere')
+        '', 'file for the final placement, .yaml or .json (docs/reference/placement.md); '
+        'empty: write no file')
     cloud_topics: str = setting(
         '', 'live cameras: the topics of their clouds with commas between; empty to answer the '
         'turns of a simulation')
