@@ -6,7 +6,7 @@ RUN := $(VENV)/bin/python
 READY := $(VENV)/.ready
 OUT ?= out
 
-.PHONY: help demo train-demo train test test-system lint format bench fuzz fuzz-files soak endings benchmark rooms colcon clean
+.PHONY: help demo train-demo train test test-system lint docs format bench fuzz fuzz-files soak endings benchmark rooms colcon clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 14
@@ -37,6 +37,10 @@ lint: $(READY)  ## check style, as ament_flake8 and ament_pep257 would, and type
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/flake8 ocp_ros test launch setup.py
 	$(VENV)/bin/mypy
+
+docs: $(READY)  ## build the documentation as a site in OUT/docs, out/docs unless named; a broken link is an error
+	$(RUN) -m pip install --quiet --disable-pip-version-check -r requirements/docs.txt
+	$(RUN) -m sphinx -W --keep-going -q -b html docs "$(OUT)/docs"
 
 format: $(READY)  ## mend what ruff can mend
 	$(VENV)/bin/ruff check --fix .
