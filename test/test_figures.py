@@ -28,7 +28,7 @@ GIVEN = {
         r'turns of at most 2 m, or 0\.5 m', r'3 turns of 2 m', r'30 of 0\.5 m'],
     ('docs/reference/models.md', ''): [
         r'2110\.11106', r'range 4 m', r'height 1\.9 m', r'at most 0\.5 m', r'\d\.\d x \d\.\d m',
-        r'37 x 14 m', r'18 m from the middle', r'30 turns of 0\.5 m lead 15 m', r'95 % from',
+        r'37 x 14 m', r'18 m from the\scentre', r'30 turns of 0\.5 m\slead 15 m', r'95 % from',
         r'moves by 0\.04, 0\.15 or 0\.5 m'],
     ('docs/reference/training_measured.md', 'Statistics'): [],
     ('docs/reference/training_measured.md', 'What it costs'): [],
