@@ -117,7 +117,7 @@ def _kept(folder: Path, placement: Placement) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        print(f'ocp: stopped; where the cameras hang is in {printable(str(paths[0]))}'
+        print(f'ocp: stopped; the placement is in {printable(str(paths[0]))}'
               + earlier_files(folder, paths), file=sys.stderr)
         raise
 
@@ -179,7 +179,8 @@ def _progress() -> Iterator[Callable[[float, float], None]]:
         task = bar.add_task('searching (Ctrl-C: best so far)', total=1.0, loss='')
 
         def report(share: float, loss: float) -> None:
-            bar.update(task, completed=share, loss='' if np.isinf(loss) else f'loss {loss:.4f}')
+            value = '' if np.isinf(loss) else f'objective value {loss:.4f}'
+            bar.update(task, completed=share, loss=value)
         yield report
 
 
@@ -203,7 +204,7 @@ def show_plan(found: dict[str, Any]) -> None:
     console = Console(width=100)
     show_verdict(found)
     titles = [title for title in COLUMNS if title != SENSOR]
-    table = Table('', *titles, title='How to hang them up')
+    table = Table('', *titles, title='How to mount the cameras')
     table.columns[1].no_wrap = True
     for row in found['installer']:
         table.add_row(row['number'], *(row[title] for title in titles))
@@ -220,23 +221,23 @@ def quality(search: dict[str, Any]) -> Iterator[str]:
     loss, random, everywhere = search['loss'], search['random'], search['everywhere']['loss']
     what = 'turns' if search['planner'] in ONLINE else 'placements'
     yield (f'{search["planner"]}: {search["evaluations"]:,} {what} in {search["seconds"]:.1f} s'
-           + (', stopped by hand' if search['stopped'] else ''))
-    yield f'loss {loss:.4f}' + _others(search['searches'])
+           + ('; stopped by Ctrl-C' if search['stopped'] else ''))
+    yield f'objective value {loss:.4f}' + _others(search['searches'])
     if random['placements']:
-        yield (f'{random["placements"]} random allowed placements: {random["median"]:.4f} in the '
-               f'middle, {random["best"]:.4f} at best')
-    yield (f'no choice among the {search["candidates"]:,} candidates is below {everywhere:.4f}, '
-           'the loss with cameras at all of them at once')
+        yield (f'{random["placements"]} random feasible placements: median '
+               f'{random["median"]:.4f}, best {random["best"]:.4f}')
+    yield (f'lower bound {everywhere:.4f}: the objective value with a camera at each of the '
+           f'{search["candidates"]:,} candidates')
     share = everywhere / loss if loss > 0.0 else 1.0
-    yield f'{percent(min(share, 1.0))} of the loss is out of sight wherever cameras may hang'
+    yield f'{percent(min(share, 1.0))} of the objective value is not visible from any candidate'
     yield search['certificate']['sentence']
 
 
 def _others(losses: Sequence[float]) -> str:
     """Say what the other searches ended with, where there were several."""
     if len(losses) == 1:
-        return ', of one search'
+        return ' (one search)'
     best, second, *_ = losses
     apart = f'{percent((second - best) / best)} more' if best > 0.0 else f'{second:.4f}'
-    return (f'; the next best of {len(losses)} searches ended at {apart}, the worst at '
+    return (f'; of {len(losses)} searches the second best ended at {apart}, the worst at '
             f'{losses[-1]:.4f}')

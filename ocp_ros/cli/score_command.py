@@ -210,8 +210,8 @@ def _notes(placement: Placement, room: dict[str, Any], scores: dict[str, Any]) -
     if placement.room.get('sha256') not in (None, room['sha256']):
         return ['the file was made for a room of other content; its own scores are not these']
     if isinstance(before, float) and abs(before - scores['loss']) > SAME:
-        return [f'the file says loss {before:.6f}; found {scores["loss"]:.6f}: rig, points or '
-                'engine are not those that it was scored with']
+        return [f'the file has the objective value {before:.6f}; found {scores["loss"]:.6f}: '
+                'rig, points or engine are not those that it was scored with']
     return []
 
 
@@ -224,10 +224,10 @@ def show(found: dict[str, Any]) -> None:
 def show_verdict(found: dict[str, Any]) -> None:
     """Print a verdict."""
     console, scores = Console(width=100), found['scores']
-    cameras = Table('camera', 'place (m)', 'yaw, pitch, roll', 'takes from the error',
-                    'only it sees', title='Cameras')
+    cameras = Table('camera', 'position (m)', 'yaw, pitch, roll', 'error reduction',
+                    'seen by this camera only', title='Cameras')
     for placed, added in zip(found['cameras'], scores['cameras']):
-        name = f'{added["name"]} (in place)' if placed['mount'] == FIXED else added['name']
+        name = f'{added["name"]} (fixed)' if placed['mount'] == FIXED else added['name']
         cameras.add_row(name, ', '.join(f'{value:.2f}' for value in placed['position']),
                         ', '.join(f'{placed[angle]:.0f}' for angle in ANGLES),
                         f'{added["depth_error"]:.2f} m', percent(added['only']))
@@ -237,12 +237,12 @@ def show_verdict(found: dict[str, Any]) -> None:
     console.print(f'depth error {scores["depth_error"]:.3f} m of '
                   f'{scores["depth_error_of_nothing"]:.3f} m; space coverage '
                   f'{scores["space_coverage"]:.1f} of {scores["volume"]:.1f} m³; '
-                  f'{percent(scores["seen"])} of the points seen by {by}; loss '
+                  f'{percent(scores["seen"])} of the points seen by {by}; objective value '
                   f'{scores["loss"]:.4f}')
     console.print('seen by ' + ', '.join(f'{count}: {percent(points / scores["points"])}'
                                          for count, points in scores['overlap'].items()))
     for region in scores['regions']:
-        must = f', {percent(region["must_see"])} asked for' if region['must_see'] else ''
+        must = f', {percent(region["must_see"])} required' if region['must_see'] else ''
         console.print(f'region {region["name"]}: {percent(region["seen"])} seen{must}')
     _show_rest(console, found)
 
@@ -250,17 +250,18 @@ def show_verdict(found: dict[str, Any]) -> None:
 def _show_rest(console: Console, found: dict[str, Any]) -> None:
     """Print what is wrong and what would be better."""
     broken, missed, more = found['broken'], found['missed'], found['one_more']
-    kept = 'every constraint is kept' + (', with doubts (notes below)' if found['notes'] else '')
-    console.print(kept if not broken else 'broken constraints:')
+    kept = 'all constraints are satisfied' + (
+        ', but the scan is doubtful (notes below)' if found['notes'] else '')
+    console.print(kept if not broken else 'violated constraints:')
     for sentence in broken:
         console.print(f'  {sentence}', style='red', markup=False, highlight=False)
     console.print(f'missed: {percent(missed["share"])} of the points; '
-                  f'{percent(missed["hopeless"])} no candidate sees either')
+                  f'{percent(missed["hopeless"])} not visible from any candidate')
     for part in missed['places']:
         corners = (', '.join(f'{value:.2f}' for value in part[key]) for key in ('low', 'high'))
         console.print(f'  {percent(part["share"])} from ({next(corners)}) to ({next(corners)})')
     if more is None:
-        console.print('one more camera: there is no allowed place for it')
+        console.print('one more camera: there is no feasible pose for it')
     else:
         place = ', '.join(f'{value:.2f}' for value in more['position'])
         console.print(f'one more {more["sensor"]} helps most at ({place}), yaw {more["yaw"]:.0f}, '
