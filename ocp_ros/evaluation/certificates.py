@@ -91,8 +91,8 @@ def page(command: str, rows: dict[str, list[tuple[int, Certificate]]], load: flo
     :param load: of the machine, when it ended.
     """
     lines = ['# Certificates in the test rooms', '',
-             f'Rooms of {POINTS:,} points, preset `fine`, depth maps of {ROWS} rows; seconds '
-             'include looking from all candidates. Measured on',
+             f'Rooms of {POINTS:,} points, preset `fine`, depth maps of {ROWS} rows. Seconds '
+             'include the visibility of all candidates. Measured on',
              f'{date.today().isoformat()}, at a load of {load:.1f} on {os.cpu_count()} processors '
              'by', '', f'    {command}', '',
              '[How good a plan is](explanation/certificate.md) explains how to read them.']

@@ -62,7 +62,7 @@ def _cards(judged: Assessment, scores: dict) -> list[tuple[str, str, str]]:
     error, nothing = scores['depth_error'], scores['depth_error_of_nothing']
     twice = sum(count for number, count in scores['overlap'].items() if number not in '01')
     cards = [
-        ('depth error', metres(error), f'{percent(error / nothing)} of that without cameras'),
+        ('depth error', metres(error), f'{metres(nothing)} without cameras'),
         ('seen', percent(scores['seen']),
          'of the points, by a camera' if least == 1 else f'of the points, by {least} cameras'),
         ('seen twice', percent(twice / points), 'by two cameras or more'),
