@@ -180,7 +180,7 @@ def test_one_more_camera_is_the_best_of_all_candidates(furnished):
 
 @pytest.mark.parametrize(('more', 'words'), [
     ({'spacing': 9.0}, r'spacing: found 9 m, at which only 1 of the 2 cameras find room in '
-     r'furnished; .*; lower it or hang up fewer'),
+     r'furnished; .*; lower it or use fewer cameras'),
     ({'keep_clear': 3.0}, r'mount: found no feasible pose in furnished: keep_clear rejects '
      r'\d+ of \d+'),
     ({'no_go': [{'box': [[-9, -9, -9], [99, 99, 99]]}]}, r'no_go\[0\] rejects \d+ of'),
@@ -423,7 +423,7 @@ def test_ctrl_c_while_drawing_leaves_the_placement(files, capsys, monkeypatch):
     monkeypatch.setattr('ocp_ros.cli.plan_command.verdict', stop)
     assert main(['plan', 'room.ply', '--cameras', '2', '--evaluations', '20']) == 130
     assert capsys.readouterr().err == (
-        'ocp: stopped; where the cameras hang is in out/plan/placement.yaml\n')
+        'ocp: stopped; the placement is in out/plan/placement.yaml\n')
     for suffix in ('yaml', 'json'):
         assert load_placement(files / f'out/plan/placement.{suffix}').poses.shape == (2, 6)
 

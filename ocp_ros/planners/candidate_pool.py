@@ -225,7 +225,7 @@ def check_room(objective: Objective, pool: Pool) -> None:
         raise rig.document.error(
             ('spacing',), f'{rig.spacing:g} m, at which only {len(sites)} of the '
             f'{len(rig.cameras)} cameras find room in {objective.simulator.scene.name}',
-            'a distance at which all do', 'lower it or hang up fewer')
+            'a distance at which all do', 'lower it or use fewer cameras')
 
 
 def random_sites(rig: Rig, pool: Pool, rng: np.random.Generator) -> tuple[Site, ...]:

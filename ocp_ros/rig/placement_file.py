@@ -178,7 +178,7 @@ def load_placement(path: str | Path, rig: Rig | None = None) -> Placement:
         rig = _matched(document, rig, moved, names)
         _check_fixed(document, rig, fixed)
     elif not moved:
-        raise document.error(('cameras',), 'cameras in place only', 'one at least that may be '
+        raise document.error(('cameras',), 'fixed cameras only', 'one at least that may be '
                              'moved', f'write another mount than {FIXED}')
     if rig is None:
         placed = [_placed(document, way, camera, 'free')
@@ -230,7 +230,7 @@ def _check_fixed(document: Document, rig: Rig, ways: Sequence[Way]) -> None:
         data = document.value(*way)
         if (len(ways) != len(rig.fixed) or not _sees_as(document, way, rig.fixed[k].camera.model)
                 or not _alike(pose_of(data), rig.fixed[k].pose)):
-            raise document.error(way, 'a camera in place', f'those that {rig.document.name} has, '
+            raise document.error(way, 'a fixed camera', f'those that {rig.document.name} has, '
                                  'or none', 'correct it, or leave all of them out')
 
 

@@ -293,7 +293,7 @@ def _cameras(document: Document) -> tuple[tuple[Camera, ...], tuple[Fixed, ...]]
                for _ in range(group.get('count', 1))]
     if len(movable) + len(fixed) > MOST_CAMERAS:
         raise document.error(('cameras',), f'{len(movable) + len(fixed)} cameras',
-                             f'at most {MOST_CAMERAS}, those in place included', 'lower a count')
+                             f'at most {MOST_CAMERAS}, fixed ones included', 'lower a count')
     ways = [*movable, *(('fixed', k) for k in range(len(fixed)))]
     cameras = tuple(cameras_at(document, ways))
     count = len(movable)

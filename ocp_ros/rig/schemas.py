@@ -168,4 +168,4 @@ PLACEMENT = mapping(
 #: The files of docs/ and what is in them.
 FILES = {'rig.schema.json': {'$schema': DIALECT, 'title': 'A rig of depth cameras', **RIG},
          'placement.schema.json': {
-             '$schema': DIALECT, 'title': 'Where the cameras of a rig hang', **PLACEMENT}}
+             '$schema': DIALECT, 'title': 'Poses of the cameras of a rig', **PLACEMENT}}
