@@ -25,7 +25,7 @@ MEASURED = re.compile(
 GIVEN = {
     ('README.md', ''): [
         r'2110\.11106', r'Apache-2\.0', r'Python 3\.10 to 3\.13', r'range of 4 m', r'2 cm off',
-        r'turns of at most 2 m, or 0\.5 m', r'3 turns of 2 m', r'30 of 0\.5 m'],
+        r'turns of at most 2 m, or 0\.5\sm', r'3 turns of 2 m', r'30 of 0\.5 m'],
     ('docs/reference/models.md', ''): [
         r'2110\.11106', r'range 4 m', r'height 1\.9 m', r'at most 0\.5 m', r'\d\.\d x \d\.\d m',
         r'37 x 14 m', r'18 m from the\scentre', r'30 turns of 0\.5 m\slead 15 m', r'95 % from',
