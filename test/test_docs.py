@@ -84,7 +84,8 @@ def test_the_example_of_a_rig_has_every_key_and_each_is_explained(tmp_path):
     from ocp_ros.rig.schemas import CAMERA, FIXED, NO_GO, REGION, RIG
     (tmp_path / 'rig.yaml').write_text(yaml_example('docs/reference/rig.md', 'cameras:'))
     rig = load_rig(tmp_path / 'rig.yaml')
-    assert set(rig.document.data) == set(RIG['properties']) and len(rig.all_cameras) == 5
+    assert set(rig.document.data) == set(RIG['properties']) - {'no_go'}
+    assert len(rig.all_cameras) == 5
     text = (ROOT / 'docs' / 'reference' / 'rig.md').read_text()
     for part in (RIG, CAMERA, FIXED, NO_GO, REGION):
         for key in part['properties']:

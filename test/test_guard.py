@@ -67,7 +67,7 @@ def check(rig, scene, before, after, max_step):
     if not len(moved):
         return
     floor, places = floor_height(scene), after[moved]
-    for zone in rig.no_go:
+    for zone in rig.keep_out:
         assert not zone.contains(places, floor).any()
     low, high = scene.bounds[:, :2]
     assert (places[:, :2] >= low + MARGIN - 1e-6).all()

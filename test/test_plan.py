@@ -183,7 +183,7 @@ def test_one_more_camera_is_the_best_of_all_candidates(furnished):
      r'furnished; .*; lower it or use fewer cameras'),
     ({'keep_clear': 3.0}, r'mount: found no feasible pose in furnished: keep_clear rejects '
      r'\d+ of \d+'),
-    ({'no_go': [{'box': [[-9, -9, -9], [99, 99, 99]]}]}, r'no_go\[0\] rejects \d+ of'),
+    ({'no_go': [{'box': [[-9, -9, -9], [99, 99, 99]]}]}, r'keep-out zone 1 rejects \d+ of'),
     ({'fixed': [{'sensor': 'kinect_v2', 'position': [3, 2, 1.9]}], 'spacing': 8.0},
      r'spacing rejects \d+ of'),
     ({'regions': [{'name': 'inside', 'box': [[3.4, 1.4, -0.1], [4.6, 2.6, 0.1]],

@@ -217,10 +217,10 @@ class FeasibleRegion:
             'there'))
         yield self._too_close(positions, contact)
         yield from self._off_mount(positions, contact)
-        for number, zone in enumerate(self.rig.no_go):
+        for number, zone in enumerate(self.rig.keep_out, start=1):
             inside = zone.contains(positions, self.floor)
-            yield Check(f'no_go[{number}]', inside, lambda k, number=number: (
-                f'found a position in the keep-out zone no_go[{number}]; expected one outside; '
+            yield Check(f'keep-out zone {number}', inside, lambda k, number=number: (
+                f'found a position in keep-out zone {number}; expected one outside; '
                 'move it out'))
         yield from self._pitch(poses, models)
         for fixed in self.rig.fixed:
