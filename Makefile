@@ -6,7 +6,7 @@ RUN := $(VENV)/bin/python
 READY := $(VENV)/.ready
 OUT ?= out
 
-.PHONY: help demo train-demo train test test-system lint format bench fuzz fuzz-files soak endings benchmark rooms colcon clean
+.PHONY: help demo train-demo train test test-system lint docs format bench fuzz fuzz-files soak endings benchmark rooms colcon clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 14
@@ -14,10 +14,10 @@ help:  ## list the targets
 $(READY): tools/setup setup.py $(wildcard requirements/*.txt)
 	tools/setup $(VENV)
 
-demo: $(READY)  ## place cameras over real ROS: make demo [ROOM=scan.ply] [CAMERAS=4] [HEIGHT=1.9] [SCALE=1.0] [UP=z] [DROP_NONFINITE=1] [MODEL=map]
+demo: $(READY)  ## place cameras with real ROS nodes: make demo [ROOM=scan.ply] [CAMERAS=4] [HEIGHT=1.9] [SCALE=1.0] [UP=z] [DROP_NONFINITE=1] [MODEL=map]
 	$(RUN) -m ocp_ros.demo.demo --out "$(OUT)" $(if $(ROOM),--room "$(ROOM)") $(if $(CAMERAS),--cameras $(CAMERAS)) $(if $(HEIGHT),--height $(HEIGHT)) $(if $(SCALE),--scale $(SCALE)) $(if $(UP),--up $(UP)) $(if $(DROP_NONFINITE),--drop-nonfinite) $(if $(MODEL),--model $(MODEL))
 
-train-demo: $(READY)  ## the same with trainer_node in the loop: weights arrive in every policy_node: make train-demo [PAIRS=1] [TURNS=400]
+train-demo: $(READY)  ## the same with trainer_node, which sends new weights to every policy_node: make train-demo [PAIRS=1] [TURNS=400]
 	$(RUN) -m ocp_ros.demo.train_demo --out "$(OUT)" $(if $(PAIRS),--pairs $(PAIRS)) $(if $(TURNS),--turns $(TURNS))
 
 train: $(READY)  ## train the shipped model again
@@ -38,27 +38,31 @@ lint: $(READY)  ## check style, as ament_flake8 and ament_pep257 would, and type
 	$(VENV)/bin/flake8 ocp_ros test launch setup.py
 	$(VENV)/bin/mypy
 
-format: $(READY)  ## mend what ruff can mend
+docs: $(READY)  ## build the documentation as a site in OUT/docs, out/docs unless named; a broken link is an error
+	$(RUN) -m pip install --quiet --disable-pip-version-check -r requirements/docs.txt
+	$(RUN) -m sphinx -W --keep-going -q -b html docs "$(OUT)/docs"
+
+format: $(READY)  ## fix what ruff can fix
 	$(VENV)/bin/ruff check --fix .
 
-bench: $(READY)  ## measure fidelity and speed of the engine, and the nodes: how fast turns are answered and learned from
+bench: $(READY)  ## measure accuracy and speed of the engine, and speed of the nodes and of training over ROS
 	$(RUN) -m ocp_ros.cli.main bench --preset full --out docs/bench.json --page docs/bench.md
 	$(RUN) -m ocp_ros.report.drawing.visibility_picture --out docs/visibility.png
 	PYTHONPATH=test $(RUN) -m system.node_bench --out "$(OUT)/bench_ros.json"
 
-fuzz: $(READY)  ## send nodes messages that lie: make fuzz [MESSAGES=100000, or MINUTES=10 in their place]
+fuzz: $(READY)  ## send malformed messages to nodes: make fuzz [MESSAGES=100000, or MINUTES=10 in their place]
 	PYTHONPATH=test $(RUN) -m system.fuzz --out "$(OUT)" $(if $(MESSAGES),--messages $(MESSAGES)) $(if $(MINUTES),--minutes $(MINUTES))
 
 fuzz-files: $(READY)  ## read files with errors in them, of every format: make fuzz-files [FILES=2000]
 	PYTHONPATH=test $(RUN) -m system.file_fuzz --out "$(OUT)" $(if $(FILES),--mutations $(FILES))
 
-soak: $(READY)  ## play, kill nodes and lie to them: make soak [MINUTES=5] [KILLS=100, in place of minutes]
+soak: $(READY)  ## play, kill nodes and send malformed messages: make soak [MINUTES=5] [KILLS=100, in place of minutes]
 	PYTHONPATH=test $(RUN) -m system.soak --out "$(OUT)" $(if $(MINUTES),--minutes $(MINUTES)) $(if $(KILLS),--kills $(KILLS))
 
-endings: $(READY)  ## end nodes in every way that users do and count crashes: make endings [ENDINGS=500]
+endings: $(READY)  ## end nodes in all usual ways and count crashes: make endings [ENDINGS=500]
 	$(RUN) tools/stress_endings --out "$(OUT)/endings" $(if $(ENDINGS),--endings $(ENDINGS))
 
-benchmark: $(READY)  ## compare all planners in all test rooms: an hour on two idle cores; goes on where it stopped
+benchmark: $(READY)  ## compare all planners in all test rooms: an hour on two idle cores; continues an interrupted run
 	$(RUN) -m ocp_ros.cli.main benchmark --preset full --seeds 1 --out "$(OUT)/benchmark" --report docs/benchmark
 
 rooms: $(READY)  ## draw and measure generated rooms: make rooms [SCANS=folder]

@@ -15,7 +15,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 #: Argument, parameter, type and description. What is not given is as the parameter file has it.
 ARGUMENTS = (
     ('clouds', 'cloud_topics', str, 'topics of the clouds, with commas between'),
-    ('rig_file', 'rig_file', str, 'YAML of docs/rig.md'),
+    ('rig_file', 'rig_file', str, 'YAML of docs/reference/rig.md'),
     ('manual', 'manual', bool, 'true: a person moves the cameras'),
     ('turns', 'turns', int, 'turns until the placement is final'),
     ('max_step', 'max_step', float, 'farthest a camera moves in one turn, metres'),

@@ -3,7 +3,7 @@
 """
 Online optimal placement of depth cameras in indoor rooms.
 
-``plan`` and ``score`` do what ``ocp plan`` and ``ocp score`` do; docs/python.md shows them.
+``plan`` and ``score`` do what ``ocp plan`` and ``ocp score`` do; docs/tasks/python.md shows them.
 """
 
 from importlib import import_module

@@ -218,7 +218,7 @@ def test_the_command_compares_and_reports(tmp_path, capsys):
     assert set(summary['planners']) == {'random', 'greedy_error', 'greedy_step'}
     assert set(summary['planners']['random']) == {'8', '20'}
     text = (tmp_path / 'report' / 'README.md').read_text()
-    assert 'ms a turn at the median' in text and '| greedy error |' in text
+    assert 'ms per turn (median)' in text and '| greedy error |' in text
     assert summary['command'] in text
     html = (tmp_path / 'report' / 'placements.html').read_text()
     assert 'small: greedy_error, depth error' in html and 'src="http' not in html
@@ -258,7 +258,7 @@ def test_the_page_says_who_agrees_who_is_better_and_how_long_it_takes():
     rows += [row for row in online if row['planner'] not in YARDSTICKS]
     text = page({**summarise(rows), **MADE})
     assert 'With 1,000 evaluations, TDSA, CMA-ES are within 10 %' in text
-    assert 'not so, as multiples of it: BPSO 1.50.' in text
+    assert 'the others, as multiples of it: BPSO 1.50.' in text
     # 3 / 6, better in both; 3 / 4, better in one of two.
     assert '| BPSO | 1,000 | 0.50 (2) |' in text and '| TDSA | 1,000 | 0.75 (1) |' in text
     # Two rooms, 1 s each at the most evaluations, in whatever order they ran.

@@ -57,7 +57,7 @@ def test_help_lists_every_command_under_what_one_wants(capsys):
     for name in ('plan', 'score', 'view', 'replay', 'rooms', 'train', 'evaluate', 'benchmark',
                  'bench'):
         assert listed.count(name) == 1, name
-    assert out.index('judge a placement:') < out.index('  score') < out.index('look at')
+    assert out.index('evaluate a placement:') < out.index('  score') < out.index('look at')
 
 
 @pytest.mark.parametrize('example', cli.commands().examples)

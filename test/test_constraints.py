@@ -127,8 +127,8 @@ def test_cameras_on_walls_look_into_the_room(rooms):
     ('plane', level(3, 2, 1.7), ['1.70 m above the floor; expected 1.90 m (mount.height); raise']),
     ('plane', level(0.1, 2, 1.9), ['0.10 m to the nearest surface; expected at least 0.20 m '
                                    '(keep_clear); move it away']),
-    ('plane', level(7, 2, 1.9), ['(7.00, 2.00, 1.90), which is not over floor that box shows; '
-                                 'expected a place in the room and not in furniture; move it']),
+    ('plane', level(7, 2, 1.9), ['(7.00, 2.00, 1.90), which is not above floor that box shows; '
+                                 'expected a position in the room and not in furniture; move it']),
     ('plane', level(3, 2, 1.9, pitch=80), ['a pitch of 80 degrees; expected 0 to 60 (pitch); '
                                            'tilt it']),
     ('plane', level(3, 2, 1.9, pitch=-5), ['a pitch of -5 degrees']),
@@ -139,11 +139,11 @@ def test_cameras_on_walls_look_into_the_room(rooms):
     ('rods', level(3, 2, 2.2), ['2.20 m above the floor; expected 2.00 m']),
     ('walls', level(0.1, 2, 2.0), []), ('walls', level(3, 3.85, 2.0), []),
     ('walls', level(0.6, 2, 2.0), ['no wall within 0.25 m (mount.on)']),
-    ('walls', level(-0.1, 2, 2.0), ['not over floor']),
+    ('walls', level(-0.1, 2, 2.0), ['not above floor']),
     ('walls', level(0.1, 0.1, 2.0), ['0.10 m to the nearest surface']),
     ('walls', level(0.1, 2, 2.5), ['2.50 m above the floor; expected 1.70 to 2.30 m']),
     ('free', level(3, 2, 0.1), ['0.10 m to the nearest surface', '0.10 m above the floor']),
-    ('free', level(3, 2, 3.5), ['not over floor', '3.50 m above the floor'])])
+    ('free', level(3, 2, 3.5), ['not above floor', '3.50 m above the floor'])])
 def test_each_broken_constraint_is_named(rooms, mount, pose, words):
     allowed = allowed_of(rooms['box'], mount, pitch=[0, 60])
     found = allowed.broken(pose)
@@ -166,7 +166,7 @@ def test_next_to_a_wall_a_camera_is_not_faulted_but_a_search_stays_away(rooms):
     allowed = allowed_of(rooms['box'], 'free', keep_clear=0.05)
     beside, far, behind = level(0.1, 2, 2.0), level(0.45, 2, 2.0), level(-0.1, 2, 2.0)
     assert allowed.broken(beside) == allowed.broken(far) == []
-    assert 'not over floor' in allowed.broken(behind)[0]
+    assert 'not above floor' in allowed.broken(behind)[0]
     assert allowed.allowed(np.concatenate([beside, far, behind])).tolist() == [False, True, False]
 
 
@@ -184,7 +184,7 @@ def test_a_sloping_ceiling_is_one_surface():
 def test_a_place_inside_a_cabinet_is_not_in_the_air(furnished):
     allowed = allowed_of(furnished)
     corner, middle = level(0.6, 0.4, 1.2), level(3.6, 2.0, 1.2)
-    assert 'not over floor that furnished shows' in allowed.broken(corner)[0]
+    assert 'not above floor that furnished shows' in allowed.broken(corner)[0]
     assert 'inside furniture or behind it' in allowed.broken(middle)[0]
     above = allowed.broken(level(3.6, 2.0, 2.45))
     assert len(above) == 1 and '2.45 m above the floor' in above[0]
@@ -224,7 +224,8 @@ def test_no_go_zones_keep_cameras_out(rooms):
     places = allowed.candidates(D455, 500)[:, :3]
     assert (places[:, 0] > -1.5).all() and len(places) > 50
     inside = allowed.broken(level(-2.0, -36.0, allowed.floor + 1.9))
-    assert 'found a place in no_go[0]; expected one outside it; move it out' in ' '.join(inside)
+    assert 'found a position in keep-out zone 1; expected one outside; move it out' in (
+        ' '.join(inside))
 
 
 def test_cameras_keep_apart_from_each_other_and_from_those_in_place(rooms):
@@ -252,7 +253,7 @@ def test_who_sees_all_around_may_be_turned_as_it_likes(rooms):
 @pytest.mark.parametrize(('mount', 'more', 'words'), [
     ({'on': 'plane', 'height': 3.0}, {}, r'mount.height: found 3 m; expected less than the 2.80 m '
      'that box is high; lower it'),
-    ({'on': 'plane'}, {'keep_clear': 5.0}, 'mount: found no place in box where a camera may hang'),
+    ({'on': 'plane'}, {'keep_clear': 5.0}, 'mount: found no feasible pose in box'),
     ({'on': 'plane'}, {'fixed': [{'sensor': 'kinect_v2', 'position': [30, 2, 2]}]},
      r'fixed\[0\]: found a camera at \(30.00, 2.00, 2.00\), outside box; .*; correct its')])
 def test_a_rig_that_does_not_go_with_the_room_is_refused(rooms, mount, more, words):

@@ -25,18 +25,18 @@ MEASURED = re.compile(
 GIVEN = {
     ('README.md', ''): [
         r'2110\.11106', r'Apache-2\.0', r'Python 3\.10 to 3\.13', r'range of 4 m', r'2 cm off',
-        r'turns of at most 2 m, or 0\.5 m', r'3 turns of 2 m', r'30 of 0\.5 m'],
-    ('models/README.md', ''): [
+        r'turns of at most 2 m, or 0\.5\sm', r'3 turns of 2 m', r'30 of 0\.5 m'],
+    ('docs/reference/models.md', ''): [
         r'2110\.11106', r'range 4 m', r'height 1\.9 m', r'at most 0\.5 m', r'\d\.\d x \d\.\d m',
-        r'37 x 14 m', r'18 m from the middle', r'30 turns of 0\.5 m lead 15 m', r'95 % from',
+        r'37 x 14 m', r'18 m from the\scentre', r'30 turns of 0\.5 m\slead 15 m', r'95 % from',
         r'moves by 0\.04, 0\.15 or 0\.5 m'],
-    ('docs/training.md', 'Statistics'): [],
-    ('docs/training.md', 'What it costs'): [],
-    ('docs/ros.md', 'What is tested for'): [r'grown by 20 MB'],
-    ('docs/ros.md', 'How fast it is'): [r'load 2\.1'],
-    ('docs/plan.md', 'How many do I need?'): [r'range of\s4 m', r'95 % of the error'],
-    ('docs/planners.md', 'How far BPSO gets'): [],
-    ('docs/engine.md', 'Speed'): [],
+    ('docs/reference/training_measured.md', 'Statistics'): [],
+    ('docs/reference/training_measured.md', 'What it costs'): [],
+    ('docs/reference/nodes_measured.md', 'What is tested for'): [r'grown by 20 MB'],
+    ('docs/reference/nodes_measured.md', 'How fast it is'): [r'load 2\.1'],
+    ('docs/tasks/count_cameras.md', ''): [r'range of\s4 m', r'95 % of the error'],
+    ('docs/explanation/comparison.md', 'How far BPSO gets'): [],
+    ('docs/explanation/engine.md', 'Speed'): [],
 }
 WORDS = re.findall(r'\w+', """
     one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen
@@ -167,9 +167,10 @@ def test_the_sizes_of_weights_are_those_of_the_files():
      'no such figure'),
     ('README.md', '<!--=benchmark.lookahead.over', ' times<!--=benchmark.lookahead.over',
      'right before the marker'),
-    ('models/README.md', '0.86 to 1.11<!--', '0.85 to 1.11<!--', 'found 0.85'),
-    ('docs/plan.md', '0.639 0.962 0.985', '0.639 0.962 0.986', 'found 0.986'),
-    ('docs/training.md', '| 0.061, 3,000 |', '| 0.061 |', 'found 1 numbers; expected 2'),
+    ('docs/reference/models.md', '0.86 to 1.11<!--', '0.85 to 1.11<!--', 'found 0.85'),
+    ('docs/tasks/count_cameras.md', '0.639 0.962 0.985', '0.639 0.962 0.986', 'found 0.986'),
+    ('docs/reference/training_measured.md', '| 0.061, 3,000 |', '| 0.061 |',
+     'found 1 numbers; expected 2'),
     ('docs/figures.json', '"unit": "m", "command": "tools/', '"unit": "m", "order": "tools/',
      'found no command'),
     ('docs/figures.json', '\n "fuzz.lies"', '\n "Fuzz.lies"', 'letters that no key has'),
@@ -177,7 +178,8 @@ def test_the_sizes_of_weights_are_those_of_the_files():
      'correct the pointer'),
     ('docs/benchmark/summary.json', '"regret": 1.0', '"regret": 1.2',
      'run tools/figures derive'),
-    ('docs/training.md', '<!--=sampling.all_100000_ms-->', '', 'found on no page'),
+    ('docs/reference/training_measured.md', '<!--=sampling.all_100000_ms-->', '',
+     'found on no page'),
 ])
 def test_a_change_in_one_place_alone_is_found(tmp_path, page, old, new, says):
     root = tree(tmp_path)
@@ -187,7 +189,7 @@ def test_a_change_in_one_place_alone_is_found(tmp_path, page, old, new, says):
 
 def test_the_tool_says_what_changed_and_fails(tmp_path):
     root = tree(tmp_path)
-    change(root / 'docs/training.md', '<!--=sampling.all_100000_ms-->', '')
+    change(root / 'docs/reference/training_measured.md', '<!--=sampling.all_100000_ms-->', '')
     done = tool('figures', '--root', str(root), 'check')
     assert done.returncode == 1 and 'found on no page' in done.stdout
 
@@ -217,9 +219,9 @@ def test_a_measured_figure_is_recorded(tmp_path):
     figure = published_figures.load(root)['fuzz.lies']
     assert figure['value'] == 100019 and figure['commit'] == published_figures.commit(root)
     assert re.fullmatch(r'\d{4}-\d\d-\d\d', figure['date']) and figure['command'] == 'make fuzz'
-    assert ['docs/ros.md' in fault and '100,018' in fault
+    assert ['docs/reference/nodes_measured.md' in fault and '100,018' in fault
             for fault in published_figures.faults(root)] == [True]
-    change(root / 'docs/ros.md', '100,018', '100,019')
+    change(root / 'docs/reference/nodes_measured.md', '100,018', '100,019')
     assert published_figures.faults(root) == []
     published_figures.record(root, 'house.floors', 2, 'floors', 'a look', internal=True)
     published_figures.record(root, 'house.floors', [2, 3], 'floors', 'a look')

@@ -67,7 +67,7 @@ def check(rig, scene, before, after, max_step):
     if not len(moved):
         return
     floor, places = floor_height(scene), after[moved]
-    for zone in rig.no_go:
+    for zone in rig.keep_out:
         assert not zone.contains(places, floor).any()
     low, high = scene.bounds[:, :2]
     assert (places[:, :2] >= low + MARGIN - 1e-6).all()
@@ -109,7 +109,7 @@ def test_a_camera_with_nowhere_to_go_stays_and_says_so():
     position = np.array([[2.0, 2.0, 1.9]])
     found, held = ConstraintFilter(rig, MARGIN)(box_room().points, position, position + 0.1, 0.5)
     np.testing.assert_array_equal(found, position)
-    assert len(held) == 1 and 'found no allowed place within 0.5 m' in held[0]
+    assert len(held) == 1 and 'found no feasible position within 0.5 m' in held[0]
 
 
 def test_cameras_stay_while_what_they_hang_on_was_not_seen():

@@ -360,9 +360,9 @@ def test_the_rectangle_lies_along_the_walls_and_not_along_the_scan():
                                            'C', '90 degrees up')),
     ('omni', [2.9, -0.2, 1.9, 0, 0, 0], ('20 cm beyond wall C, no other wall within '
                                          '5 m: use x, y, z',
-                                         '190 cm above the floor', 'any way round', 'upright')),
+                                         '190 cm above the floor', 'any heading', 'upright')),
     ('omni', [2.9, 1.0, 1.9, 90, 10, 0], ('100 cm from wall C, 290 cm from wall D',
-                                          '190 cm above the floor', 'any way round', 'upright'))])
+                                          '190 cm above the floor', 'any heading', 'upright'))])
 def test_an_installer_is_told_in_words(sensor, pose, words):
     pose = np.array([*pose[:3], *np.deg2rad(pose[3:])])
     placed, = placement_of(rig_of(1, sensor), pose[None]).cameras
@@ -400,7 +400,7 @@ def test_the_installers_page_names_walls_and_cameras(mixed):
     room = Scene(box_room().points - np.array([0.0, 0.0, 1.0], dtype='f4'), 'hall')
     text = page_of(room, placement_of(mixed, POSES))
     assert 'A 6.00 m, B 4.00 m, C 6.00 m, D 4.00 m' in text and '](plan.png)' in text
-    assert '| 4 | x (in place) | realsense_d455 |' in text and '290 cm above the floor' in text
+    assert '| 4 | x (fixed) | realsense_d455 |' in text and '290 cm above the floor' in text
 
 
 def test_rviz_shows_the_frame_that_the_launch_file_publishes_in():

@@ -180,12 +180,12 @@ def test_one_more_camera_is_the_best_of_all_candidates(furnished):
 
 @pytest.mark.parametrize(('more', 'words'), [
     ({'spacing': 9.0}, r'spacing: found 9 m, at which only 1 of the 2 cameras find room in '
-     r'furnished; .*; lower it or hang up fewer'),
-    ({'keep_clear': 3.0}, r'mount: found no place in furnished where .*, for keep_clear takes '
-     r'\d+ of the \d+'),
-    ({'no_go': [{'box': [[-9, -9, -9], [99, 99, 99]]}]}, r'for no_go\[0\] takes \d+ of'),
+     r'furnished; .*; lower it or use fewer cameras'),
+    ({'keep_clear': 3.0}, r'mount: found no feasible pose in furnished: keep_clear rejects '
+     r'\d+ of \d+'),
+    ({'no_go': [{'box': [[-9, -9, -9], [99, 99, 99]]}]}, r'keep-out zone 1 rejects \d+ of'),
     ({'fixed': [{'sensor': 'kinect_v2', 'position': [3, 2, 1.9]}], 'spacing': 8.0},
-     r'for spacing takes \d+ of'),
+     r'spacing rejects \d+ of'),
     ({'regions': [{'name': 'inside', 'box': [[3.4, 1.4, -0.1], [4.6, 2.6, 0.1]],
                    'must_see': True}]},
      r'regions\[0\].must_see: found 95.0 % of inside, of which all \d+ candidates together see '
@@ -317,8 +317,9 @@ def test_what_is_printed_names_all_of_it(files, capsys, undrawn):
                  '--out', 'here']) == 0
     out, err = capsys.readouterr()
     out = ' '.join(out.split())
-    for words in ('every constraint is kept', 'How to hang them up', 'face wall',
-                  'random allowed placements', 'out of sight wherever', 'next best of 4 searches',
+    for words in ('all constraints are satisfied', 'How to mount the cameras', 'face wall',
+                  'random feasible placements', 'not visible from any',
+                  'of 4 searches the second best',
                   'wrote here/placement.yaml', 'helps most at ('):
         assert words in out, words
     assert err == ''
@@ -422,7 +423,7 @@ def test_ctrl_c_while_drawing_leaves_the_placement(files, capsys, monkeypatch):
     monkeypatch.setattr('ocp_ros.report.rig_planning.verdict', stop)
     assert main(['plan', 'room.ply', '--cameras', '2', '--evaluations', '20']) == 130
     assert capsys.readouterr().err == (
-        'ocp: stopped; where the cameras hang is in out/plan/placement.yaml\n')
+        'ocp: stopped; the placement is in out/plan/placement.yaml\n')
     for suffix in ('yaml', 'json'):
         assert load_placement(files / f'out/plan/placement.{suffix}').poses.shape == (2, 6)
 

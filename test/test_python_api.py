@@ -50,7 +50,7 @@ def files(tmp_path, monkeypatch):
 def test_the_examples_of_the_page_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(OFFLINE, 'few', raising=False)
-    text = (ROOT / 'docs' / 'python.md').read_text()
+    text = (ROOT / 'docs' / 'tasks' / 'python.md').read_text()
     blocks = re.findall(r'^```python\n(.*?)^```', text, re.M | re.S)
     names = {'__name__': 'page'}
     try:

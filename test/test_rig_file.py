@@ -88,7 +88,7 @@ def test_a_rig_may_be_json(tmp_path):
     ((0.5, 0.5, 0.1), True), ((1.0, 1.0, 3.0), True), ((1.9, 0.5, 2.0), True),
     ((1.9, 0.5, 0.4), False), ((1.9, 0.97, 2.0), False), ((1.1, 1.05, 1.0), False)])
 def test_zones_are_boxes_and_polygons_between_heights_above_the_floor(tmp_path, point, inside):
-    box, polygon = rig_in(tmp_path, RIG).no_go
+    box, polygon = rig_in(tmp_path, RIG).keep_out
     points = np.array([point])
     assert (box.contains(points, 0.0) | polygon.contains(points, 0.0))[0] == inside
     # The floor is lower than the map frame: heights of polygons go with it, boxes stay.
@@ -97,11 +97,20 @@ def test_zones_are_boxes_and_polygons_between_heights_above_the_floor(tmp_path, 
     assert box.contains(points, -7.0)[0] == box.contains(points, 0.0)[0]
 
 
+def test_the_former_name_of_keep_out_zones_still_works(tmp_path):
+    for key in ('keep_out', 'no_go'):
+        rig = rig_in(tmp_path, f'cameras: [{{sensor: kinect_v2}}]\n{key}: [{{box: '
+                               '[[0, 0, 0], [1, 2, 3]]}]')
+        assert len(rig.keep_out) == 1
+        assert rig.keep_out[0].contains(np.array([[0.5, 1.5, 1.0], [1.5, 1.5, 1.0]]),
+                                        0.0).tolist() == [True, False]
+
+
 @pytest.mark.parametrize('corners', [
     [[0, 0], [2, 0], [2, 1]], [[0, 0], [4, 0], [4, 4], [2, 1], [0, 4]]])
 def test_a_polygon_holds_as_many_places_as_its_area_says(tmp_path, corners):
     zone = rig_in(tmp_path, f'cameras: [{{sensor: kinect_v2}}]\nno_go: [{{polygon: {corners}}}]'
-                  ).no_go[0]
+                  ).keep_out[0]
     points = np.random.default_rng(0).uniform(0.0, 4.0, (20000, 3))
     x, y = np.array(corners, dtype=float).T
     area = 0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))

@@ -110,14 +110,14 @@ def test_one_more_camera_helps_as_much_as_it_says(files, capsys):
 def test_what_is_printed_names_all_of_it(files, capsys):
     assert main(['score', 'room.ply', 'placement.yaml', '--rig', 'rig.yaml']) == 0
     out = ' '.join(capsys.readouterr().out.split())
-    for words in ('door (in place)', 'depth error', 'seen by 0:', '3 or more:', 'region table:',
-                  '95.0 % asked for', 'broken constraints:', 'found a pitch of 80 degrees',
-                  'missed:', 'no candidate sees either', 'helps most at ('):
+    for words in ('door (fixed)', 'depth error', 'seen by 0:', '3 or more:', 'region table:',
+                  '95.0 % required', 'violated constraints:', 'found a pitch of 80 degrees',
+                  'missed:', 'not visible from any candidate', 'helps most at ('):
         assert words in out, words
     placement = '{cameras: [{sensor: realsense_d455, position: [4, 4, 1.9]}]}'
     (files / 'placement.yaml').write_text(placement)
     assert main(['score', 'room.ply', 'placement.yaml']) == 0
-    assert 'every constraint is kept' in capsys.readouterr().out
+    assert 'all constraints are satisfied' in capsys.readouterr().out
 
 
 def test_what_is_exported_has_the_same_scores(files, capsys):
@@ -164,7 +164,7 @@ def test_another_room_or_rig_than_that_of_the_scores_is_noted(files, capsys):
     assert 'made for a room of other content' in other['notes'][0]
     (files / 'rig.yaml').write_text(RIG.replace('weight: 2.0', 'weight: 5.0'))
     other = scored(capsys, '8', 'out/placement.yaml', '--rig', 'rig.yaml')
-    assert other['notes'][0].startswith('the file says loss ')
+    assert other['notes'][0].startswith('the file has the objective value ')
     assert scored(capsys, '8', 'out/placement.yaml')['notes'] == []
 
 

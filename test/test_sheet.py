@@ -101,7 +101,7 @@ def test_the_page_is_a4_on_its_side_and_says_what_was_found(rooms, tmp_path):
     scores = judged.found['scores']
     for words in ('room-8: 1 camera', metres(scores['depth_error']),
                   f'{100 * scores["seen"]:.1f} %', 'seen by no camera', 'mm per m²',
-                  '1 constraint broken', 'degrees down', 'ocp score 1 p.yaml',
+                  '1 constraint violated', 'degrees down', 'ocp score 1 p.yaml',
                   judged.words[0].place):
         assert words in texts, words
     # Most of this room is seen by nobody, and shown so.

@@ -23,8 +23,7 @@ class AgentConfig:
     """
 
     inputs: str = setting(
-        'world', 'what the network reads: world, cloud or both, then with the place of the one '
-        'camera that chooses: of the others world tells; or map', choices=INPUTS)
+        'world', 'input of the network: world, cloud, both or map', choices=INPUTS)
     points: int = setting(512, 'points of the cloud that reach the first unit', 16, 32767)
     keys_1: int = setting(32, 'key points of the first unit', 1, 4096)
     group_1: int = setting(8, 'points per group of the first unit', 1, 256)
@@ -34,7 +33,7 @@ class AgentConfig:
     radius_2: float = setting(2.0, 'ball query radius of the second unit, metres', 0.01, 50.0)
     channels: int = setting(32, "channels C' of each unit's perceptron", 1, 1024)
     hidden: int = setting(256, 'width of the heads', 1, 4096)
-    length_scale: float = setting(4.0, 'metres that one unit of the network means', 0.01, 100.0)
+    length_scale: float = setting(4.0, 'length of one unit of the network, metres', 0.01, 100.0)
 
     @property
     def world(self) -> bool:

@@ -74,7 +74,7 @@ class ConstraintFilter:
             found = self._nearest(positions[camera], targets[camera], others, bounds, max_step)
             if found is None:
                 held.append(f'{name.name} stays at {np.round(positions[camera], 2).tolist()}: '
-                            f'found no allowed place within {max_step:g} m')
+                            f'found no feasible position within {max_step:g} m')
             else:
                 chosen[camera] = found
         return FilteredTargets(chosen, held)

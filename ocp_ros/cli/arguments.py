@@ -92,12 +92,12 @@ def add_units(command: argparse.ArgumentParser, what: str) -> None:
 def add_frame(command: argparse.ArgumentParser) -> None:
     """Add which frame files are written in."""
     command.add_argument('--frame', choices=('map', 'source'),
-                         help='of what is written: map (metres, z up) or source (axes '
-                         'and units of the scan); unless named, pages for installers are in that '
-                         'of the scan and files for programs in that of the map')
+                         help='frame of the written files: map (metres, z up) or source (axes and '
+                              'units of the scan); default: source for pages for installers, map '
+                              'for files for programs')
     command.add_argument('--frame-prefix', type=frame_prefix, default='', metavar='NAME',
-                         help='before the names of camera frames in files for ROS 2, such as '
-                         'rig_a_, so that those of two rigs are told apart')
+                         help='prefix of the camera frames in files for ROS 2, such as rig_a_, so '
+                              'that two rigs have different frames')
 
 
 def frame_prefix(text: str) -> str:
@@ -111,11 +111,11 @@ def frame_prefix(text: str) -> str:
 def add_overwrite(command: argparse.ArgumentParser) -> None:
     """Add that files of others may be replaced."""
     command.add_argument('--overwrite', action='store_true',
-                         help='replace files that ocp did not write, or that were edited since')
+                         help='replace files that ocp did not write or that were edited since')
 
 
 def add_reading(command: argparse.ArgumentParser) -> None:
     """Add how a scan is to be read."""
     add_units(command, 'of the scan')
     command.add_argument('--drop-nonfinite', action='store_true',
-                         help='leave out points with NaN or inf, as organised clouds have them')
+                         help='leave out points with NaN or inf, which organised clouds contain')

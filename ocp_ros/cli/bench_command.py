@@ -72,28 +72,29 @@ def page(result: dict[str, Any]) -> str:
     return f"""# The engine, measured
 
 Made by `{result["command"]}` on {result["date"]}.
-{result["rooms"]} generated rooms, {result["positions"]}
-places of a camera in each with nothing within {CLEARANCE} m, range {result["range"]:.0f} m. Truth
-is ray casting of the rooms' meshes; every method judges the same cameras in the same process on
-one core. Hidden point removal is Open3D's, at the best of {len(RADII)} radii (named, metres).
-Embree casts one ray per point at the mesh, which the user of a point cloud does not have.
+It uses {result["rooms"]} generated rooms with {result["positions"]} camera positions each, at
+least {CLEARANCE} m from all surfaces, and a range of {result["range"]:.0f} m. Ray casting of the
+rooms' meshes is the reference. Every method computes the same cameras in the same process on one
+core. Hidden point removal is that of Open3D, with the best of {len(RADII)} radii (in the table,
+metres). Embree casts one ray per point at the true mesh, which a user with a point cloud does not
+have.
 
 | points | method | precision | recall | F1 | ms per camera | ns per point |
 |---|---|---|---|---|---|---|
 {rows}
 
 {_fused(result)}\
-Speedups are at {MIDDLE:,} points. The rest is for the `fast` preset, 4 cameras and a room of
-{result["points"]:,} points, in two threads: environment steps, placements judged, and
-placements judged of which one camera had moved. The twin is the same rules in plain NumPy.
+Speedups are at {MIDDLE:,} points. The other figures are for the preset `fast`, 4 cameras and a
+room of {result["points"]:,} points, in two threads: environment steps, evaluated placements, and
+evaluated placements of which one camera has moved. The twin has the same rules in plain NumPy.
 
 | figure | value |
 |---|---|
 {figures}
 
-What a camera's look costs and what is held per scene as rooms grow (`fast`, everything included:
-points, normals, coverage grid, lists of the depth error; built on one core). A camera's workspace
-takes 8 bytes per point more for each thread that looks at the same time.
+The next table has time per camera and memory per scene for larger rooms, with `fast` on one core.
+Memory includes points, normals, coverage grid and lists of the depth error. Each thread needs 8
+more bytes per point as workspace.
 
 | points | ns per point and camera | bytes per point | seconds to build |
 |---|---|---|---|
@@ -109,11 +110,12 @@ def _fused(result: dict[str, Any]) -> str:
         f'| {row["density"]:,} | {row["method"].replace("_", " ")} | {row["precision"]:.3f} | '
         f'{row["recall"]:.3f} | {row["f1"]:.3f} |' for row in result['fused'])
     return f"""\
-Scans of depth cameras are noisier. Here a camera in the hand scans {result["fused_rooms"]} of the
-rooms: up to {result["fused_frames"]} frames with the noise of a Kinect are fused, and the surface
-is thinned to at most so many points. From these points {result["fused_views"]} frames of another
-walk are predicted; a point counts if it is in the frame, and is visible if the room's mesh is no
-nearer than {100 * TOLERANCE:.0f} cm before it. `mesh` casts rays at the mesh that was fused.
+Scans of depth cameras are noisier. A simulated hand-held camera scans {result["fused_rooms"]} of
+the rooms. Up to {result["fused_frames"]} frames with the noise of a Kinect are fused, and the
+surface is thinned to the number of points in the table. These points predict the visible points of
+{result["fused_views"]} frames of another walk. A point counts if it is in the frame. It is visible
+if no mesh surface lies more than {100 * TOLERANCE:.0f} cm in front of it. `mesh` casts rays at the
+fused mesh.
 
 | points at most | method | precision | recall | F1 |
 |---|---|---|---|---|

@@ -22,7 +22,7 @@ from ocp_ros.util.shown_text import printable
 
 #: What one may want, as ``ocp --help`` lists it.
 PLAN, JUDGE, LOOK, LEARN, COMPARE, REPLAY = TITLES = (
-    'find a placement', 'judge a placement', 'look at rooms and placements', 'learn a policy',
+    'find a placement', 'evaluate a placement', 'look at rooms and placements', 'train a policy',
     'compare and measure', 'feed the nodes')
 #: What a command found, as plain data.
 Found = dict[str, Any]
@@ -93,7 +93,7 @@ class Commands:
         if example:
             self.examples.append(example)
             made.add_argument('--json', action='store_true',
-                              help='print one JSON document and nothing else; errors as well')
+                              help='print one JSON document and nothing else, also for errors')
         return made
 
     def _table(self) -> str:

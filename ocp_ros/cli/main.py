@@ -129,9 +129,9 @@ def _add_train(commands: Commands) -> None:
     train.add_argument('--config', type=find_config, required=True,
                        help='YAML of training settings')
     train.add_argument('--out', type=Path, required=True,
-                       help='folder of the run; an interrupted one goes on')
-    train.add_argument('--model', type=Path, help='write the best weights here as well')
-    train.add_argument('--seed', type=seed, help='in place of the one in the settings')
+                       help='folder of the run; an interrupted run continues')
+    train.add_argument('--model', type=Path, help='also write the best weights to this file')
+    train.add_argument('--seed', type=seed, help='random seed; replaces the one in the settings')
     add_overwrite(train)
     train.set_defaults(run=_train, show=_show_training)
 
@@ -144,80 +144,85 @@ def _add_benchmark(commands: Commands) -> None:
     compare.add_argument('--preset', choices=('smoke', 'full'), default='smoke',
                          help='smoke: two rooms, under two minutes; full: ten rooms, three '
                          'rotations, up to 10,000 evaluations')
-    compare.add_argument('--rooms', type=Path, help='folder of scans to take instead')
+    compare.add_argument('--rooms', type=Path, help='folder of scans, instead of generated rooms')
     add_units(compare, 'of the scans')
-    compare.add_argument('--rig', type=find_config, help='cameras and what is asked of them, in '
-                         'place of omnidirectional ones: docs/rig.md')
+    compare.add_argument('--rig', type=find_config, help='rig file, instead of omnidirectional '
+                                                         'cameras: docs/reference/rig.md')
     compare.add_argument('--planners', type=names,
-                         help='names with commas between; all unless named')
-    compare.add_argument('--budgets', type=whole_numbers, help='evaluations, with commas between')
-    compare.add_argument('--seeds', type=int, help='runs of each')
+                         help='names with commas between; default: all')
+    compare.add_argument('--budgets', type=whole_numbers, help='numbers of evaluations, with '
+                                                               'commas between')
+    compare.add_argument('--seeds', type=int, help='runs per planner, room and budget')
     compare.add_argument('--out', type=Path, default=Path('out/benchmark'),
-                         help='folder of the results; an interrupted comparison goes on')
+                         help='folder of the results; an interrupted comparison continues')
     compare.add_argument('--workers', type=at_least(1),
-                         help='processes; one for each core unless named')
+                         help='number of processes; default: one per core')
     compare.add_argument('--ray', metavar='ADDRESS', help='run on a Ray cluster, such as auto')
     compare.add_argument('--report', type=Path, nargs='?', const=Path('docs/benchmark'),
-                         help='write tables and figures here')
+                         help='folder for tables and figures')
     add_overwrite(compare)
     compare.set_defaults(run=_benchmark, show=_show_nothing)
 
 
 def _add_bench(commands: Commands) -> None:
     """Add ``ocp bench``."""
-    measured = commands.add(COMPARE, 'bench', 'measure how true and how fast the engine is here',
+    measured = commands.add(COMPARE, 'bench', 'measure accuracy and speed of the engine on this '
+                                              'machine',
                             'ocp bench --out out/bench.json')
     measured.add_argument('--preset', choices=('smoke', 'full'), default='smoke',
                           help='smoke: under a minute; full: what docs/bench.md shows, a quarter '
                           'of an hour')
     measured.add_argument('--out', type=Path, default=Path('out/bench.json'),
-                          help='file of the figures')
-    measured.add_argument('--page', type=Path, help='write them as a page as well (Markdown)')
+                          help='file for the figures')
+    measured.add_argument('--page', type=Path, help='also write the figures as a Markdown page')
     add_overwrite(measured)
     measured.set_defaults(run=_bench, show=_show_bench)
 
 
 def _add_evaluate(commands: Commands) -> None:
     """Add ``ocp evaluate``."""
-    judged = commands.add(LEARN, 'evaluate', 'judge a policy room by room',
+    judged = commands.add(LEARN, 'evaluate', 'evaluate a policy room by room',
                           'ocp evaluate --model models/mine.safetensors --set test')
     judged.add_argument('--model', default=DEFAULT_MODEL, help='weights: a path, or a name')
     judged.add_argument('--planners', type=names, default=('learned', 'greedy_step'),
                         help='names with commas between; the first is compared with the others')
     rooms = judged.add_mutually_exclusive_group()
     rooms.add_argument('--set', choices=('fresh', 'test', 'training', 'validation'),
-                       default='fresh', help='which generated rooms; fresh ones unless named')
-    rooms.add_argument('--rooms', type=Path, nargs='+', metavar='SCAN', help='scans instead')
+                       default='fresh', help='set of generated rooms; default: fresh')
+    rooms.add_argument('--rooms', type=Path, nargs='+', metavar='SCAN', help='scans, instead of '
+                                                                             'generated rooms')
     add_units(judged, 'of the scans')
     judged.add_argument('--rotations', type=whole_numbers, default=(0,),
-                        help='degrees, with commas between')
+                        help='rotations of the rooms in degrees, with commas between')
     judged.add_argument('--cameras', type=camera_counts,
-                        help='how many, with commas between; 4 unless told otherwise')
-    judged.add_argument('--rig', type=find_config, help='the cameras and their constraints '
-                        'instead: docs/rig.md')
+                        help='numbers of cameras, with commas between; default: 4')
+    judged.add_argument('--rig', type=find_config, help='rig file, instead of omnidirectional '
+                                                        'cameras: docs/reference/rig.md')
     judged.add_argument('--budgets', type=whole_numbers, default=(1000,),
                         help='evaluations of offline planners, with commas between')
-    judged.add_argument('--seeds', type=at_least(1), default=1, help='runs of each')
+    judged.add_argument('--seeds', type=at_least(1), default=1, help='runs per planner, room and '
+                                                                     'budget')
     judged.add_argument('--workers', type=at_least(1),
-                        help='processes; one for each core unless named')
+                        help='number of processes; default: one per core')
     judged.add_argument('--ray', metavar='ADDRESS', help='run on a Ray cluster, such as auto')
     judged.add_argument('--out', type=Path, default=Path('out/evaluation'),
-                        help='folder of the results; an interrupted evaluation goes on')
+                        help='folder of the results; an interrupted evaluation continues')
     add_overwrite(judged)
     judged.set_defaults(run=_evaluate, show=_show_nothing, scale=1.0, up='z')
 
 
 def _add_score(commands: Commands) -> None:
     """Add ``ocp score``."""
-    judged = commands.add(JUDGE, 'score', 'judge cameras that hang, or shall hang, in a room',
+    judged = commands.add(JUDGE, 'score', 'evaluate a placement of cameras in a room',
                           'ocp score room.ply placement.yaml --rig rig.yaml --out out/hang-up')
     judged.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
     judged.add_argument('placement', type=Path, metavar='PLACEMENT',
-                        help='YAML or JSON: docs/placement.md')
+                        help='placement file, YAML or JSON: docs/reference/placement.md')
     judged.add_argument('--rig', type=find_config,
-                        help='what is asked for, in place of what the placement says: docs/rig.md')
+                        help='rig file, used instead of the one in the placement: '
+                        'docs/reference/rig.md')
     judged.add_argument('--out', '--export', type=Path, metavar='DIR',
-                        help='write report, placement, CSV, launch file, xacro and more here')
+                        help='folder for report, placement, CSV, launch file, xacro and more')
     add_frame(judged)
     add_overwrite(judged)
     add_reading(judged)
@@ -226,15 +231,16 @@ def _add_score(commands: Commands) -> None:
 
 def _add_view(commands: Commands) -> None:
     """Add ``ocp view``."""
-    seen = commands.add(LOOK, 'view', 'write a page of a room, and a placement, to turn around',
+    seen = commands.add(LOOK, 'view', 'write a 3D page of a room and a placement',
                         'ocp view room.ply placement.yaml --out out/view.html')
     seen.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
     seen.add_argument('placement', type=Path, nargs='?', metavar='PLACEMENT',
-                      help='cameras in it: docs/placement.md')
+                      help='placement file: docs/reference/placement.md')
     seen.add_argument('--rig', type=find_config,
-                      help='what is asked for, in place of what the placement says: docs/rig.md')
+                      help='rig file, used instead of the one in the placement: '
+                      'docs/reference/rig.md')
     seen.add_argument('--out', type=Path, default=Path('out/view.html'), help='page to write')
-    seen.add_argument('--open', action='store_true', help='open it in a browser')
+    seen.add_argument('--open', action='store_true', help='open the page in a browser')
     add_overwrite(seen)
     add_reading(seen)
     seen.set_defaults(run=_view, show=show_written)

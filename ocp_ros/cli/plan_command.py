@@ -84,7 +84,7 @@ def _kept(folder: Path, placement: Placement) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        print(f'ocp: stopped; where the cameras hang is in {printable(str(paths[0]))}'
+        print(f'ocp: stopped; the placement is in {printable(str(paths[0]))}'
               + earlier_files(folder, paths), file=sys.stderr)
         raise
 
@@ -126,7 +126,8 @@ def _progress() -> Iterator[Callable[[float, float], None]]:
         task = bar.add_task('searching (Ctrl-C: best so far)', total=1.0, loss='')
 
         def report(share: float, loss: float) -> None:
-            bar.update(task, completed=share, loss='' if np.isinf(loss) else f'loss {loss:.4f}')
+            value = '' if np.isinf(loss) else f'objective value {loss:.4f}'
+            bar.update(task, completed=share, loss=value)
         yield report
 
 

@@ -45,33 +45,37 @@ def _show(found: Found) -> None:
 
 def add_plan(commands: Commands) -> None:
     """Add ``ocp plan``."""
-    planned = commands.add(PLAN, 'plan', 'find where to hang cameras in a room',
+    planned = commands.add(PLAN, 'plan', 'find the best poses of cameras in a room',
                            'ocp plan room.ply --cameras 4 --model d455 --out out/plan')
     planned.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
     rig = planned.add_mutually_exclusive_group()
     rig.add_argument('--rig', type=find_config,
-                     help='cameras and what is asked of them: docs/rig.md')
+                     help='rig file with cameras and constraints: docs/reference/rig.md')
     rig.add_argument('--model', metavar='SENSOR', default='omnidirectional',
-                     help='the sensor of all cameras, or a part of its name such as d455')
+                     help='sensor of all cameras, or a part of its name such as d455')
     planned.add_argument('--cameras', '--count', dest='count', type=count, metavar='N',
-                         help='how many, or auto; 4 or what the rig file says unless named')
+                         help='number of cameras, or auto; default: 4, or the number in the rig '
+                              'file')
     planned.add_argument('--target', type=share,
-                         help='with auto: share of what can be reached at all, 0.95 unless named')
+                         help='with auto: share to reach of what all candidates reach together; '
+                              'default: 0.95')
     planned.add_argument('--by', choices=('error', 'seen', 'coverage'),
-                         help='with auto, share of what: depth error taken away, points seen, or '
-                         'space covered')
+                         help='with auto: share of the error reduction, of the seen points or of '
+                              'the space coverage')
     planned.add_argument('--most', type=cameras,
-                         help='with auto: the most cameras to try')
+                         help='with auto: largest number of cameras; default: 12')
     planned.add_argument('--planner', type=current_name, default='rig_search', metavar='NAME',
-                         help='who searches: rig_search unless named, or one of docs/planners.md '
-                         'such as cma_es or lookahead')
-    planned.add_argument('--seconds', type=seconds, help='of search for each number of cameras; '
-                         '60, or 15 with auto, unless evaluations are named')
+                         help='planner that searches: rig_search (default) or a name of '
+                         'docs/reference/planners.md, such as cma_es or lookahead')
+    planned.add_argument('--seconds', type=seconds, help='seconds of search for each number of '
+                                                         'cameras; default: 60, or 15 with auto; '
+                                                         'without limit if --evaluations is given')
     planned.add_argument('--evaluations', type=at_least(1),
-                         help='judge so many placements; the same seed finds the same answer')
-    planned.add_argument('--seed', type=seed, default=0, help='of all chance')
+                         help='number of placements to evaluate; the same seed gives the same '
+                              'result')
+    planned.add_argument('--seed', type=seed, default=0, help='random seed')
     planned.add_argument('--out', type=Path, default=Path('out/plan'), metavar='DIR',
-                         help='write report, placement, CSV, launch file, xacro and more here')
+                         help='folder for report, placement, CSV, launch file, xacro and more')
     add_frame(planned)
     add_overwrite(planned)
     add_reading(planned)

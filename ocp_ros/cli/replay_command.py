@@ -56,25 +56,26 @@ def add_replay(commands: Commands) -> None:
         REPLAY, 'replay', 'publish the clouds of a ROS 1 or ROS 2 bag for policy_node',
         'ocp replay recording --list')
     played.add_argument('bag', type=Path, metavar='BAG',
-                        help='a ROS 1 bag, or the folder of a ROS 2 bag')
+                        help='ROS 1 bag, or folder of a ROS 2 bag')
     played.add_argument('--list', action='store_true', help='show the topics and nothing else')
     played.add_argument('--topics', nargs='+', default=(), metavar='TOPIC[:=NEW]',
-                        help='what to publish, and as what; all clouds and the camera poses '
-                        'unless named')
+                        help='topics to publish, with new names; default: all clouds and the '
+                             'camera poses')
     played.add_argument('--rate', type=_above_zero, default=1.0,
-                        help='how many times as fast as recorded')
-    played.add_argument('--loop', action='store_true', help='begin anew at the end')
-    played.add_argument('--start', type=_seconds, default=0.0, help='seconds to leave out')
+                        help='speed factor')
+    played.add_argument('--loop', action='store_true', help='start again at the end')
+    played.add_argument('--start', type=_seconds, default=0.0, help='seconds to skip at the '
+                                                                    'beginning')
     played.add_argument('--duration', type=_above_zero, help='seconds of the bag to publish')
     played.add_argument('--frame', action='append', default=[], metavar='[TOPIC=]FRAME',
-                        help='frame of the clouds in place of the recorded one; repeat it')
+                        help='frame of the clouds, instead of the recorded one; may be repeated')
     played.add_argument('--pose', action='append', default=[],
                         metavar='X,Y,Z[,YAW,PITCH,ROLL]',
-                        help='where a camera is, metres and degrees, once for each topic of '
-                        'clouds; write --pose=-1,0,2 where the first number is negative')
-    played.add_argument('--fixed-frame', default='map', metavar='FRAME', help='of the poses')
+                        help='pose of a camera in metres and degrees, once for each cloud topic; '
+                             'write --pose=-1,0,2 if the first number is negative')
+    played.add_argument('--fixed-frame', default='map', metavar='FRAME', help='frame of the poses')
     played.add_argument('--wait', type=_seconds, default=10.0,
-                        help='seconds to wait for somebody who listens')
+                        help='seconds to wait for a subscriber')
     played.set_defaults(run=_replay, show=_show)
 
 

@@ -36,11 +36,12 @@ def parser() -> argparse.ArgumentParser:
     """Build the parser."""
     defaults = SimNodeConfig()
     top = argparse.ArgumentParser(prog='demo', description=__doc__)
-    top.add_argument('--room', type=Path, help='scan to place cameras in; else a generated room')
+    top.add_argument('--room', type=Path, help='scan of the room; default: a generated room')
     top.add_argument('--cameras', type=int, default=defaults.rig.cameras)
     top.add_argument('--turns', type=int, default=defaults.episode.turns)
     top.add_argument('--height', type=float, default=defaults.rig.height, help='metres')
-    top.add_argument('--seed', type=int, default=defaults.scene.seed, help='of the generated room')
+    top.add_argument('--seed', type=int, default=defaults.scene.seed, help='seed of the generated '
+                                                                           'room')
     top.add_argument('--scale', type=float, default=defaults.scene.scale,
                      help='metres per unit of the scan, 0.001 for millimetres')
     top.add_argument('--up', choices=('x', 'y', 'z'), default=defaults.scene.up,
@@ -48,7 +49,7 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument('--drop-nonfinite', action='store_true',
                      help='leave out points with NaN or inf')
     top.add_argument('--planner', choices=PLANNERS, default=PolicyNodeConfig.planner,
-                     help='who chooses the moves')
+                     help='planner of the moves')
     top.add_argument('--model', default=PolicyNodeConfig.model, help='weights: path or name')
     top.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
     return top

@@ -91,11 +91,11 @@ def page(command: str, rows: dict[str, list[tuple[int, Certificate]]], load: flo
     :param load: of the machine, when it ended.
     """
     lines = ['# Certificates in the test rooms', '',
-             f'Rooms of {POINTS:,} points, preset `fine`, depth maps of {ROWS} rows; seconds '
-             'include looking from all candidates. Measured on',
+             f'Rooms of {POINTS:,} points, preset `fine`, depth maps of {ROWS} rows. Seconds '
+             'include the visibility of all candidates. Measured on',
              f'{date.today().isoformat()}, at a load of {load:.1f} on {os.cpu_count()} processors '
              'by', '', f'    {command}', '',
-             '[plan.md](plan.md#how-good-is-the-answer) explains how to read them.']
+             '[How good a plan is](explanation/certificate.md) explains how to read them.']
     for name, found in rows.items():
         done = sum(certificate.proved for _, certificate in found)
         most = max(certificate.gap for _, certificate in found)

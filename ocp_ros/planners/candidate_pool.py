@@ -82,8 +82,8 @@ def _offered(allowed: FeasibleRegion, model: CameraModel, most: int) -> np.ndarr
     poses = poses[allowed.allowed(poses, model)]
     if len(poses) == 0:
         raise allowed.rig.document.error(
-            ('mount',), f'no place in {allowed.scene.name} where a camera may hang to the tenth '
-            'of a millimetre', 'more room', 'lower keep_clear, or change the mount or its height')
+            ('mount',), f'no feasible pose in {allowed.scene.name} after rounding to 0.1 mm',
+            'more room', 'lower keep_clear, or change the mount or its height')
     return np.random.default_rng(0).permutation(poses)
 
 
@@ -225,7 +225,7 @@ def check_room(objective: Objective, pool: Pool) -> None:
         raise rig.document.error(
             ('spacing',), f'{rig.spacing:g} m, at which only {len(sites)} of the '
             f'{len(rig.cameras)} cameras find room in {objective.simulator.scene.name}',
-            'a distance at which all do', 'lower it or hang up fewer')
+            'a distance at which all do', 'lower it or use fewer cameras')
 
 
 def random_sites(rig: Rig, pool: Pool, rng: np.random.Generator) -> tuple[Site, ...]:

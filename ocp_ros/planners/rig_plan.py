@@ -139,7 +139,7 @@ class RigPlanner:
                     ('regions', k, 'must_see'), f'{100.0 * region.must_see:.1f} % of '
                     f'{region.name}, of which all {len(self.pool)} candidates together see '
                     f'{100.0 * share:.1f} %', 'a share that can be seen',
-                    'lower it, or let cameras hang or look elsewhere')
+                    'lower it, or change the mount or the pitch')
 
     def plan(self, rig: Rig, before: Answer | None = None) -> RigPlan:
         """

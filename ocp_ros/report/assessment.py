@@ -143,6 +143,6 @@ def _notes(placement: Placement, room: dict[str, Any], scores: dict[str, Any]) -
     if placement.room.get('sha256') not in (None, room['sha256']):
         return ['the file was made for a room of other content; its own scores are not these']
     if isinstance(before, float) and abs(before - scores['loss']) > SAME:
-        return [f'the file says loss {before:.6f}; found {scores["loss"]:.6f}: rig, points or '
-                'engine are not those that it was scored with']
+        return [f'the file has the objective value {before:.6f}; found {scores["loss"]:.6f}: '
+                'rig, points or engine are not those that it was scored with']
     return []

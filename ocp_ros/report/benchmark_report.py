@@ -150,7 +150,7 @@ def shown(number: float | None, digits: int) -> str:
 
 def knows(name: str) -> str:
     """Say what a planner knows of a room."""
-    return 'what was seen' if name in ONLINE else KNOWS.get(name, 'scores')
+    return 'observed points' if name in ONLINE else KNOWS.get(name, 'scores')
 
 
 def page(summary: dict[str, Any]) -> str:
@@ -159,25 +159,27 @@ def page(summary: dict[str, Any]) -> str:
         '# Planners compared', '',
         f'Made on {summary["date"]} by', '', f'    {printable(summary["command"])}', '',
         f'{len(summary["rooms"])} rooms, {summary["rotations"]} rotations of each, '
-        f'{_placed(summary)}. Planners search by the preset `fine` on {summary["points"]:,} '
-        'points of a room. '
-        '*Promised* is what this engine says of the placement. *Delivered* is what it is '
-        'worth by ray casting of the generated mesh, on another scan of '
-        f'{summary["judged_points"]:,} points that no search saw, as the mean over '
-        f'{MOUNTINGS} ways of mounting the cameras {100 * MOUNTING:.0f} cm off; in scans without '
-        'a mesh, by the '
-        'engine on points that were held out. *Regret* is what is delivered over the best that a '
-        'search with the truth delivered: of the sums over rooms, and as the geometric mean over '
-        'rooms. The *worst promise* is the ratio of promised to delivered, in a room, that is '
-        'farthest from 1. The *bound* is what no placement on the candidates of the exact method '
-        'is promised to be below. Sums are over rooms, each the mean over rotations and seeds, '
-        'with a 95 % bootstrap interval over rooms. *Gap closed* is (random - method) / (random - '
-        'best by truth), random being a placement drawn at random. *Wins* are rooms in which no '
-        'other planner of the same budget was better.', '',
+        f'{_placed(summary)}. Planners search with the preset `fine` on {summary["points"]:,} '
+        'points of a room. Sums are over rooms; each room is the mean over rotations and seeds.',
+        '', '| figure | meaning |', '|---|---|',
+        '| delivered | depth error of the placement by ray casting of the generated mesh, on '
+        f'another scan of {summary["judged_points"]:,} points that no search saw, as the mean '
+        f'over {MOUNTINGS} ways of mounting the cameras {100 * MOUNTING:.0f} cm off; in scans '
+        'without a mesh, by the engine on points that were held out |',
+        '| 95 % | bootstrap interval of the sum over rooms |',
+        '| promised | depth error of the placement by the engine that planners search with |',
+        '| worst promise | promised / delivered in the room where this ratio is farthest from 1 |',
+        '| promised / bound | the bound is the least depth error that the exact method proves for '
+        'all placements on its candidates |',
+        '| regret | delivered / the best that a search with the truth (ray casting) delivered, '
+        'of the sums over rooms; *geometric*: the geometric mean over rooms |',
+        '| gap closed | (random - planner) / (random - best by truth); random is one placement '
+        'drawn at random |',
+        '| wins | rooms in which no other planner of the same budget was better |', '',
         compared(summary), '', *(f'**Note:** {note}.\n' for note in summary.get('notes', ()))]
     for budget in budgets_of(summary):
         heading = f'{int(budget):,} evaluations' if int(budget) else \
-            'Online: turn by turn, knowing only what was seen'
+            'Online planners, without a scan'
         lines += [f'## {heading}', '', *_table(summary, budget), '']
         test = summary['rank_tests'][budget]
         runs = [(name, runs[budget]) for name, runs in summary['planners'].items()
@@ -185,12 +187,12 @@ def page(summary: dict[str, Any]) -> str:
         for name, run in runs:
             if 'seconds_per_turn' in run:
                 lines += [f'{spaced(name)}: {1e3 * run["seconds_per_turn"]:.0f} ms '
-                          f'a turn at the median, {1e3 * run["seconds_at_most"]:.0f} at most.', '']
+                          f'per turn (median), {1e3 * run["seconds_at_most"]:.0f} ms at most.', '']
         friedman = test['friedman_p']
         lines += [f"Rank is the mean over rooms; p is Wilcoxon's signed-rank test against "
                   f'{spaced(test["leader"])}, corrected after Holm'
                   + ('.' if friedman is None else
-                     f'; that all are alike has p = {friedman:.2g} (Friedman).'), '']
+                     f'. Friedman test of equal planners: p = {friedman:.2g}.'), '']
     lines += _agreement(summary) + _duels(summary) + _times(summary)
     lines += ['![Depth error of every planner in every room](rooms.png)', '']
     if 'rig' not in summary:
@@ -208,8 +210,8 @@ def page(summary: dict[str, Any]) -> str:
             f'{known["lower_bound"]:.3f} | {shown(bounds.get(room), 3)} |')
     rig = 'rig' in summary
     everywhere = 'candidate poses' if rig else 'places of the plane'
-    lines += ['', f'*From everywhere* is what all {everywhere} miss together: no placement '
-              f'{"of these " if rig else ""}can do better.', '',
+    lines += ['', f'*From everywhere* is the depth error of cameras at all {everywhere} together: '
+              f'no placement {"of these " if rig else ""}is better.', '',
               'Versions: ' + ', '.join(
                   f'{name} {version}' for name, version in summary['versions'].items()) + '.', '']
     return '\n'.join(lines)
@@ -238,7 +240,7 @@ def _yardsticks(summary: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, A
     """Yield what planners are compared with: its title, what it knows and its figures."""
     if 'exact' in summary:
         yield (f'exact on {summary["exact"]["candidates"]} candidates, then near them',
-               'scores, and why', summary['exact'])
+               'scores and visible points', summary['exact'])
     yield 'search with the truth', 'the truth', summary['truth']
 
 
@@ -254,8 +256,8 @@ def _placed(summary: dict[str, Any]) -> str:
     """Say which cameras were placed."""
     if 'rig' in summary:
         return (f'{summary["cameras"]} cameras of the rig file `{as_code(summary["rig"])}` under '
-                'all its constraints, each turned as well as placed; an error is the objective of '
-                'the rig in units of the depth error of seeing nothing')
+                'all its constraints, with positions and headings; an error is the objective '
+                'value of the rig in units of the depth error without cameras')
     return f'{summary["cameras"]} cameras on a plane'
 
 
@@ -280,7 +282,7 @@ def _agreement(summary: dict[str, Any]) -> list[str]:
     text = f'With {int(last):,} evaluations, {", ".join(map(spaced, near))} are within ' \
         f'{100 * (ALIKE - 1):.0f} % of the least sum among the searches'
     if far:
-        text += f'; not so, as multiples of it: {", ".join(far)}'
+        text += f'; the others, as multiples of it: {", ".join(far)}'
     return ['## Do the searches agree?', '', text + '.', '']
 
 
@@ -293,8 +295,8 @@ def _duels(summary: dict[str, Any]) -> list[str]:
     if not online or not offline:
         return []
     lines = ['## Online against offline', '',
-             "The online planner's sum as a share of the offline one's, and in how many of the "
-             f'{len(summary["rooms"])} rooms it is better.', '',
+             "The online planner's sum / the offline planner's sum, and in how many of the "
+             f'{len(summary["rooms"])} rooms the online planner is better.', '',
              '| against | evaluations | ' + ' | '.join(map(spaced, online)) + ' |',
              '|---|---|' + '---|' * len(online)]
     for name, budget in offline:
@@ -312,10 +314,11 @@ def _duels(summary: dict[str, Any]) -> list[str]:
 def _times(summary: dict[str, Any]) -> list[str]:
     """Tell how long each planner takes on one core."""
     budgets = budgets_of(summary)
-    lines = ['## Time', '', 'Seconds for one placement on one core; the last column is all rooms '
-             'and rotations once, at the most evaluations. Training the policy is not in it'
+    lines = ['## Time', '', 'Seconds for one placement on one core. The last column is one run in '
+             'all rooms and rotations with the largest budget. It does not include training of '
+             'the policy'
              + ('.' if 'rig' in summary else
-                ': [its card](../../models/README.md) says how long that took.'), '',
+                ': [its card](../reference/models.md) says how long that took.'), '',
              '| planner | ' + ' | '.join(
                  f'{int(budget):,}' if int(budget) else 'turns' for budget in budgets)
              + ' | all |', '|---|' + '---|' * (len(budgets) + 1)]

@@ -68,7 +68,7 @@ def coordinates_of(placed: Placed, frame: SourceFrame) -> str:
 def _pan(placed: Placed, walls: Sequence[ReferenceWall]) -> str:
     """Say where a camera faces, seen from above."""
     if placed.camera.model.horizontal_fov >= 2.0 * np.pi - 1e-9:
-        return 'any way round'
+        return 'any heading'
     yaw, pitch, _ = placed.angles
     # Of a camera that looks straight down, the top of the picture shows where it faces.
     turn = np.deg2rad(yaw + (180.0 if pitch < -DOWN else 0.0))

@@ -16,7 +16,7 @@ def certificate_data(plan: RigPlan) -> dict[str, Any]:
     :returns: ``sentence``, and what it is made of; ``gap`` is None where nothing was proved.
     """
     if plan.certificate is None:
-        return {'sentence': f'How much better other placements may be is not known: '
+        return {'sentence': f'The optimality gap is unknown: '
                             f'{plan.uncertain}.', 'gap': None}
     return {'sentence': sentence_of(plan), 'gap': plan.certificate.gap,
             **asdict(plan.certificate)}

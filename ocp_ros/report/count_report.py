@@ -14,10 +14,10 @@ from ocp_ros.report.key_figures import percent
 
 #: What each share is called above its column: none is a share of all points.
 HEADS = {'seen': 'of visible points', 'coverage': 'of reachable space',
-         'error': 'of removable error'}
+         'error': 'of error reduction'}
 #: What each share is a share of.
 SHARES = {'seen': 'points that can be seen', 'coverage': 'space that can be covered',
-          'error': 'depth error that can be taken away'}
+          'error': 'possible error reduction'}
 
 
 def rows_of_curve(plans: Sequence[RigPlan]) -> list[dict[str, Any]]:
@@ -30,7 +30,8 @@ def rows_of_curve(plans: Sequence[RigPlan]) -> list[dict[str, Any]]:
 
 def show_curve(console: Console, rows: Sequence[dict[str, Any]], count: dict[str, Any]) -> None:
     """Print how many cameras are needed."""
-    table = Table('cameras', 'loss', 'depth error', *HEADS.values(), title='How many are needed')
+    table = Table('cameras', 'objective value', 'depth error', *HEADS.values(),
+                  title='Number of cameras')
     for row in rows:
         table.add_row(str(row['cameras']), f'{row["loss"]:.4f}', f'{row["depth_error"]:.3f} m',
                       *(percent(row[f'share_{name}']) for name in SHARES))
@@ -43,7 +44,7 @@ def sentence(count: dict[str, Any]) -> str:
     asked = f'{percent(count["target"])} of the {SHARES[count["by"]]}'
     if count['reached']:
         return f'{count["cameras"]} are needed for {asked}'
-    return f'{count["cameras"]}, the most that were planned, do not reach {asked}'
+    return f'{count["cameras"]}, the largest number planned, do not reach {asked}'
 
 
 def draw_curve(path: Path, rows: Sequence[dict[str, Any]], count: dict[str, Any]) -> Path:

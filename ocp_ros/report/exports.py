@@ -32,7 +32,7 @@ OPTICAL = (-0.5 * np.pi, 0.0, -0.5 * np.pi)
 SCAN = 'scan'
 COLUMNS = ('number', 'name', 'sensor', 'frame', 'link', 'x', 'y', 'z', 'yaw', 'pitch', 'roll',
            'mount', 'horizontal_fov', 'vertical_fov', 'min_range', 'max_range')
-LAUNCH = '''"""Where the cameras hang, as static transforms: ros2 launch ./cameras.launch.py."""
+LAUNCH = '''"""Poses of the cameras, as static transforms: ros2 launch ./cameras.launch.py."""
 
 from launch import LaunchDescription
 from launch_ros.actions import Node

@@ -23,18 +23,18 @@ def tables_of(judged: Assessment) -> Iterator[str]:
     yield _table(('', '', ''), figures.cards)
     if 'search' in found:
         yield f'<p>{escape(found["search"]["certificate"]["sentence"])}</p>'
-    yield '<h2>How to hang up the cameras</h2>'
+    yield '<h2>How to mount the cameras</h2>'
     rows = [(str(number), f'{_named(words)}: {words.place}; {words.height}; '
              f'{words.pan}; {words.tilt}', words.coordinates, f'{added["depth_error"]:.3f} m',
              percent(added['only'])) for number, (words, added) in enumerate(zip(
                  judged.words, found['scores']['cameras']), start=1)]
-    yield _table(('', 'camera', 'x, y, z', 'takes from the error', 'only it sees'), rows)
+    yield _table(('', 'camera', 'x, y, z', 'error reduction', 'seen by this camera only'), rows)
     yield '<p>' + escape('Walls: ' + ', '.join(
         f'{wall.letter} {wall.length:.2f} m' + ('' if wall.stands else ' (no wall stands there)')
-        for wall in judged.walls) + '; A looks most along y, then clockwise. x, y and z are '
+        for wall in judged.walls) + '; A faces +y most, then clockwise. x, y and z are '
         + frame_named(judged) + '.') + '</p>'
     if found['scores']['regions']:
-        yield '<h2>Regions</h2>' + _table(('region', 'seen', 'asked for', 'met'), [
+        yield '<h2>Regions</h2>' + _table(('region', 'seen', 'required', 'satisfied'), [
             (region['name'], percent(region['seen']), percent(region['must_see']),
              'yes' if region['met'] else 'no') for region in found['scores']['regions']])
     yield f'<p>{escape(figures.foot)}</p>'

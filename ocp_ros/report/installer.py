@@ -13,7 +13,7 @@ def rows_of(judged: Assessment) -> list[list[str]]:
     """Return what an installer is told of each camera, the names of :data:`COLUMNS` above it."""
     rows = []
     for number, (placed, words) in enumerate(zip(judged.placement.cameras, judged.words), start=1):
-        name = f'{words.name} (in place)' if placed.mount == 'fixed' else words.name
+        name = f'{words.name} (fixed)' if placed.mount == 'fixed' else words.name
         rows.append([str(number), name, *words[1:]])
     return rows
 
@@ -39,13 +39,13 @@ def instructions(judged: Assessment, plan: str) -> str:
         '' if wall.stands else ' (no wall stands there)') for wall in references.sides)
     inner = '' if not references.inner else (
         f' {" ".join(wall.letter for wall in references.inner)} are walls inside of it.')
-    lines = [f'# How to hang up the cameras: {in_markdown(judged.scene.name)}', '',
+    lines = [f'# How to mount the cameras: {in_markdown(judged.scene.name)}', '',
              f'![Plan]({plan})', '', *(f'**Check first:** {in_markdown(note)}.\n'
                                        for note in judged.found.get('notes', ())),
              f'Walls are lettered as in the plan, clockwise seen from above: {sizes}. Where the '
              'room is not', f'a rectangle they are the sides of the rectangle around it.{inner} '
-             'Distances are at right angles to the wall, to',
-             "the middle of the camera's front. Left and right are those of somebody who stands "
+             'Distances are perpendicular to the wall, to',
+             "the centre of the camera's front. Left and right are those of a person who stands "
              f'behind the camera. x, y and z are {frame_named(judged)}.', '',
              f'| | {" | ".join(COLUMNS)} |', '|---' * (len(COLUMNS) + 1) + '|']
     lines += ['| ' + ' | '.join(map(in_markdown, row)) + ' |' for row in rows_of(judged)]

@@ -41,17 +41,17 @@ def figures_of(judged: Assessment) -> Figures:
     subtitle = f'{width:.1f} x {depth:.1f} x {scene.size[2]:.1f} m, {len(scene):,} points; ' + \
         ', '.join(f'{count} x {sensor.replace("_", " ")}' for sensor, count in sensors.items())
     subtitle = '; '.join([subtitle, *scene.remarks])
-    verdict = 'every constraint is kept' if not broken else (
-        f'{len(broken)} constraint{"s" * (len(broken) != 1)} broken')
+    verdict = 'all constraints are satisfied' if not broken else (
+        f'{len(broken)} constraint{"s" * (len(broken) != 1)} violated')
     made = judged.placement.created
     foot = '; '.join(filter(None, [
         f'found by the planner {made["planner"]}' if 'planner' in made else '',
         f'made by {made["command"]}' if 'command' in made else '', made.get('date', ''),
         f'ocp_ros {made["version"]}' if 'version' in made else '',
-        'distances are at right angles to the walls, to the middle of the front of a camera']))
+        'distances are perpendicular to the walls, to the centre of the front of a camera']))
     doubts = tuple(map(printable, judged.found.get('notes', ())))
     if doubts:
-        verdict += ', with doubts'
+        verdict += ', but the scan is doubtful'
     return Figures(title, subtitle, verdict, not (broken or doubts), doubts,
                    _cards(judged, scores), printable(foot))
 
@@ -62,7 +62,7 @@ def _cards(judged: Assessment, scores: dict) -> list[tuple[str, str, str]]:
     error, nothing = scores['depth_error'], scores['depth_error_of_nothing']
     twice = sum(count for number, count in scores['overlap'].items() if number not in '01')
     cards = [
-        ('depth error', metres(error), f'{percent(error / nothing)} of seeing nothing'),
+        ('depth error', metres(error), f'{metres(nothing)} without cameras'),
         ('seen', percent(scores['seen']),
          'of the points, by a camera' if least == 1 else f'of the points, by {least} cameras'),
         ('seen twice', percent(twice / points), 'by two cameras or more'),
@@ -76,13 +76,13 @@ def _cards(judged: Assessment, scores: dict) -> list[tuple[str, str, str]]:
                       f'{worst["name"]}: {percent(worst["seen"])} seen'))
     known = judged.found.get('search', {}).get('certificate')
     if known and known['gap'] is not None:
-        cards.append(('others are better by', f'{percent(known["gap"])} at most',
+        cards.append(('optimality gap', percent(known['gap']),
                       f'on {known["candidates"]:,} candidates'))
     more = judged.found.get('one_more')
     if more:
         x, y, z = more['position']
         cards.append(('one more camera', f'-{metres(max(more["gain"], 0.0))}',
-                      f'of error, at {x:.1f}, {y:.1f}, {z:.1f}'))
+                      f'depth error, at {x:.1f}, {y:.1f}, {z:.1f}'))
     return cards
 
 
@@ -90,7 +90,7 @@ def _missed(judged: Assessment) -> tuple[str, str, str]:
     """Return the card of what is missed."""
     missed = judged.found['missed']
     return ('missed', percent(missed['share']),
-            f'{percent(missed["hopeless"])} no place sees either')
+            f'no candidate sees {percent(missed["hopeless"])}')
 
 
 def metres(length: float) -> str:

@@ -107,19 +107,19 @@ def page(rooms: dict[str, Any]) -> str:
     real = rooms['real']
     lines = [
         '# Generated rooms', '', '`generate_room(seed)` makes offices, conference rooms, lounges, '
-        'hallways, storage rooms and open offices:', 'L-shapes, niches, columns, beams, '
-        'partitions, doors, windows, furniture and what lies about, always with the mesh. Tripods '
-        'are', 'stood in the room and what they see is sampled: more densely where it is near and '
-        'seen from the front, with noise along the ray,', 'with shadows, and with holes where '
-        'there is glass or something dark. The same seed gives the same room.', '',
+        'hallways, storage rooms and open offices, with', 'L-shapes, niches, columns, beams, '
+        'partitions, doors, windows, furniture and clutter. Each room has a mesh and a simulated',
+        'scan from tripods. The scan is denser at short distances and frontal angles. It has '
+        'noise along the ray, shadows, and', 'holes at glass and dark surfaces. The same seed '
+        'gives the same room.', '',
         '    ocp rooms list --count 20           # kinds and sizes',
         '    ocp rooms preview 5 17 scan.ply --out out/rooms.png',
         '    ocp rooms make 5 17 --out rooms     # scans and meshes as PLY', '',
         '![Twelve generated rooms](rooms.png)', '', '## Are they like real ones?', '',
         f'Measured on {rooms["date"]} by', '', f'    {printable(rooms["command"])}', '',
-        f'Seeds {MEASURED[0]} to {MEASURED[-1]}, {POINTS:,} points each, and real scans at hand. '
-        'Of generated rooms the 10th percentile, the',
-        'median and the 90th. *Floor* is where a camera may hang.', '',
+        f'Seeds {MEASURED[0]} to {MEASURED[-1]}, {POINTS:,} points each, and real scans. '
+        'Generated rooms have the 10th percentile, the',
+        '**median** and the 90th percentile. *Floor* is the area above which a camera may be.', '',
         '| figure | generated | ' + ' | '.join(map(in_markdown, real)) + ' |',
         '|---|---|' + '---|' * len(real)]
     for figure, (low, middle, high) in rooms['generated'].items():
@@ -127,9 +127,10 @@ def page(rooms: dict[str, Any]) -> str:
         lines.append(f'| {figure} | {low:.1f}, **{middle:.1f}**, {high:.1f} | '
                      + ' | '.join(cells) + ' |')
     lines += ['', f'S3DIS has {S3DIS_ROOMS} rooms with over {S3DIS_FLOOR:,.0f} m² of floor, '
-              f'{S3DIS_FLOOR / S3DIS_ROOMS:.0f} m² each: most are small offices, which one or two '
-              'cameras', 'cover. Generated rooms are larger, as those that the paper chose. '
-              'Points by class, in per cent; those of S3DIS are', "Open3D-ML's class weights:",
+              f'{S3DIS_FLOOR / S3DIS_ROOMS:.0f} m² each. Most are small offices that one or two '
+              'cameras', 'cover. Generated rooms are larger, as are the rooms of the paper. '
+              'The table has the share of points by class in', 'per cent. The shares of S3DIS are '
+              'the class weights of Open3D-ML.',
               '', '| class | S3DIS | generated |', '|---|---|---|']
     published = 100.0 * np.array(S3DIS_POINTS) / sum(S3DIS_POINTS)
     lines += [f'| {kind} | {theirs:.1f} | {ours:.1f} |'

@@ -67,7 +67,7 @@ def _figure(judged: Assessment) -> Figure:
     image = assessment_pictures.draw_error_map(errors, stage, judged)
     _title(figure, MAPS, 'Where the depth error is', bottom + half + 0.14)
     bar = figure.colorbar(image, cax=_axes(figure, MAPS + 2.14, bottom + 0.1, 0.07, half - 0.2))
-    bar.set_label('mm per m² of plan', fontsize=6, color=PALE_INK, labelpad=2.0)
+    bar.set_label('depth error (mm per m² of floor)', fontsize=6, color=PALE_INK, labelpad=2.0)
     bar.set_ticks(_few_ticks(image.norm.vmax))
     bar.minorticks_off()
     bar.ax.tick_params(labelsize=5.5, colors=PALE_INK, length=1.5, pad=1.0)
@@ -160,10 +160,10 @@ def _draw_cameras(figure: Figure, judged: Assessment) -> float:
     """Draw the installer's table; return how high it reaches, inches."""
     placed, left_out = judged.placement.cameras, len(judged.placement.cameras) - MOST
     rows = [['', 'camera', 'sensor', 'place', 'height', 'pan', 'tilt', 'x, y, z',
-             'takes from the error']]
+             'error reduction']]
     for number, (one, words, added) in enumerate(zip(
             placed[:MOST], judged.words, judged.found['scores']['cameras']), start=1):
-        name = f'{words.name} (in place)' if one.mount == 'fixed' else words.name
+        name = f'{words.name} (fixed)' if one.mount == 'fixed' else words.name
         sensor = '' if words.name.startswith(words.sensor) else words.sensor
         rows.append([str(number), name, sensor, words.place,
                      words.height.replace(' above the floor', ''), words.pan, words.tilt,

@@ -29,10 +29,10 @@ def as_text(show: Callable[[Console, Mapping[str, Any]], None], found: Mapping[s
 def show_verdict(console: Console, found: Mapping[str, Any]) -> None:
     """Print a verdict."""
     scores = found['scores']
-    cameras = Table('camera', 'place (m)', 'yaw, pitch, roll', 'takes from the error',
-                    'only it sees', title='Cameras')
+    cameras = Table('camera', 'position (m)', 'yaw, pitch, roll', 'error reduction',
+                    'seen by this camera only', title='Cameras')
     for placed, added in zip(found['cameras'], scores['cameras']):
-        name = f'{added["name"]} (in place)' if placed['mount'] == FIXED else added['name']
+        name = f'{added["name"]} (fixed)' if placed['mount'] == FIXED else added['name']
         cameras.add_row(name, ', '.join(f'{value:.2f}' for value in placed['position']),
                         ', '.join(f'{placed[angle]:.0f}' for angle in ANGLES),
                         f'{added["depth_error"]:.2f} m', percent(added['only']))
@@ -42,12 +42,12 @@ def show_verdict(console: Console, found: Mapping[str, Any]) -> None:
     console.print(f'depth error {scores["depth_error"]:.3f} m of '
                   f'{scores["depth_error_of_nothing"]:.3f} m; space coverage '
                   f'{scores["space_coverage"]:.1f} of {scores["volume"]:.1f} m³; '
-                  f'{percent(scores["seen"])} of the points seen by {by}; loss '
+                  f'{percent(scores["seen"])} of the points seen by {by}; objective value '
                   f'{scores["loss"]:.4f}')
     console.print('seen by ' + ', '.join(f'{count}: {percent(points / scores["points"])}'
                                          for count, points in scores['overlap'].items()))
     for region in scores['regions']:
-        must = f', {percent(region["must_see"])} asked for' if region['must_see'] else ''
+        must = f', {percent(region["must_see"])} required' if region['must_see'] else ''
         console.print(f'region {region["name"]}: {percent(region["seen"])} seen{must}')
     _show_rest(console, found)
 
@@ -55,17 +55,18 @@ def show_verdict(console: Console, found: Mapping[str, Any]) -> None:
 def _show_rest(console: Console, found: Mapping[str, Any]) -> None:
     """Print what is wrong and what would be better."""
     broken, missed, more = found['broken'], found['missed'], found['one_more']
-    kept = 'every constraint is kept' + (', with doubts (notes below)' if found['notes'] else '')
-    console.print(kept if not broken else 'broken constraints:')
+    kept = 'all constraints are satisfied' + (
+        ', but the scan is doubtful (notes below)' if found['notes'] else '')
+    console.print(kept if not broken else 'violated constraints:')
     for sentence in broken:
         console.print(f'  {sentence}', style='red', markup=False, highlight=False)
     console.print(f'missed: {percent(missed["share"])} of the points; '
-                  f'{percent(missed["hopeless"])} no candidate sees either')
+                  f'{percent(missed["hopeless"])} not visible from any candidate')
     for part in missed['places']:
         corners = (', '.join(f'{value:.2f}' for value in part[key]) for key in ('low', 'high'))
         console.print(f'  {percent(part["share"])} from ({next(corners)}) to ({next(corners)})')
     if more is None:
-        console.print('one more camera: there is no allowed place for it')
+        console.print('one more camera: there is no feasible pose for it')
     else:
         place = ', '.join(f'{value:.2f}' for value in more['position'])
         console.print(f'one more {more["sensor"]} helps most at ({place}), yaw {more["yaw"]:.0f}, '
@@ -81,7 +82,7 @@ def show_plan(console: Console, found: Mapping[str, Any]) -> None:
     """Print a plan."""
     show_verdict(console, found)
     titles = [title for title in COLUMNS if title != SENSOR]
-    table = Table('', *titles, title='How to hang them up')
+    table = Table('', *titles, title='How to mount the cameras')
     table.columns[1].no_wrap = True
     for row in found['installer']:
         table.add_row(row['number'], *(row[title] for title in titles))
@@ -97,23 +98,23 @@ def quality(search: dict[str, Any]) -> Iterator[str]:
     loss, random, everywhere = search['loss'], search['random'], search['everywhere']['loss']
     what = 'turns' if search['planner'] in ONLINE else 'placements'
     yield (f'{search["planner"]}: {search["evaluations"]:,} {what} in {search["seconds"]:.1f} s'
-           + (', stopped by hand' if search['stopped'] else ''))
-    yield f'loss {loss:.4f}' + _others(search['searches'])
+           + ('; stopped by Ctrl-C' if search['stopped'] else ''))
+    yield f'objective value {loss:.4f}' + _others(search['searches'])
     if random['placements']:
-        yield (f'{random["placements"]} random allowed placements: {random["median"]:.4f} in the '
-               f'middle, {random["best"]:.4f} at best')
-    yield (f'no choice among the {search["candidates"]:,} candidates is below {everywhere:.4f}, '
-           'the loss with cameras at all of them at once')
+        yield (f'{random["placements"]} random feasible placements: median '
+               f'{random["median"]:.4f}, best {random["best"]:.4f}')
+    yield (f'lower bound {everywhere:.4f}: the objective value with a camera at each of the '
+           f'{search["candidates"]:,} candidates')
     share = everywhere / loss if loss > 0.0 else 1.0
-    yield f'{percent(min(share, 1.0))} of the loss is out of sight wherever cameras may hang'
+    yield f'{percent(min(share, 1.0))} of the objective value is not visible from any candidate'
     yield search['certificate']['sentence']
 
 
 def _others(losses: Sequence[float]) -> str:
     """Say what the other searches ended with, where there were several."""
     if len(losses) == 1:
-        return ', of one search'
+        return ' (one search)'
     best, second, *_ = losses
     apart = f'{percent((second - best) / best)} more' if best > 0.0 else f'{second:.4f}'
-    return (f'; the next best of {len(losses)} searches ended at {apart}, the worst at '
+    return (f'; of {len(losses)} searches the second best ended at {apart}, the worst at '
             f'{losses[-1]:.4f}')

@@ -27,6 +27,8 @@ from ocp_ros.util.settings import ConfigurationError
 #: Metres and radians that a camera may be off its height and its pitch, and metres that distances
 #: may fall short: who hangs exactly where it is asked for is not a rounding away from it.
 LEEWAY, SHORT, ROUNDING = 0.01, 0.001, 1e-5
+#: What messages call the constraint that a ball can be carried to a camera.
+FREE_SPACE = 'free space'
 #: Metres from a camera on a wall into the room, where there has to be floor.
 INTO_THE_ROOM = 0.3
 #: Neighbours that are looked at first where some belong to the surface that a camera hangs on.
@@ -129,7 +131,7 @@ class FeasibleRegion:
         good = self.allowed(level, model)
         if not good.any():
             raise self.rig.document.error(
-                ('mount',), f'no place in {self.scene.name} where a camera may hang'
+                ('mount',), f'no feasible pose in {self.scene.name}'
                 f'{self._bites(level, model)}', 'one at least', 'change that, or the mount or '
                 'its height')
         positions, inwards = offered.positions[good], offered.inwards[good]
@@ -142,14 +144,16 @@ class FeasibleRegion:
     def _bites(self, poses: np.ndarray, model: CameraModel) -> str:
         """Name the constraint without which most of some poses, all broken, would be allowed."""
         if len(poses) == 0:
-            return ', for the mount offers none over its floor'
+            return ': the mount has none above the floor'
         checks = list(self._checks(poses, [model] * len(poses), ROUNDING))
         count = np.sum([check.broken for check in checks], axis=0)
         # Where no constraint alone is to blame, the one that most break.
         bites = max(checks, key=lambda check: (np.count_nonzero(check.broken & (count == 1)),
                                                np.count_nonzero(check.broken)))
         number = np.count_nonzero(bites.broken)
-        return f', for {bites.name} takes {number} of the {len(poses)} that the mount offers'
+        if bites.name == FREE_SPACE and number == len(poses):
+            return ': no candidate connects to free space (several storeys or stray points?)'
+        return f': {bites.name} rejects {number} of {len(poses)} candidates'
 
     def onto_mount(self, positions: np.ndarray) -> np.ndarray:
         """
@@ -208,15 +212,16 @@ class FeasibleRegion:
         contact = None if self.surface is None else self.surface.at(positions)
         yield (outside := self._outside(positions, contact, beyond))
         closed = self.air.closed(positions) & ~outside.broken
-        yield Check('the air of the room', closed, lambda k: (
-            'found a place inside furniture or behind it; expected one in the air of the room; '
-            'move it into the open'))
+        yield Check(FREE_SPACE, closed, lambda k: (
+            'found a position inside furniture or behind it; expected one in free space; move it '
+            'there'))
         yield self._too_close(positions, contact)
         yield from self._off_mount(positions, contact)
-        for number, zone in enumerate(self.rig.no_go):
+        for number, zone in enumerate(self.rig.keep_out, start=1):
             inside = zone.contains(positions, self.floor)
-            yield Check(f'no_go[{number}]', inside, lambda k, number=number: (
-                f'found a place in no_go[{number}]; expected one outside it; move it out'))
+            yield Check(f'keep-out zone {number}', inside, lambda k, number=number: (
+                f'found a position in keep-out zone {number}; expected one outside; '
+                'move it out'))
         yield from self._pitch(poses, models)
         for fixed in self.rig.fixed:
             away = np.linalg.norm(positions - fixed.pose[:3], axis=1)
@@ -231,9 +236,9 @@ class FeasibleRegion:
             places = places + INTO_THE_ROOM * contact.normals[:, :2]
         away = np.linalg.norm(self.space.inside(places) - places, axis=1)
         wrong = (away > beyond) | (z < self.floor) | (z > self.top)
-        return Check('the floor of the room', wrong, lambda k: (
-            f'found {_place(positions[k])}, which is not over floor that {self.scene.name} shows; '
-            'expected a place in the room and not in furniture; move it into the open'))
+        return Check('the floor', wrong, lambda k: (
+            f'found {_place(positions[k])}, which is not above floor that {self.scene.name} '
+            'shows; expected a position in the room and not in furniture; move it there'))
 
     def _too_close(self, positions: np.ndarray, contact: Contact | None) -> Check:
         """Check that surfaces are far enough, but for the one that a camera hangs on."""
@@ -278,7 +283,7 @@ class FeasibleRegion:
                 f'within {REACH:g} m')
             yield Check('mount.on', ~on_it, lambda k: (
                 f'found no {surface} {near} (mount.on); expected one that {self.scene.name} '
-                'shows; hang it there'))
+                'shows; mount it there'))
 
     def _pitch(self, poses: np.ndarray, models: Sequence[CameraModel | None]) -> Iterator[Check]:
         """Check how far cameras look down that do not see all around."""

@@ -5,7 +5,7 @@ Where the cameras of a rig hang, as a file: what a planner writes and an install
 
 A file holds all that its scores depend on: the sensors' numbers, the rig, the engine's settings
 and the hash of the room. Its numbers are rounded before they are judged, so that who reads it
-gets the same scores. docs/placement.md explains every key.
+gets the same scores. docs/reference/placement.md explains every key.
 """
 
 from collections.abc import Sequence
@@ -161,7 +161,7 @@ def load_placement(path: str | Path, rig: Rig | None = None) -> Placement:
     """
     Read a placement.
 
-    :param path: a YAML or JSON file; docs/placement.md explains its keys.
+    :param path: a YAML or JSON file; docs/reference/placement.md explains its keys.
     :param rig: what is asked for, in place of what the file says.
     :raises ConfigurationError: if the file cannot be used or is not of this rig: one sentence
         with file, line and key.
@@ -187,7 +187,7 @@ def placement_from(document: Document, rig: Rig | None = None) -> Placement:
         rig = _matched(document, rig, moved, names)
         _check_fixed(document, rig, fixed)
     elif not moved:
-        raise document.error(('cameras',), 'cameras in place only', 'one at least that may be '
+        raise document.error(('cameras',), 'fixed cameras only', 'one at least that may be '
                              'moved', f'write another mount than {FIXED}')
     if rig is None:
         placed = [_placed(document, way, camera, 'free')
@@ -239,7 +239,7 @@ def _check_fixed(document: Document, rig: Rig, ways: Sequence[Way]) -> None:
         data = document.value(*way)
         if (len(ways) != len(rig.fixed) or not _sees_as(document, way, rig.fixed[k].camera.model)
                 or not _alike(pose_of(data), rig.fixed[k].pose)):
-            raise document.error(way, 'a camera in place', f'those that {rig.document.name} has, '
+            raise document.error(way, 'a fixed camera', f'those that {rig.document.name} has, '
                                  'or none', 'correct it, or leave all of them out')
 
 

@@ -24,12 +24,12 @@ class RigConfig:
         OMNIDIRECTIONAL, 'omnidirectional or the preset of a sensor, one for all cameras or one '
         'for each with commas between')
     min_range: float = setting(
-        0.0, 'nearest distance an omnidirectional camera measures, metres', 0.0, 10.0)
+        0.0, 'minimum range of an omnidirectional camera, metres', 0.0, 10.0)
     max_range: float = setting(
-        4.0, 'effective range of an omnidirectional camera, metres', 0.1, 100.0)
+        4.0, 'maximum range of an omnidirectional camera, metres', 0.1, 100.0)
     height: float = setting(1.9, 'height of the cameras above the floor, metres', 0.0, 20.0)
     tilt: float = setting(
-        0.0, 'how far the cameras look down, radians; negative looks up', -1.5708, 1.5708)
+        0.0, 'pitch of the cameras, radians; positive looks down', -1.5708, 1.5708)
 
     def __post_init__(self) -> None:
         """Refuse ranges that exclude each other and sensors that do not exist."""

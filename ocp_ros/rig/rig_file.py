@@ -3,7 +3,7 @@
 """
 A real rig: its cameras, where they may hang and what they shall see, read from a YAML file.
 
-In files angles are degrees, here they are radians; docs/rig.md explains every key.
+In files angles are degrees, here they are radians; docs/reference/rig.md explains every key.
 """
 
 from collections import Counter
@@ -98,7 +98,7 @@ class Rig:
     :ivar pitch: radians, the least and the most that cameras look down.
     :ivar keep_clear: metres from a camera to any surface but the one it hangs on.
     :ivar spacing: metres, least distance of two cameras.
-    :ivar no_go: where no camera may be.
+    :ivar keep_out: where no camera may be.
     :ivar regions: what matters more than the rest.
     :ivar seen_by: how many cameras have to see a place.
     :ivar document: what the rig was read from.
@@ -110,7 +110,7 @@ class Rig:
     pitch: tuple[float, float]
     keep_clear: float
     spacing: float
-    no_go: tuple[Zone, ...]
+    keep_out: tuple[Zone, ...]
     regions: tuple[Region, ...]
     seen_by: int
     document: Document
@@ -156,10 +156,10 @@ class Rig:
         :param expected: the value that goes with this rig.
         :raises ConfigurationError: if there are such places, and rooms are turned.
         """
-        if any(degrees) and (self.fixed or self.no_go or self.regions):
+        if any(degrees) and (self.fixed or self.keep_out or self.regions):
             raise ConfigurationError(
-                f'{found} with {self.document.name}, whose fixed, no_go or regions are places in '
-                f'the map; expected {expected}: they do not turn with the room')
+                f'{found} with {self.document.name}, whose fixed, keep_out or regions are places '
+                f'in the map; expected {expected}: they do not turn with the room')
 
     @property
     def fixed_poses(self) -> np.ndarray:
@@ -171,7 +171,7 @@ def load_rig(path: str | Path) -> Rig:
     """
     Read a rig.
 
-    :param path: a YAML or JSON file; docs/rig.md explains its keys.
+    :param path: a YAML or JSON file; docs/reference/rig.md explains its keys.
     :raises ConfigurationError: if it cannot be used: one sentence with file, line and key.
     """
     return rig_from(read_document(path, RIG))
@@ -284,7 +284,8 @@ def rig_from(document: Document) -> Rig:
     low, high = _range(document, ('pitch',), data.get('pitch', [0.0, 90.0]))
     return Rig(cameras, fixed, _mount(document), (float(np.deg2rad(low)), float(np.deg2rad(high))),
                float(data.get('keep_clear', 0.2)), float(data.get('spacing', SPACING)),
-               tuple(zone_of(document, ('no_go', k)) for k in range(len(data.get('no_go', ())))),
+               tuple(zone_of(document, (key, k)) for key in ('keep_out', 'no_go')
+                     for k in range(len(data.get(key, ())))),
                regions, seen_by, document)
 
 
@@ -295,7 +296,7 @@ def _cameras(document: Document) -> tuple[tuple[Camera, ...], tuple[Fixed, ...]]
                for _ in range(group.get('count', 1))]
     if len(movable) + len(fixed) > MOST_CAMERAS:
         raise document.error(('cameras',), f'{len(movable) + len(fixed)} cameras',
-                             f'at most {MOST_CAMERAS}, those in place included', 'lower a count')
+                             f'at most {MOST_CAMERAS}, fixed ones included', 'lower a count')
     ways = [*movable, *(('fixed', k) for k in range(len(fixed)))]
     cameras = tuple(cameras_at(document, ways))
     count = len(movable)

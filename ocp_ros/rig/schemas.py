@@ -113,6 +113,9 @@ RIG = mapping(
                      -90, 90),
     keep_clear=number('metres, 0 to 10', 0.2, minimum=0, maximum=10),
     spacing=number('metres, 0 to 100', 0.5, minimum=0, maximum=100),
+    keep_out=many('a list of boxes and polygons', NO_GO, [{'box': [[0, 0, 0], [1, 1, 3]]}], 0,
+                  1000),
+    # What keep_out was called before.
     no_go=many('a list of boxes and polygons', NO_GO, [{'box': [[0, 0, 0], [1, 1, 3]]}], 0, 1000),
     regions=many('a list of regions', REGION,
                  [{'name': 'table', 'box': [[1, 1, 0.5], [2, 2, 1.2]]}], 0, 1000),
@@ -168,4 +171,4 @@ PLACEMENT = mapping(
 #: The files of docs/ and what is in them.
 FILES = {'rig.schema.json': {'$schema': DIALECT, 'title': 'A rig of depth cameras', **RIG},
          'placement.schema.json': {
-             '$schema': DIALECT, 'title': 'Where the cameras of a rig hang', **PLACEMENT}}
+             '$schema': DIALECT, 'title': 'Poses of the cameras of a rig', **PLACEMENT}}

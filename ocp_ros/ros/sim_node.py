@@ -52,10 +52,11 @@ class SimNodeConfig(SimulationConfig):
     """Parameters of ``sim_node``."""
 
     scene: SceneConfig = group(SceneConfig)
-    seed: int = setting(0, 'seed of where the cameras start', 0, LARGEST_SEED)
+    seed: int = setting(0, 'seed of the start positions', 0, LARGEST_SEED)
     auto_reset: bool = setting(False, 'begin the next episode when one ends', running=True)
     resend_period: float = setting(
-        0.5, 'send the latest turn again after so long without a command, seconds', 0.02, 60.0,
+        0.5, 'time without a command after which the latest turn is sent again, '
+             'seconds', 0.02, 60.0,
         running=True)
     frame_id: str = setting('map', 'frame of every message')
     autostart: bool = autostart()

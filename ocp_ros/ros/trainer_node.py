@@ -44,10 +44,10 @@ class TrainerNodeConfig(LearnerConfig):
     """Parameters of ``trainer_node``."""
 
     sources: str = setting(
-        '', 'namespaces of the policies to learn from with commas between; empty for its own '
-        'and every one in which a policy explores')
+        '', 'namespaces to learn from, with commas between; empty: its own and every one in which '
+            'a policy explores')
     most_behind: int = setting(
-        100, 'policies wait while so many gradient steps are due', 1, 1 << 31)
+        100, 'number of due gradient steps at which policies wait', 1, 1 << 31)
     agent: AgentConfig = group(AgentConfig)
     sac: SacConfig = group(SacConfig)
 

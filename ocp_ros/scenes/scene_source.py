@@ -23,12 +23,13 @@ class SceneConfig:
 
     file: str = setting('', 'scan to read; empty for a generated room')
     seed: int = setting(1, 'seed of the generated room', 0, LARGEST_SEED)
-    points: int = setting(15000, 'points of a generated room; a larger scan is thinned to as many',
+    points: int = setting(15000, 'points of a generated room; a larger scan is thinned to this '
+                                 'number',
                           1000, 5000000)
     voxel_size: float = setting(
-        0.0, 'thin a scan on a grid of this edge instead, metres; 0 to go by points', 0.0, 10.0)
+        0.0, 'edge of the grid that thins a scan, metres; 0: use scene.points', 0.0, 10.0)
     scale: float = setting(1.0, 'metres per unit of the file', 1e-6, 1e6)
-    up: str = setting('z', 'which axis of the file points up', choices=('x', 'y', 'z'))
+    up: str = setting('z', 'axis of the file that points up', choices=('x', 'y', 'z'))
     drop_nonfinite: bool = setting(False, 'leave out points with NaN or inf')
 
 

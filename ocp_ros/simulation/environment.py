@@ -36,30 +36,32 @@ class CameraPlacementEnv(gym.Env):
     They are omnidirectional and move on a plane, or are those of ``config.rig_file`` and keep its
     constraints: a camera goes as near to where it is sent as it may, and cameras in place see.
 
-    ## Action space
+    **Action space**
     ``Box(-1, 1, (K, 2))``: each camera's move in units of ``max_step``, shortened to the unit
     disc. Moves of cameras that an episode does not have are ignored. A rig file may ask for more
     columns (``axes`` names them): ``z``, where the mount leaves a choice of height, and ``yaw``
     and ``pitch`` in units of ``max_turn``, where a camera does not see all around.
 
-    ## Observation space
-    | key | shape | meaning |
-    |---|---|---|
-    | ``cloud`` | (P, 3) | points seen since the episode began, metres |
-    | ``camera_positions`` | (K, 3) | metres; zeros for cameras that the episode does not have |
-    | ``camera_headings`` | (K, 3) | yaw, pitch, roll in radians; only where cameras are turned |
-    | ``present`` | (K,) | 1 for each camera that the episode has, else 0 |
-    | ``bounds`` | (2, 3) | bounding box of all points seen, metres |
+    **Observation space**
+    ==================== ====== ==========================================================
+    key                  shape  meaning
+    ==================== ====== ==========================================================
+    ``cloud``            (P, 3) points seen since the episode began, metres
+    ``camera_positions`` (K, 3) metres; zeros for cameras that the episode does not have
+    ``camera_headings``  (K, 3) yaw, pitch, roll in radians; only where cameras are turned
+    ``present``          (K,)   1 for each camera that the episode has, else 0
+    ``bounds``           (2, 3) bounding box of all points seen, metres
+    ==================== ====== ==========================================================
 
-    ## Reward
+    **Reward**
     See :mod:`ocp_ros.simulation.reward`; all terms are in ``info``.
 
-    ## Start
+    **Start**
     A scene drawn from ``scenes``, turned by an angle drawn from ``rotations``, and as many cameras
     as are drawn, near its centre; ``options`` may name ``scene`` (index), ``rotation`` (degrees)
     and ``cameras``.
 
-    ## End
+    **End**
     ``truncated`` after the configured number of turns. A placement is never final in itself, so
     ``terminated`` stays False.
 

@@ -238,7 +238,7 @@ class Problem:
                 raise rig.document.error(
                     ('spacing',), f'{rig.spacing:g} m, at which not all of the '
                     f'{len(rig.cameras)} cameras find room in {self.simulator.scene.name}',
-                    'a distance at which all do', 'lower it or hang up fewer')
+                    'a distance at which all do', 'lower it or use fewer cameras')
             nearest = np.argmin(np.linalg.norm(places[:, :2] - place, axis=1))
             taken = np.vstack([taken, places[nearest]])
         positions = taken[len(self.fixed_poses):]

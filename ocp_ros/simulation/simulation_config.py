@@ -16,18 +16,19 @@ class EpisodeConfig:
 
     turns: int = setting(30, 'turns until the episode ends', 1, 100000, running=True)
     max_step: float = setting(
-        0.5, 'farthest a camera moves in one turn, metres', 0.001, 10.0, running=True)
+        0.5, 'longest move of a camera in one turn, metres', 0.001, 10.0, running=True)
     max_turn: float = setting(
-        0.5, 'farthest a camera that does not see all around is turned in one turn, radians',
+        0.5, 'largest rotation in one turn of a camera with a limited field of view, radians',
         0.001, 3.1416, running=True)
     start_radius: float = setting(
-        0.5, 'cameras start this near the centre, metres', 0.0, 50.0, running=True)
+        0.5, 'largest distance of the start positions from the centre, '
+             'metres', 0.0, 50.0, running=True)
     wall_margin: float = setting(
-        0.1, 'cameras stay this far inside the bounding box, metres', 0.0, 5.0,
+        0.1, 'least distance to the sides of the bounding box, metres', 0.0, 5.0,
         running=True)
     clearance: float = setting(
-        CLEARANCE, 'planners and starts keep cameras this far from every surface, metres; 0 for '
-        'cameras that may stand anywhere', 0.0, 5.0, running=True)
+        CLEARANCE, 'least distance of start and planned positions to every surface, metres; 0: no '
+                   'limit', 0.0, 5.0, running=True)
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class RewardConfig:
                         running=True)
     coverage: float = setting(0.02, 'paper: K_SC, per cubic metre', 0.0, 1000.0, running=True)
     depth_error: float = setting(1.0, 'paper: K_DOE, per metre', 0.0, 1000.0, running=True)
-    penalty: float = setting(-1.0, 'K_P, for a turn that leads out of the room', -1000.0, 0.0,
+    penalty: float = setting(-1.0, 'K_P, for a command out of the room', -1000.0, 0.0,
                              running=True)
 
 
@@ -51,4 +52,5 @@ class SimulationConfig:
     episode: EpisodeConfig = group(EpisodeConfig)
     reward: RewardConfig = group(RewardConfig)
     rig_file: str = setting(
-        '', 'YAML of docs/rig.md: its cameras and constraints in place of rig.*; empty for none')
+        '', 'rig file (docs/reference/rig.md) that replaces rig.*: cameras and constraints; '
+        'empty: none')

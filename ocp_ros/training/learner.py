@@ -34,18 +34,18 @@ class LearnerConfig:
     """How a learner keeps pace with its transitions and what it leaves on disk."""
 
     cameras: int = setting(
-        4, 'number of cameras in the transitions, with agent.inputs: cloud; with the others '
-        'cameras choose one at a time, and there may be any number', 1, MOST_CAMERAS)
+        4, 'with agent.inputs: cloud, number of cameras in the transitions; other inputs allow '
+           'any number', 1, MOST_CAMERAS)
     updates_per_turn: float = setting(1.0, 'gradient steps per transition', 0.0, 100.0)
     publish_every: int = setting(50, 'gradient steps between two sets of weights', 1, 1 << 31)
     save_every: int = setting(
         200, 'gradient steps between two checkpoints, and transitions between two files of them',
         1, 1 << 31)
-    folder: str = setting('out/trainer', 'where checkpoints and TensorBoard files go')
-    model: str = setting('', 'weights to start from: path or name; empty for random ones')
+    folder: str = setting('out/trainer', 'folder of checkpoints and TensorBoard files')
+    model: str = setting('', 'first weights: path or name; empty: random')
     seed: int = setting(0, 'seed of networks and batches', 0, LARGEST_SEED)
     threads: int = setting(
-        1, 'CPU threads of a gradient step; more only help where cores are idle', 1, 1024)
+        1, 'CPU threads of a gradient step; more help only on idle cores', 1, 1024)
 
 
 class Learner:

@@ -37,10 +37,11 @@ class SacConfig:
     burn_in: int = setting(
         0, 'gradient steps of the critics alone before the actor learns', 0, 1 << 31)
     imitation: float = setting(
-        0.1, 'weight of imitating the expert, where there are demonstrations', 0.0, 1000.0)
-    imitation_fades: int = setting(10000, 'gradient steps until it is nothing', 1, 1 << 31)
+        0.1, 'weight of the imitation loss, with demonstrations', 0.0, 1000.0)
+    imitation_fades: int = setting(10000, 'gradient steps until the imitation loss is '
+                                          'zero', 1, 1 << 31)
     shared_extractor: bool = setting(
-        False, "whether the critics read the actor's features, which their loss does not train")
+        False, "whether the critics share the actor's features, which their loss does not train")
     device: str = setting('auto', 'auto, cpu or cuda', choices=('auto', 'cpu', 'cuda'))
 
 
@@ -147,7 +148,7 @@ class TrainingConfig:
         4, 'episodes have from so many to simulation.rig.cameras cameras', 1, MOST_CAMERAS)
     updates_per_turn: float = setting(1.0, 'gradient steps per interaction', 0.0, 100.0)
     evaluate_every: int = setting(2000, 'interactions between evaluations', 1, 1 << 40)
-    model: str = setting('', 'weights to start from: path or name; empty for random ones')
+    model: str = setting('', 'first weights: path or name; empty: random')
     rooms: RoomsConfig = group(RoomsConfig)
     simulation: SimulationConfig = group(SimulationConfig)
     agent: AgentConfig = group(AgentConfig)

@@ -4,7 +4,7 @@
 Play for long, kill nodes at random times, send lies, and see that the loop always goes on.
 
 Two pairs of sim and policy play, and one trainer learns from both. One pair and the trainer are
-killed, one node after the other, with a signal that nobody can catch; a simulation comes back with
+killed, one node after the other, with SIGKILL; a simulation comes back with
 another room. The other pair lives through it with a clock that jumps. The trainer's files are read
 whenever it has been killed. Writes ``soak.json``.
 """

@@ -26,6 +26,6 @@ def families() -> list[str]:
 def all_letters() -> Iterator[None]:
     """Write in fonts that together have as many letters as can be; others become boxes."""
     with rc_context({'font.family': families()}), warnings.catch_warnings():
-        # Whoever looks at the page sees the boxes; docs/troubleshooting.md says what helps.
+        # Whoever looks at the page sees the boxes; docs/tasks/troubleshooting.md says what helps.
         warnings.filterwarnings('ignore', 'Glyph .* missing from font', UserWarning)
         yield

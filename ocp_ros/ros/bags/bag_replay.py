@@ -160,7 +160,7 @@ class Replay(Node):
         if deaf and now < self._patience:
             return False
         if deaf and self.options.wait:
-            self.get_logger().warning(f'found nobody listening to {", ".join(deaf)} after '
+            self.get_logger().warning(f'found no subscriber of {", ".join(deaf)} after '
                                       f'{self.options.wait:g} s; expected policy_node with these '
                                       'cloud_topics; going on')
         self._began = now + (0.0 if deaf else SETTLE)

@@ -123,7 +123,7 @@ class Decider:
         if self.rig is not None:
             models, pitch = self.rig.models, self.rig.pitch
             if count not in (movable, movable + len(self.rig.fixed)):
-                others = f', or {movable + len(self.rig.fixed)} with those in place' \
+                others = f', or {movable + len(self.rig.fixed)} with fixed ones' \
                     if self.rig.fixed else ''
                 raise MessageError(f'poses: found {count} cameras; expected {movable}{others}, '
                                    f'as {self.rig.document.name} has it')

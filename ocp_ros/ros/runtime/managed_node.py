@@ -25,8 +25,8 @@ SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FA
 
 def autostart() -> Any:
     """Declare the setting that all of them have."""
-    return setting(True, 'configure and activate the node when it starts; false: wait until '
-                   'somebody does, such as `ros2 lifecycle set`')
+    return setting(True, 'configure and activate the node at the start; false: wait for lifecycle '
+                         'commands, such as `ros2 lifecycle set`')
 
 
 class ManagedNode(LifecycleNode):

@@ -81,7 +81,7 @@ def refusal(error: Exception) -> str:
     if about_security(error):
         return (f'found that ROS cannot keep it safe, as ROS_SECURITY_ENABLE asks ({words}); '
                 'expected a ROS 2 with SROS 2 (the one from apt, not that from PyPI) and its keys '
-                'in a keystore; see docs/ros.md, Security')
+                'in a keystore; see docs/tasks/secure_nodes.md')
     return (f'found ROS arguments that cannot be read ({words}); '
             'expected -p name:=value or --params-file FILE')
 
