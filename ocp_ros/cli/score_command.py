@@ -16,7 +16,7 @@ from rich.table import Table
 from ocp_ros.cli.common import inputs_of
 from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.exports import export, FORMS
-from ocp_ros.report.findings import verdict
+from ocp_ros.report.findings import scores_of, verdict
 from ocp_ros.report.key_figures import percent
 from ocp_ros.rig.placement_file import (
     ANGLES,
@@ -84,6 +84,8 @@ def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str
     found = {'room': room, 'cameras': data_of(placement)['cameras'],
              **verdict(problem, placement.poses)}
     scores = found['scores']
+    if (planned := placement.planned_poses) is not None:
+        found['planned'] = scores_of(problem.objective, problem.look(planned))
     found['notes'] += _notes(placement, room, scores)
     created = created_by(command, placement.created.get('planner', ''))
     return Assessment(problem.objective, replace(
@@ -239,6 +241,11 @@ def show_verdict(found: dict[str, Any]) -> None:
                   f'{scores["space_coverage"]:.1f} of {scores["volume"]:.1f} m³; '
                   f'{percent(scores["seen"])} of the points seen by {by}; loss '
                   f'{scores["loss"]:.4f}')
+    if 'planned' in found:
+        before = found['planned']
+        console.print(f'as planned: depth error {before["depth_error"]:.3f} m, space coverage '
+                      f'{before["space_coverage"]:.1f} m³, {percent(before["seen"])} of the '
+                      f'points seen, loss {before["loss"]:.4f}; as built: the line above')
     console.print('seen by ' + ', '.join(f'{count}: {percent(points / scores["points"])}'
                                          for count, points in scores['overlap'].items()))
     for region in scores['regions']:

@@ -69,7 +69,7 @@ def axis_words(axis: np.ndarray) -> str:
         # Lines have no sign: 0 to 180 degrees from x.
         angle = np.rad2deg(np.arctan2(axis[1], axis[0])) % 180.0
         return f'the level line at {angle:.0f} degrees from x'
-    axis = axis * np.sign(axis[largest])
+    axis = axis * np.sign(axis[largest]) + 0.0
     return 'the line ' + ', '.join(f'{value:.2f}' for value in axis)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from rclpy.node import Node
 from rclpy.time import Time
 
-from ocp_ros.geometry.cameras import Pose
+from ocp_ros.geometry.cameras import OPTICAL_TO_BODY, Pose
 from ocp_ros.ros.interface.conversions import MessageError, rotation_of, stamp_to_ns
 
 #: Frames of the cameras by their place among the poses: body (x forward, y left, z up) and
@@ -17,8 +17,6 @@ from ocp_ros.ros.interface.conversions import MessageError, rotation_of, stamp_t
 SENSOR = re.compile(r'camera_([0-9]{1,4})(_optical)?')
 #: Metres from a camera within which a frame that tf2 knows is taken to be that camera's own.
 OWN = 0.3
-#: Optical to body frame.
-OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 class LiveRig(NamedTuple):
@@ -119,7 +117,7 @@ def placed(points: np.ndarray, frame: str, rig: LiveRig, transforms: Transforms
         pose = rig.poses[int(found[1])]
         seen_from = pose.position[None]
         if found[2]:
-            pose = Pose(pose.position, pose.rotation @ OPTICAL)
+            pose = Pose(pose.position, pose.rotation @ OPTICAL_TO_BODY)
     # What is too far out for float32 is out of range in any case.
     with np.errstate(over='ignore', invalid='ignore'):
         moved = points @ pose.rotation.T.astype(np.float32) + pose.position.astype(np.float32)
