@@ -18,6 +18,7 @@ from scipy.stats import qmc
 from ocp_ros.geometry.cameras import angle_between, CameraModel, Pose
 from ocp_ros.registration.alignment import (
     aligned,
+    ALIKE,
     matched,
     Matches,
     moved,
@@ -45,13 +46,14 @@ APART, FARTHEST = (0.10, np.deg2rad(4.0)), (1.6, np.deg2rad(45.0))
 #: Poses that are refined at most, and how far behind the best they may be by then.
 MOST, MUCH_WORSE = 3, 0.2
 #: Standard deviations and metres across within which a surface explains a point, and metres along
-#: it.
+#: it; and standard deviations and metres from which on it stands beside it.
 EXPLAINED, NEAR, WITHIN = 3.0, 0.02, 0.15
+BESIDE, CLOSE = 2.0, 0.01
 #: What an answer needs: the share of what is seen that the scan explains, the share of surfaces
 #: that may stand where the camera looked through, what another pose must be behind in score, and
-#: the largest expected standard deviations, metres and degrees. Chosen on validation rooms.
+#: the largest doubted deviations, metres and degrees. Chosen on validation rooms.
 LEAST_OVERLAP, MOST_VIOLATED, LEAD = 0.35, 0.05, 0.06
-MOST_METRES, MOST_DEGREES = 0.0085, 0.4
+MOST_METRES, MOST_DEGREES = 0.0125, 0.6
 
 
 class Registration(NamedTuple):
@@ -62,7 +64,8 @@ class Registration(NamedTuple):
     :ivar residual: root mean square distance of what was matched to the scan, metres.
     :ivar overlap: the share of what the camera sees that the scan explains, 0 to 1.
     :ivar violated: the share of the scan's surfaces in view that the camera looked through.
-    :ivar certainty: how well the pose is held, less where the scan explains little.
+    :ivar certainty: how well the pose is held.
+    :ivar beside: the share of the surfaces in view that stand beside where they were scanned.
     :ivar refused: why the pose is not to be used; empty where it is.
     """
 
@@ -71,6 +74,7 @@ class Registration(NamedTuple):
     overlap: float
     violated: float
     certainty: Certainty
+    beside: float
     refused: str
 
 
@@ -188,10 +192,11 @@ def _refined(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel
     weights = weights_of(matches, view.patches.deviation, stage.kernel[1])
     held = certainty(surfaces.points[matches.indices[0]], surfaces.normals[matches.indices[0]],
                      matches, weights)
-    overlap = _overlap(scan, view, pose)
+    overlap, beside = _compared(scan, view, pose)
     violated = float(view.violated(scan.points, _one(pose))[0])
     return pose, Registration(pose, _residual(matches, weights), overlap, violated,
-                              held.doubted(overlap), _refusal(overlap, violated, held))
+                              held, beside,
+                              _refusal(overlap, violated, held, beside))
 
 
 def _one(pose: Pose) -> Poses:
@@ -205,18 +210,28 @@ def _residual(matches: Matches, weights: np.ndarray) -> float:
     return float(np.sqrt((weights * matches.residuals ** 2).sum() / total)) if total else np.nan
 
 
-def _overlap(scan: ScanSurfaces, view: LiveView, pose: Pose) -> float:
-    """Return the share of what is seen that the scan explains, whichever side it shows."""
+def _compared(scan: ScanSurfaces, view: LiveView, pose: Pose) -> tuple[float, float]:
+    """
+    Compare what is seen with the scan, whichever side of its surfaces it shows.
+
+    :returns: the share of what is seen that the scan explains; and how many surfaces stand beside
+        where they are seen, as a share of all that are seen and scanned.
+    """
     patches = view.patches
     placed = patches.points @ pose.rotation.T + pose.position
     distance, index = scan.fine.tree.query(placed, distance_upper_bound=WITHIN)
     found = np.isfinite(distance)
     index = np.where(found, index, 0)
-    across = np.abs(np.einsum('ij,ij->i', placed - scan.points[index], scan.normals[index]))
-    return float((found & (across < EXPLAINED * patches.deviation + NEAR)).mean())
+    normals = scan.normals[index]
+    across = np.abs(np.einsum('ij,ij->i', placed - scan.points[index], normals))
+    explained = found & (across < EXPLAINED * patches.deviation + NEAR)
+    alike = np.abs(np.einsum('ij,ij->i', patches.normals @ pose.rotation.T, normals)) > ALIKE
+    known = np.count_nonzero(found & alike)
+    beside = np.count_nonzero(found & alike & (across > BESIDE * patches.deviation + CLOSE))
+    return float(explained.mean()), beside / max(known, 1)
 
 
-def _refusal(overlap: float, violated: float, held: Certainty) -> str:
+def _refusal(overlap: float, violated: float, held: Certainty, beside: float) -> str:
     """Say why a pose is not to be used, if it is not."""
     if overlap < LEAST_OVERLAP:
         return (f'the scan explains {100.0 * overlap:.0f} % of what it sees, '
@@ -226,10 +241,10 @@ def _refusal(overlap: float, violated: float, held: Certainty) -> str:
                 f'through, at most {100.0 * MOST_VIOLATED:.0f} % may')
     if held.loose:
         return f'it {" and ".join(held.loose)}: too few surfaces hold it there'
-    doubted = held.doubted(overlap)
+    doubted = held.doubted(overlap, beside)
     if doubted.metres[0] > MOST_METRES or doubted.degrees[0] > MOST_DEGREES:
-        return (f'its pose is uncertain by {1000.0 * doubted.metres[0]:.1f} mm along '
-                f'{axis_words(doubted.along[0])} and {doubted.degrees[0]:.2f} degrees about '
+        return (f'it may be off by {1000.0 * doubted.metres[0]:.0f} mm along '
+                f'{axis_words(doubted.along[0])} and {doubted.degrees[0]:.1f} degrees about '
                 f'{axis_words(doubted.about[0])}, at most {1000.0 * MOST_METRES:.1f} mm and '
-                f'{MOST_DEGREES:g} degrees may be')
+                f'{MOST_DEGREES:g} degrees are allowed')
     return ''

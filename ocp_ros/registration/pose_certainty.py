@@ -16,7 +16,8 @@ from ocp_ros.registration.alignment import Matches
 
 #: Metres: edge of a block, how far off a block of a scan is, and points that make a whole one.
 BLOCK, SCAN_DEVIATION, WHOLE = 1.0, 0.006, 8.0
-#: By how much the deviations grow where a scan explains nothing, chosen on validation rooms.
+#: By how much a doubted deviation grows where the scan explains nothing; chosen on validation
+#: rooms.
 DOUBT = 8.0
 #: Share of the variance within a block that is common to the block.
 UNEVEN = 0.2
@@ -41,14 +42,17 @@ class Certainty(NamedTuple):
     about: np.ndarray
     degrees: np.ndarray
 
-    def doubted(self, overlap: float) -> 'Certainty':
+    def doubted(self, overlap: float, beside: float) -> 'Certainty':
         """
-        Return what is left of it where a scan explains only a share of what is seen.
+        Return by how much the pose may be off where the scan is not to be trusted throughout.
 
-        What it does not explain may be surfaces that stand elsewhere by now, or of which it shows
-        the other side; then so may others.
+        Surfaces that are seen beside where they were scanned may have been moved, or the scan may
+        show their other side; then so may others. Little overlap leaves few that say so.
+
+        :param overlap: the share of what is seen that the scan explains, 0 to 1.
+        :param beside: the share of the surfaces that stand beside, 0 to 1.
         """
-        doubt = 1.0 + DOUBT * (1.0 - overlap)
+        doubt = 1.0 + DOUBT * (1.0 - overlap + beside)
         return self._replace(metres=self.metres * doubt, degrees=self.degrees * doubt)
 
     @property
