@@ -76,7 +76,7 @@ class Patches(NamedTuple):
         return Patches(*(values[which] for values in self))
 
 
-class Stage(NamedTuple):
+class AlignmentStage(NamedTuple):
     """
     One stage of a registration.
 
@@ -139,7 +139,7 @@ def moved(poses: Poses, steps: np.ndarray) -> Poses:
     return Poses(turns @ poses.rotations, poses.positions + steps[:, 3:])
 
 
-def aligned(surfaces: Surfaces, patches: Patches, poses: Poses, stage: Stage) -> Poses:
+def aligned(surfaces: Surfaces, patches: Patches, poses: Poses, stage: AlignmentStage) -> Poses:
     """
     Register points to surfaces from several starts.
 

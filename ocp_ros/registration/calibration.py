@@ -10,13 +10,16 @@ from typing import Any
 import numpy as np
 
 from ocp_ros.geometry.cameras import angle_between, heading_of, Pose
-from ocp_ros.registration.camera_registration import register, Registration
+from ocp_ros.registration.camera_registration import checked, register, Registration
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.scan_surfaces import ScanSurfaces
 from ocp_ros.rig.placement_file import ANGLES, created_by, FIXED, Placed, Placement
 from ocp_ros.rig.rig_file import Rig, rig_from
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.util.yaml_files import Document
+
+#: Metres and degrees from which on a camera has moved, and expected deviations.
+MOVED, SURE = (0.02, 1.0), 3.0
 
 
 def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray]
@@ -40,6 +43,35 @@ def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.
             else:
                 found[name] = register(scan, view, Pose.of(placed.pose), model)
     return found, broken
+
+
+def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray]
+          ) -> list[str]:
+    """
+    Tell which cameras no longer fit the scan where the placement has them, a sentence each.
+
+    What a scan cannot tell is not reported: a camera that it does not hold may stand still.
+    """
+    moved = []
+    for placed in placement.cameras:
+        name, start = placed.camera.name, Pose.of(placed.pose)
+        if name not in clouds:
+            continue
+        try:
+            view = LiveView(clouds[name], placed.camera.model, name)
+        except SceneError as error:
+            moved.append(str(error))
+            continue
+        found = checked(scan, view, start, placed.camera.model)
+        away = float(np.linalg.norm(found.pose.position - start.position))
+        turn = float(np.rad2deg(angle_between(found.pose.rotation, start.rotation)))
+        if found.unlike:
+            moved.append(f'{name} no longer fits the scan: {found.refused}')
+        elif (away > max(MOVED[0], SURE * found.certainty.metres[0])
+              or turn > max(MOVED[1], SURE * found.certainty.degrees[0])):
+            moved.append(f'{name} hangs {away:.3f} m and {turn:.1f} degrees from where it is said '
+                         'to be; expected it there; call ~/calibrate, or put it back')
+    return moved
 
 
 def as_built(placement: Placement, found: Mapping[str, Registration], command: str) -> Placement:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Clouds of live cameras in the frame of the poses, cut to what a camera measures well."""
 
+from collections.abc import Mapping
 import re
 from typing import NamedTuple
 
@@ -36,6 +37,18 @@ class LiveRig(NamedTuple):
     def positions(self) -> np.ndarray:
         """Return where the cameras are: (K, 3) float64, metres."""
         return np.array([pose.position for pose in self.poses])
+
+
+class Sighting(NamedTuple):
+    """
+    What live cameras see, and from where they are said to see it.
+
+    :ivar rig: their poses.
+    :ivar clouds: (N, 3) metres, body frame, by the number of the camera.
+    """
+
+    rig: LiveRig
+    clouds: Mapping[int, np.ndarray]
 
 
 class Transforms:
@@ -141,3 +154,8 @@ def in_range(points: np.ndarray, cameras: np.ndarray, low: float, high: float) -
             nearest = np.fmin(nearest, np.einsum('ij,ij->i', away, away))
     keep = (nearest >= low * low) & (nearest <= high * high)
     return points if keep.all() else points[keep]
+
+
+def in_body(points: np.ndarray, pose: Pose) -> np.ndarray:
+    """Return points (N, 3) of the frame of a pose in that of the camera's body."""
+    return (points - pose.position) @ pose.rotation

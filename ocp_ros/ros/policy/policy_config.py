@@ -59,6 +59,12 @@ class PolicyNodeConfig:
     placement_file: str = setting(
         '', 'the final placement is written here as well, .yaml or .json of docs/placement.md; '
         'empty for nowhere')
+    scan: str = setting(
+        '', 'live: a scan of the room in the frame of the poses, metres, z up: `~/calibrate` '
+        'registers the cameras to it; empty for none')
+    drift_seconds: float = setting(
+        0.0, 'live: how often cameras whose placement is final are compared with the scan, '
+        'seconds; 0 for never', 0.0, 86400.0, running=True)
     cloud_topics: str = setting(
         '', 'live cameras: the topics of their clouds with commas between; empty to answer the '
         'turns of a simulation')
@@ -95,6 +101,9 @@ class PolicyNodeConfig:
             raise ConfigurationError(
                 f'min_range: found {self.min_range} m with max_range {self.max_range} m; '
                 'expected less than it')
+        if self.scan and not self.clouds:
+            raise ConfigurationError('scan: found one without cloud_topics; expected live cameras '
+                                     'to register to it; name the topics of their clouds')
         if self.manual and not self.clouds:
             raise ConfigurationError('manual: found true without cloud_topics; expected live '
                                      'cameras that a person moves; name the topics of their '
