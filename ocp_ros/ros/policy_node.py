@@ -33,7 +33,6 @@ from ocp_ros.ros.interface.conversions import (
 )
 from ocp_ros.ros.interface.qos import LATCHED, LOOP
 from ocp_ros.ros.policy.arbitration import Arbitration
-from ocp_ros.ros.policy.calibrator import Calibrator
 from ocp_ros.ros.policy.convergence import Convergence
 from ocp_ros.ros.policy.decider import Decider
 from ocp_ros.ros.policy.live_turns import LiveTurns
@@ -51,6 +50,7 @@ if TYPE_CHECKING:
     from ocp_ros.agent.checkpoint import Checkpoint
     from ocp_ros.agent.policy import Policy
     from ocp_ros.agent.value_policy import ValuePolicy
+    from ocp_ros.ros.policy.calibrator import Calibrator
 
 
 def load_checkpoint(path: Path) -> 'Checkpoint':
@@ -103,6 +103,7 @@ class PolicyNode(ManagedNode):
             self._turns = SimulatedTurns(
                 self, self._commands, self._play, self._tell, self._refuse, self._waits)
         if self._live is not None and self.config.scan:
+            from ocp_ros.ros.policy.calibrator import Calibrator
             self._calibrator = Calibrator(self, self.config, self._decider, self._live.sighted,
                                           lambda: self._settled)
         if self.policy is not None:
