@@ -16,7 +16,13 @@ from scipy.spatial import cKDTree
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header, String
 
-from ocp_ros.geometry.cameras import angle_between, heading_of, Pose, rotation_matrix
+from ocp_ros.geometry.cameras import (
+    angle_between,
+    heading_of,
+    OPTICAL_TO_BODY,
+    Pose,
+    rotation_matrix,
+)
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.rig.rig_config import RigConfig
@@ -30,7 +36,6 @@ from ocp_ros.ros.interface.conversions import (
     positions_to_msg,
     stamp_to_ns,
 )
-from ocp_ros.ros.interface.frames import OPTICAL
 from ocp_ros.ros.policy.convergence import Convergence
 from ocp_ros.ros.policy.instructions import instructions, STAY
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
@@ -73,8 +78,8 @@ def test_a_command_turns_the_body_of_a_camera_and_its_optical_frame_with_it():
     # To +y and down.
     np.testing.assert_allclose(rotation[:, 0], [0.0, np.cos(0.3), -np.sin(0.3)], atol=1e-9)
     np.testing.assert_allclose(rotation[:, 1], [-1.0, 0.0, 0.0], atol=1e-9)
-    np.testing.assert_allclose((rotation @ OPTICAL)[:, 2], rotation[:, 0], atol=1e-9)
-    np.testing.assert_allclose((rotation @ OPTICAL)[:, 1], -rotation[:, 2], atol=1e-9)
+    np.testing.assert_allclose((rotation @ OPTICAL_TO_BODY)[:, 2], rotation[:, 0], atol=1e-9)
+    np.testing.assert_allclose((rotation @ OPTICAL_TO_BODY)[:, 1], -rotation[:, 2], atol=1e-9)
     np.testing.assert_array_equal(msg_to_positions(found), np.ones((3, 3)))
 
 

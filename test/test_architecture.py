@@ -15,8 +15,8 @@ import ocp_ros
 
 PACKAGE = ROOT / 'ocp_ros'
 #: Each layer may import itself, those before it and the modules that stand beside the layers.
-LAYERS = ['util', 'geometry', 'scenes', 'rig', 'simulation', 'agent', 'planners', 'training',
-          'evaluation', 'report', 'ros', 'demo', 'cli']
+LAYERS = ['util', 'geometry', 'scenes', 'rig', 'registration', 'simulation', 'agent', 'planners',
+          'training', 'evaluation', 'report', 'ros', 'demo', 'cli']
 BESIDE = {'__version__'}
 #: Packages that only some layers may import at all.
 ONLY = {

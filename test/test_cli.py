@@ -54,8 +54,8 @@ def test_help_lists_every_command_under_what_one_wants(capsys):
     out = capsys.readouterr().out
     assert end.value.code == 0 and out.startswith('usage: ocp COMMAND ...')
     listed = [line.split()[0] for line in out.splitlines() if line.startswith('  ')]
-    for name in ('plan', 'score', 'view', 'replay', 'rooms', 'train', 'evaluate', 'benchmark',
-                 'bench'):
+    for name in ('plan', 'score', 'calibrate', 'view', 'replay', 'rooms', 'train', 'evaluate',
+                 'benchmark', 'bench'):
         assert listed.count(name) == 1, name
     assert out.index('evaluate a placement:') < out.index('  score') < out.index('look at')
 

@@ -196,8 +196,8 @@ def test_every_command_in_the_documentation_can_be_run(command, tmp_path, monkey
 
 def test_the_commands_are_found():
     found = {command[0] for command in commands()}
-    assert found == {'plan', 'score', 'view', 'rooms', 'train', 'evaluate', 'benchmark', 'bench',
-                     'replay'}
+    assert found == {'plan', 'score', 'calibrate', 'view', 'rooms', 'train', 'evaluate',
+                     'benchmark', 'bench', 'replay'}
 
 
 def templates():

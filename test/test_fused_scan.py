@@ -84,6 +84,17 @@ def test_frames_of_a_wall_fuse_to_the_wall():
     assert scan.points[:, 1].mean() > 0.3 and scan.mesh.triangles.max() < len(scan.points)
 
 
+def test_a_floor_fuses_where_it_is():
+    """Half a pixel would shift what is seen at a slant by a centimetre."""
+    corners = np.array([[x, y, 0.0] for x in (-1.0, 8.0) for y in (-6.0, 6.0)], np.float32)
+    rays = MeshRays(Mesh(corners, np.array([[0, 1, 2], [1, 3, 2]], np.int32)))
+    frames = []
+    for across in (-0.2, 0.0, 0.2, 0.4):
+        pose = Pose(np.array([0.0, across, 1.5]), rotation_matrix(0.1 * across, 0.5))
+        frames.append((exact_depth(rays, pose, pixel_rays()), pose))
+    assert abs(np.median(fuse(frames).points[:, 2])) < 0.004
+
+
 def test_frames_that_do_not_overlap_are_refused():
     pose = Pose(np.zeros(3), LEVEL)
     frame = exact_depth(MeshRays(wall(2.0)), pose, pixel_rays())

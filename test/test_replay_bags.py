@@ -31,6 +31,7 @@ from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.ros.bags.bag_files import Bag, CLOUD, POSES, Recorded, TRANSFORMS
 from ocp_ros.ros.bags.bag_replay import Replay
+from ocp_ros.ros.bags.recorded_clouds import recorded_clouds
 from ocp_ros.ros.bags.replay_options import ReplayOptions
 from ocp_ros.ros.bags.replay_run import options_of, pose_of
 from ocp_ros.ros.interface import qos, topics
@@ -162,6 +163,21 @@ def stage(graph, probe):
     probe.play = play
     yield probe
     probe.bag.__exit__()
+
+
+@pytest.mark.parametrize('form', FORMATS)
+def test_each_camera_is_given_what_it_recorded_in_its_body_frame(clouds, tmp_path, form):
+    recording = Recording()
+    recording.add_turn(optical(clouds), ('left_optical', 'right_optical'))
+    path = recording.write(tmp_path, form)
+    found = recorded_clouds(path, ['left', 'right'], {})
+    for cloud, camera, place, heading in zip(clouds, ('left', 'right'), PLACES, HEADINGS):
+        np.testing.assert_allclose(found[camera], (cloud - place) @ rotation_matrix(*heading),
+                                   atol=1e-4)
+    chosen = recorded_clouds(path, ['left', 'right'], {'left': '/cam1/points'}, 'body')
+    np.testing.assert_allclose(chosen['left'], optical(clouds)[1], atol=1e-4)
+    with pytest.raises(ConfigurationError, match='/cam2'):
+        recorded_clouds(path, ['left'], {'left': '/cam2/points'})
 
 
 @pytest.mark.parametrize('form', FORMATS)

@@ -18,6 +18,7 @@ from ocp_ros.cli.arguments import (
     seed,
     whole_numbers,
 )
+from ocp_ros.cli.calibrate_command import add_calibrate
 from ocp_ros.cli.common import (
     claim_file,
     Commands,
@@ -249,8 +250,8 @@ def _add_view(commands: Commands) -> None:
 def commands() -> Commands:
     """Build all commands."""
     made = Commands('ocp', 'Where do I put my depth cameras? Tools that need no ROS graph.')
-    for add in (add_plan, _add_score, _add_view, add_rooms, _add_train, _add_evaluate,
-                _add_benchmark, _add_bench, add_replay):
+    for add in (add_plan, _add_score, add_calibrate, _add_view, add_rooms, _add_train,
+                _add_evaluate, _add_benchmark, _add_bench, add_replay):
         add(made)
     return made
 

@@ -10,6 +10,8 @@ from numba import njit
 import numpy as np
 
 OMNIDIRECTIONAL, PINHOLE, SPHERICAL = 0, 1, 2
+#: From the optical frame (z forward, x right, y down) to the body frame (x forward, y left, z up).
+OPTICAL_TO_BODY = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 #: Of a camera that looks straight up or down, so much of its direction is level at most.
 UPRIGHT = 1e-7
 

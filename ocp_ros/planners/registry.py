@@ -162,7 +162,7 @@ def register_planner(name: str, planner: type[Planner] | type[Online]) -> None:
     if len(kinds) != 1 or getattr(planner, '__abstractmethods__', ()):
         raise ConfigurationError(
             f'planner {name}: found {printable(repr(planner))}; expected a class that is derived '
-            'from Planner (offline) or Online and has all their methods; see docs/planners.md')
+            'from Planner (offline) or Online and has all their methods; see docs/tasks/python.md')
     if issubclass(planner, Planner):
         OFFLINE[name] = planner
         return

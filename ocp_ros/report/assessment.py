@@ -11,7 +11,7 @@ import numpy as np
 
 from ocp_ros.geometry.packed_bits import unpack
 from ocp_ros.report.camera_words import Words, words_for
-from ocp_ros.report.findings import verdict
+from ocp_ros.report.findings import scores_of, verdict
 from ocp_ros.report.wall_references import ReferenceWall, WallReferences
 from ocp_ros.rig.placement_file import created_by, data_of, Placement
 from ocp_ros.rig.structure import floor_height
@@ -131,6 +131,8 @@ def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str
     found = {'room': room, 'cameras': data_of(placement)['cameras'],
              **verdict(problem, placement.poses)}
     scores = found['scores']
+    if (planned := placement.planned_poses) is not None:
+        found['planned'] = scores_of(problem.objective, problem.look(planned))
     found['notes'] += _notes(placement, room, scores)
     created = created_by(command, placement.created.get('planner', ''))
     return Assessment(problem.objective, replace(

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A placement for those who carry it out: files for people, spreadsheets and ROS 2."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 import csv
 from dataclasses import replace
 import io
@@ -168,16 +168,20 @@ def _angles(placed: Placed) -> tuple[float, float, float]:
     return float(roll), float(pitch), float(yaw)
 
 
-def launch_of(placement: Placement, links: Sequence[Link] = (), prefix: str = '') -> str:
+def launch_of(placement: Placement, links: Sequence[Link] = (), prefix: str = '',
+              without: Collection[str] = ()) -> str:
     """
     Return a ROS 2 launch file that publishes camera_<i> and camera_<i>_optical, i from 0.
 
     :param links: other transforms to publish.
     :param prefix: of the names of frames.
+    :param without: names of cameras to leave out.
     """
     lines = [(link.parent, link.child, *link.position, *(round(angle, 9) for angle in link.angles))
              for link in links]
     for number, placed in enumerate(placement.cameras):
+        if placed.camera.name in without:
+            continue
         body = prefix + link_of(number)
         position, angles = map(float, placed.position), _angles(placed)
         lines += [(placement.frame, body, *position, *(round(angle, 9) for angle in angles)),

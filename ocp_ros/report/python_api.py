@@ -237,7 +237,8 @@ def _rig(rig: RigLike | None, cameras: int | str | None, sensor: str) -> Rig:
         rig = rig_from(_document('rig', rig, RIG))
     elif not isinstance(rig, Rig):
         raise ConfigurationError(f'rig: found {type(rig).__name__}; expected the path of a rig '
-                                 'file, its content as a mapping, or a rig; see docs/rig.md')
+                                 'file, its content as a mapping, or a rig; see '
+                                 'docs/reference/rig.md')
     if cameras is None:
         return rig
     return with_count(rig, int(count or len(rig.cameras)))

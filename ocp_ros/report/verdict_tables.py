@@ -44,6 +44,12 @@ def show_verdict(console: Console, found: Mapping[str, Any]) -> None:
                   f'{scores["space_coverage"]:.1f} of {scores["volume"]:.1f} m³; '
                   f'{percent(scores["seen"])} of the points seen by {by}; objective value '
                   f'{scores["loss"]:.4f}')
+    if 'planned' in found:
+        before = found['planned']
+        console.print(f'as planned: depth error {before["depth_error"]:.3f} m, space coverage '
+                      f'{before["space_coverage"]:.1f} m³, {percent(before["seen"])} of the '
+                      f'points seen, objective value {before["loss"]:.4f}; the line above is '
+                      'as built')
     console.print('seen by ' + ', '.join(f'{count}: {percent(points / scores["points"])}'
                                          for count, points in scores['overlap'].items()))
     for region in scores['regions']:

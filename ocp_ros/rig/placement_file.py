@@ -54,12 +54,19 @@ class Placed(NamedTuple):
     :ivar position: x, y, z, metres.
     :ivar angles: yaw, pitch, roll, degrees.
     :ivar mount: what it hangs on, or ``fixed`` if it hung there before.
+    :ivar planned: position and angles that were planned, if it was found to hang elsewhere.
     """
 
     camera: Camera
     position: tuple[float, float, float]
     angles: tuple[float, float, float]
     mount: str
+    planned: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+
+    def found_at(self, pose: np.ndarray) -> 'Placed':
+        """Return the camera where it was found to hang: (6,) metres and radians."""
+        return _rounded(self.camera, pose, self.mount)._replace(
+            planned=self.planned or (self.position, self.angles))
 
     @property
     def pose(self) -> np.ndarray:
@@ -98,6 +105,15 @@ class Placement:
         """Return the cameras that were to be placed: (K, 6) metres and radians."""
         return np.array([placed.pose for placed in self.cameras
                          if placed.mount != FIXED]).reshape(-1, 6)
+
+    @property
+    def planned_poses(self) -> np.ndarray | None:
+        """Return the poses as they were planned, (K, 6), where one was found to be another."""
+        moved = [placed for placed in self.cameras if placed.mount != FIXED]
+        if not any(placed.planned for placed in moved):
+            return None
+        return np.array([[*position, *np.deg2rad(angles)] for position, angles in (
+            placed.planned or (placed.position, placed.angles) for placed in moved)])
 
     def rig_in(self, scene: Scene) -> Rig:
         """
@@ -205,9 +221,14 @@ def placement_from(document: Document, rig: Rig | None = None) -> Placement:
 def _placed(document: Document, way: Way, camera: Camera, mount: str) -> Placed:
     """Read where a camera hangs, and on what unless the file does not say."""
     data = document.value(*way)
-    return Placed(camera, tuple(float(value) for value in data['position']),
-                  tuple(float(data.get(angle, 0.0)) for angle in ANGLES),
-                  data.get('mount', mount))
+    planned = _numbers_at(data['planned']) if 'planned' in data else None
+    return Placed(camera, *_numbers_at(data), data.get('mount', mount), planned)
+
+
+def _numbers_at(data: dict[str, Any]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return position and angles as a file has them."""
+    return (tuple(float(value) for value in data['position']),
+            tuple(float(data.get(angle, 0.0)) for angle in ANGLES))
 
 
 def _matched(document: Document, rig: Rig, ways: Sequence[Way], names: dict[Way, str]) -> Rig:
@@ -304,9 +325,17 @@ def numbers_of(camera: Camera) -> dict[str, Any]:
 
 def _entry(placed: Placed, mount: bool = True) -> dict[str, Any]:
     """Return a camera as files have it."""
-    return {'name': placed.camera.name, **numbers_of(placed.camera),
-            'position': list(placed.position), **dict(zip(ANGLES, placed.angles)),
-            **({'mount': placed.mount} if mount else {})}
+    entry = {'name': placed.camera.name, **numbers_of(placed.camera),
+             **_numbers(placed.position, placed.angles),
+             **({'mount': placed.mount} if mount else {})}
+    if placed.planned and mount:
+        entry['planned'] = _numbers(*placed.planned)
+    return entry
+
+
+def _numbers(position: Sequence[float], angles: Sequence[float]) -> dict[str, Any]:
+    """Return position and angles as files have them."""
+    return {'position': list(position), **dict(zip(ANGLES, angles))}
 
 
 def data_of(placement: Placement) -> dict[str, Any]:

@@ -126,7 +126,10 @@ PLACED = mapping(
     'a camera and its position', {'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2], 'yaw': 90},
     ('position',), name=NAME, **MODEL, position=POSITION, **ANGLES,
     mount={'description': f'fixed or one of {", ".join(MOUNTS)}', 'enum': ['fixed', *MOUNTS],
-           'examples': ['plane']})
+           'examples': ['plane']},
+    planned=mapping('where the camera was planned, if it was found to hang elsewhere',
+                    {'position': [1.0, 2.0, 2.2], 'yaw': 90}, ('position',), position=POSITION,
+                    **ANGLES))
 ROOM = mapping(
     'a mapping with the key file or seed', {'file': 'room.ply'}, (),
     file={'description': 'the path of a scan', 'type': 'string', 'examples': ['room.ply']},

@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from ocp_ros.agent.checkpoint import Checkpoint
     from ocp_ros.agent.policy import Policy
     from ocp_ros.agent.value_policy import ValuePolicy
+    from ocp_ros.ros.policy.calibrator import Calibrator
 
 
 def load_checkpoint(path: Path) -> 'Checkpoint':
@@ -72,6 +73,7 @@ class PolicyNode(ManagedNode):
         self._commander: Arbitration | None = None
         self._turns: SimulatedTurns | None = None
         self._live: LiveTurns | None = None
+        self._calibrator: Calibrator | None = None
         self._paused = False
         super().__init__('policy_node', PolicyNodeConfig, {'manual': BY_HAND}, **kwargs)
 
@@ -100,6 +102,10 @@ class PolicyNode(ManagedNode):
         else:
             self._turns = SimulatedTurns(
                 self, self._commands, self._play, self._tell, self._refuse, self._waits)
+        if self._live is not None and self.config.scan:
+            from ocp_ros.ros.policy.calibrator import Calibrator
+            self._calibrator = Calibrator(self, self.config, self._decider, self._live.sighted,
+                                          lambda: self._settled)
         if self.policy is not None:
             self.create_subscription(
                 UInt8MultiArray, topics.POLICY_WEIGHTS, self._on_weights, LATCHED)
@@ -128,7 +134,9 @@ class PolicyNode(ManagedNode):
     def release(self) -> None:
         """Forget weights, rig and all that was seen."""
         self.stop()
-        self._live = self._turns = self._experiences = None
+        if self._calibrator is not None:
+            self._calibrator.close()
+        self._live = self._turns = self._experiences = self._calibrator = None
         self._paused = False
 
     @property
@@ -161,6 +169,8 @@ class PolicyNode(ManagedNode):
         self._views.change(self._decider.models)
         if self._live is not None:
             self._live.change(config)
+        if self._calibrator is not None:
+            self._calibrator.change(config)
 
     def _tell(self, told: TurnInfo) -> None:
         """Learn from a simulation which turn it is."""
@@ -301,7 +311,8 @@ class PolicyNode(ManagedNode):
         message = 'placement is final' if self._settled else 'answering turns'
         wrong, live = self._live.status() if self._live else (
             diagnostics.crowd(self, topics.OBSERVATION), {})
-        wrong = wrong or '; '.join(self._decider.held)
+        drifted, checks = self._calibrator.status() if self._calibrator else ('', {})
+        wrong = wrong or '; '.join(self._decider.held) or drifted
         if self._commander is None or self._paused:
             message = 'paused' if self.active else 'inactive'
         else:
@@ -312,7 +323,7 @@ class PolicyNode(ManagedNode):
         return diagnostics.WARN if wrong else diagnostics.OK, wrong or message, {
             'planner': 'exploring' if self.config.explore else self.config.planner,
             'weights_run': run, 'weights_updates': updates,
-            'step': self._step, **self._finality.values(), **self._counts, **live}
+            'step': self._step, **self._finality.values(), **self._counts, **live, **checks}
 
 
 def main(args: list[str] | None = None) -> int:

@@ -125,6 +125,18 @@ def _scene_from(points: np.ndarray, normals: np.ndarray | None, name: str, calle
                  remarks=remarks)
 
 
+def load_cloud(path: str | Path) -> np.ndarray:
+    """
+    Read a cloud that is no room, such as what one camera sees.
+
+    :param path: of the same formats as those of rooms.
+    :returns: (N, 3) float64 finite points, in the file's unit and axes.
+    :raises SceneError: if it cannot be read.
+    """
+    points = _read(Path(path))[0]
+    return points[np.isfinite(points).all(axis=1)]
+
+
 def save_scene(scene: Scene, path: str | Path) -> None:
     """
     Write the points of a room as .ply, and its mesh, where it has one, as ``<stem>_mesh.ply``.

@@ -23,6 +23,7 @@ LAYERS = {
     'geometry': 'what a camera sees of points: arrays in, arrays out',
     'scenes': 'rooms from files, generated rooms',
     'rig': 'cameras, mounts, constraints, their files',
+    'registration': 'live clouds to scans: where cameras hang',
     'simulation': 'a rig in a room: engine, objective, episode',
     'agent': 'what runs on the robot: partial map, network',
     'planners': 'every method that finds a placement',

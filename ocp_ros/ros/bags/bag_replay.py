@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
-from ocp_ros.geometry.cameras import Pose
+from ocp_ros.geometry.cameras import OPTICAL_TO_BODY, Pose
 from ocp_ros.ros.bags.bag_files import Bag, BrokenMessage, CLOUD, KINDS, Recorded, TRANSFORMS
 from ocp_ros.ros.bags.replay_options import chosen_topics, ReplayOptions, TYPES
 from ocp_ros.ros.interface import topics
@@ -34,7 +34,7 @@ from ocp_ros.ros.interface.conversions import (
     positions_to_msg,
     stamp_to_ns,
 )
-from ocp_ros.ros.interface.frames import OPTICAL, SENSOR
+from ocp_ros.ros.interface.frames import SENSOR
 from ocp_ros.ros.interface.qos import LOOP
 from ocp_ros.ros.interface.transform_tree import TransformTree
 from ocp_ros.util.settings import check_known, ConfigurationError
@@ -254,7 +254,7 @@ class Replay(Node):
                 f'no transform from {frame!r} to {fixed!r}')
             raise MessageError(f'{topic}: found {what}; expected one that says where the camera '
                                'is; name another --fixed-frame, or add --pose for each cloud')
-        return Pose(found.position, found.rotation @ OPTICAL.T) if optical else found
+        return Pose(found.position, found.rotation @ OPTICAL_TO_BODY.T) if optical else found
 
     def _say_where(self, header: Header) -> None:
         """Publish where the cameras are, with the stamp of a cloud."""

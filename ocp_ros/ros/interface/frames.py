@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Clouds of live cameras in the frame of the poses, cut to what a camera measures well."""
 
+from collections.abc import Mapping
 import re
 from typing import NamedTuple
 
@@ -9,7 +10,7 @@ import numpy as np
 from rclpy.node import Node
 from rclpy.time import Time
 
-from ocp_ros.geometry.cameras import Pose
+from ocp_ros.geometry.cameras import OPTICAL_TO_BODY, Pose
 from ocp_ros.ros.interface.conversions import MessageError, rotation_of, stamp_to_ns
 
 #: Frames of the cameras by their place among the poses: body (x forward, y left, z up) and
@@ -17,8 +18,6 @@ from ocp_ros.ros.interface.conversions import MessageError, rotation_of, stamp_t
 SENSOR = re.compile(r'camera_([0-9]{1,4})(_optical)?')
 #: Metres from a camera within which a frame that tf2 knows is taken to be that camera's own.
 OWN = 0.3
-#: Optical to body frame.
-OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 class LiveRig(NamedTuple):
@@ -38,6 +37,18 @@ class LiveRig(NamedTuple):
     def positions(self) -> np.ndarray:
         """Return where the cameras are: (K, 3) float64, metres."""
         return np.array([pose.position for pose in self.poses])
+
+
+class Sighting(NamedTuple):
+    """
+    What live cameras see, and from where they are said to see it.
+
+    :ivar rig: their poses.
+    :ivar clouds: (N, 3) metres, body frame, by the number of the camera.
+    """
+
+    rig: LiveRig
+    clouds: Mapping[int, np.ndarray]
 
 
 class Transforms:
@@ -119,7 +130,7 @@ def placed(points: np.ndarray, frame: str, rig: LiveRig, transforms: Transforms
         pose = rig.poses[int(found[1])]
         seen_from = pose.position[None]
         if found[2]:
-            pose = Pose(pose.position, pose.rotation @ OPTICAL)
+            pose = Pose(pose.position, pose.rotation @ OPTICAL_TO_BODY)
     # What is too far out for float32 is out of range in any case.
     with np.errstate(over='ignore', invalid='ignore'):
         moved = points @ pose.rotation.T.astype(np.float32) + pose.position.astype(np.float32)
@@ -143,3 +154,8 @@ def in_range(points: np.ndarray, cameras: np.ndarray, low: float, high: float) -
             nearest = np.fmin(nearest, np.einsum('ij,ij->i', away, away))
     keep = (nearest >= low * low) & (nearest <= high * high)
     return points if keep.all() else points[keep]
+
+
+def in_body(points: np.ndarray, pose: Pose) -> np.ndarray:
+    """Return points (N, 3) of the frame of a pose in that of the camera's body."""
+    return (points - pose.position) @ pose.rotation

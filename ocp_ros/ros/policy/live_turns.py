@@ -38,7 +38,17 @@ from ocp_ros.ros.interface.conversions import (
     rotation_of,
     stamp_to_ns,
 )
-from ocp_ros.ros.interface.frames import in_range, LiveRig, placed, Transforms
+from ocp_ros.ros.interface.frames import (
+    in_body,
+    in_range,
+    LiveRig,
+    placed,
+    Sighting,
+    Transforms,
+)
+from ocp_ros.ros.interface.frames import (
+    SENSOR as CAMERA_FRAME,
+)
 from ocp_ros.ros.interface.markers import move_markers
 from ocp_ros.ros.interface.qos import LATCHED, LOOP, SENSOR
 from ocp_ros.ros.policy.instructions import FINAL, instructions, moving
@@ -80,6 +90,8 @@ class LiveTurns:
         self._await_turns()
         #: The message of poses that came last: it may come on two subscriptions.
         self._last: PoseArray | None = None
+        #: The newest cloud of each topic, unread.
+        self._newest: dict[str, PointCloud2] = {}
         #: The newest poses, as they came and as what they mean.
         self._poses: PoseArray | None = None
         self._rig: LiveRig | None = None
@@ -150,6 +162,7 @@ class LiveTurns:
 
     def _on_cloud(self, topic: str, message: PointCloud2) -> None:
         """Keep a cloud; act if it was the last one that was waited for."""
+        self._newest[topic] = message
         self._turns.on_cloud(topic, stamp_to_ns(message.header.stamp), message)
         self._act()
 
@@ -324,6 +337,28 @@ class LiveTurns:
         """Say which topics are silent, and what is known of them."""
         return 'no clouds: ' + ', '.join(
             f'{topic} ({why})' for topic, why in self._turns.silent().items())
+
+    def sighted(self) -> Sighting:
+        """
+        Return the newest cloud of each camera: of topic i that of camera i, unless frames say so.
+
+        :raises MessageError: if poses or clouds are missing or cannot be used.
+        """
+        if self._rig is None or not self._newest:
+            what = topics.CAMERA_POSES if self._rig is None else 'a cloud'
+            raise MessageError(f'cameras: found nothing on {what} yet; expected poses and clouds; '
+                               'call it again when the cameras run')
+        clouds = {}
+        for number, topic in enumerate(self._config.clouds):
+            if topic in self._newest:
+                message = self._newest[topic]
+                own = CAMERA_FRAME.fullmatch(message.header.frame_id)
+                camera = int(own[1]) if own else number
+                if camera < len(self._rig.poses):
+                    points, _ = placed(msg_to_cloud(message), message.header.frame_id, self._rig,
+                                       self._transforms)
+                    clouds[camera] = in_body(points, self._rig.poses[camera])
+        return Sighting(self._rig, clouds)
 
     def status(self) -> tuple[str, dict[str, object]]:
         """Return what is wrong, if anything, and values to show."""

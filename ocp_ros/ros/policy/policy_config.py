@@ -58,6 +58,12 @@ class PolicyNodeConfig:
     placement_file: str = setting(
         '', 'file for the final placement, .yaml or .json (docs/reference/placement.md); '
         'empty: write no file')
+    scan: str = setting(
+        '', 'live: scan of the room in the frame of the poses, metres, z up: `~/calibrate` '
+        'registers the cameras to it; empty: none')
+    drift_seconds: float = setting(
+        0.0, 'live: time between two checks of a final placement against the scan, seconds; '
+        '0: never', 0.0, 86400.0, running=True)
     cloud_topics: str = setting(
         '', 'live: topics of the clouds with commas between; empty: answer the turns of a '
             'simulation')
@@ -95,6 +101,9 @@ class PolicyNodeConfig:
             raise ConfigurationError(
                 f'min_range: found {self.min_range} m with max_range {self.max_range} m; '
                 'expected less than it')
+        if self.scan and not self.clouds:
+            raise ConfigurationError('scan: found one without cloud_topics; expected live cameras '
+                                     'to register to it; name the topics of their clouds')
         if self.manual and not self.clouds:
             raise ConfigurationError('manual: found true without cloud_topics; expected live '
                                      'cameras that a person moves; name the topics of their '

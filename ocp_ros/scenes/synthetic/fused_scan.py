@@ -168,7 +168,8 @@ def fuse(frames: Iterable[tuple[np.ndarray, Pose]]) -> FusedScan:
     import open3d as o3d
     tensor, one = o3d.core.Tensor, o3d.core.float32
     grid = o3d.t.geometry.VoxelBlockGrid(('tsdf', 'weight'), (one, one), ((1), (1)), VOXEL)
-    camera = tensor(np.array([[FOCAL, 0.0, 0.5 * WIDTH - 0.5], [0.0, FOCAL, 0.5 * HEIGHT - 0.5],
+    # Open3D takes the pixel whose corner is nearest below: pixel 0 reaches from 0 to 1.
+    camera = tensor(np.array([[FOCAL, 0.0, 0.5 * WIDTH], [0.0, FOCAL, 0.5 * HEIGHT],
                               [0.0, 0.0, 1.0]]))
     for depth, pose in frames:
         # Open3D refuses a frame of which the pixels that it tries measure nothing.

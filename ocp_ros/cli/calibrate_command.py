@@ -1,0 +1,186 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""``ocp calibrate``: where cameras hang, by what they see and the scan of the room."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from ocp_ros.cli.arguments import add_overwrite, add_reading, frame_prefix
+from ocp_ros.cli.common import Commands, document, Found, inputs_of, JUDGE
+from ocp_ros.cli.score_command import room_asked
+from ocp_ros.geometry.cameras import OPTICAL_TO_BODY
+from ocp_ros.registration.calibration import answer_of, as_built, calibrate
+from ocp_ros.registration.scan_surfaces import ScanSurfaces
+from ocp_ros.rig.placement_file import load_placement, Placement, save_placement
+from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.scenes.scene_files import load_cloud
+from ocp_ros.util.files import folder_to_write, write_atomically
+from ocp_ros.util.own_files import check_own, note_own
+from ocp_ros.util.resources import find_config
+from ocp_ros.util.settings import check_known, ConfigurationError
+from ocp_ros.util.shown_text import printable
+
+#: Files that are written.
+WRITTEN = ('placement.yaml', 'cameras.launch.py', 'calibration.json')
+#: Points of a generated room; of a scan all are taken.
+POINTS = 120_000
+
+
+def clouds_of(arguments: argparse.Namespace, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """
+    Read what cameras see.
+
+    :param arguments: with ``clouds`` or ``bag`` and ``topics``, and ``cloud_frame``.
+    :param names: of the cameras.
+    :returns: (N, 3) metres, body frame, by camera.
+    :raises ConfigurationError: if it is not clear which cloud is whose, or there is none.
+    """
+    if arguments.bag:
+        try:
+            from ocp_ros.ros.bags.recorded_clouds import recorded_clouds
+        except ImportError as error:
+            raise ConfigurationError(
+                f'--bag: found no ROS 2 ({error}); expected rclpy and its messages; run '
+                'tools/setup, or save the clouds as files (--clouds)') from error
+        chosen = dict(_named(text, '--topics', 'TOPIC') for text in arguments.topics)
+        check_known(chosen, names, '--topics')
+        return recorded_clouds(arguments.bag, names, chosen, arguments.cloud_frame)
+    if arguments.topics:
+        raise ConfigurationError('--topics: found it without --bag; expected both; name the bag')
+    files: dict[str, Path] = {}
+    for text in arguments.clouds:
+        name, path = _named(text, '--clouds', 'FILE') if '=' in text else (Path(text).stem, text)
+        if name in files:
+            raise ConfigurationError(f'--clouds: found two files of {name}; expected one for each '
+                                     'camera; leave one out')
+        files[name] = Path(path)
+    check_known(files, names, '--clouds, cameras')
+    clouds = {name: load_cloud(path) for name, path in files.items()}
+    return clouds if arguments.cloud_frame == 'body' else {
+        name: points @ OPTICAL_TO_BODY.T for name, points in clouds.items()}
+
+
+def _named(text: str, option: str, what: str) -> tuple[str, str]:
+    """Read CAMERA=SOMETHING."""
+    name, equals, value = text.partition('=')
+    if not (name and equals and value):
+        raise ConfigurationError(f'{option}: found {text!r}; expected CAMERA={what}; write, for '
+                                 f'example, door={what.lower()}')
+    return name, value
+
+
+def calibrated(arguments: argparse.Namespace, command: str) -> Found:
+    """
+    Register each camera that has a cloud, and write where it hangs.
+
+    :param arguments: of ``ocp calibrate``.
+    :param command: the command line, for the record.
+    :returns: what ``--json`` prints.
+    """
+    paths = [arguments.out / name for name in WRITTEN]
+    read = [arguments.bag] if arguments.bag else [
+        text.partition('=')[2] or text for text in arguments.clouds]
+    check_own(paths, [*inputs_of(arguments), *read], arguments.overwrite)
+    rig = load_rig(arguments.rig) if arguments.rig else None
+    placement = load_placement(arguments.placement, rig)
+    clouds = clouds_of(arguments, [placed.camera.name for placed in placement.cameras])
+    folder_to_write(arguments.out)
+    points = POINTS if arguments.room.isdecimal() else 0
+    scene, _ = room_asked(arguments, {**placement.room, 'points': points})
+    found, broken = calibrate(ScanSurfaces(scene), placement, clouds)
+    built = as_built(placement, found, command)
+    rows = [_row(placed, found, broken) for placed in placement.cameras]
+    answer: Found = {'cameras': rows, 'written': [str(path) for path in paths]}
+    _write(paths, built, answer, arguments.frame_prefix)
+    if all(row['refused'] for row in rows):
+        answer['error'] = (
+            f'{arguments.placement}: found no camera that could be calibrated ('
+            + '; '.join(f'{row["camera"]}: {row["refused"]}' for row in rows)
+            + '); expected one at least; scan more of the room, or correct the placement')
+    return answer
+
+
+def _row(placed: Any, found: dict, broken: dict[str, str]) -> dict[str, Any]:
+    """Return what was found of a camera as plain data."""
+    name = placed.camera.name
+    if name in found:
+        return answer_of(placed, found[name])
+    return {'camera': name, 'refused': broken.get(name, 'it has no cloud')}
+
+
+def _write(paths: Sequence[Path], built: Placement, answer: Found, prefix: str) -> None:
+    """Write the placement as built, static transforms, and what was found."""
+    from ocp_ros.report.exports import launch_of
+    refused = [row['camera'] for row in answer['cameras'] if row['refused']]
+    save_placement(paths[0], built)
+    write_atomically(paths[1], launch_of(built, (), prefix, refused))
+    write_atomically(paths[2], document(answer) + '\n')
+    note_own(paths)
+
+
+def show(found: Found) -> None:
+    """Print what was found of each camera."""
+    console = Console(width=100)
+    table = Table('camera', 'place (m)', 'yaw, pitch, roll', 'moved', 'expected off', 'residual',
+                  'overlap', title='As built')
+    for row in found['cameras']:
+        if not row['refused']:
+            slide, turn = row['deviations'][0], row['deviations'][3]
+            table.add_row(
+                row['camera'], ', '.join(f'{value:.3f}' for value in row['position']),
+                ', '.join(f'{row[angle]:.1f}' for angle in ('yaw', 'pitch', 'roll')),
+                f'{row["moved_metres"]:.3f} m, {row["moved_degrees"]:.1f}°',
+                f'{1000.0 * slide["metres"]:.1f} mm, {turn["degrees"]:.2f}°',
+                f'{1000.0 * row["residual"]:.1f} mm', f'{100.0 * row["overlap"]:.0f} %')
+    if table.row_count:
+        console.print(table)
+    for row in found['cameras']:
+        if row['refused']:
+            console.print(f'refused: {row["camera"]}: {row["refused"]}', style='yellow',
+                          markup=False, highlight=False)
+    for path in found['written']:
+        print(f'wrote {printable(path)}')
+
+
+def _calibrate(arguments: argparse.Namespace) -> Found:
+    """Find where cameras hang."""
+    from ocp_ros.cli.benchmark_command import command_of
+    return calibrated(arguments, command_of(arguments.argv))
+
+
+def add_calibrate(commands: Commands) -> None:
+    """Add ``ocp calibrate``."""
+    made = commands.add(
+        JUDGE, 'calibrate', 'find where cameras hang by what they see',
+        'ocp calibrate room.ply placement.yaml --clouds door.ply window.ply --out out/built')
+    made.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
+    made.add_argument('placement', type=Path, metavar='PLACEMENT',
+                      help='planned or measured poses of the cameras: docs/reference/placement.md')
+    seen = made.add_mutually_exclusive_group(required=True)
+    seen.add_argument('--clouds', nargs='+', metavar='[CAMERA=]FILE',
+                      help='a live cloud of each camera in metres; unless named, the file is '
+                      'called as the camera is')
+    seen.add_argument('--bag', type=Path, help='a ROS bag with a topic of clouds for each camera')
+    made.add_argument('--topics', nargs='+', default=(), metavar='CAMERA=TOPIC',
+                      help='of the bag; unless named, those with the names of cameras in them, or '
+                      'all in their order')
+    made.add_argument('--cloud-frame', choices=('optical', 'body'),
+                      help='of the clouds: optical (z forward, x right, y down) or body (x '
+                      'forward, y left, z up); unless named, optical for files, and by the name '
+                      'of the frame for bags')
+    made.add_argument('--rig', type=find_config,
+                      help='constraints, instead of those in the placement: docs/reference/rig.md')
+    made.add_argument('--out', type=Path, default=Path('out/built'), metavar='DIR',
+                      help='write the placement as built, a launch file of static transforms and '
+                      'the figures here')
+    made.add_argument('--frame-prefix', type=frame_prefix, default='', metavar='NAME',
+                      help='before the names of frames in the launch file')
+    add_overwrite(made)
+    add_reading(made)
+    made.set_defaults(run=_calibrate, show=show)

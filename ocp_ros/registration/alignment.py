@@ -1,0 +1,170 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Point-to-plane registration of points to surfaces, from many starts at once.
+
+Iteratively reweighted least squares (Chen and Medioni, 1992) with the kernel of Geman and McClure.
+A point is matched only to a surface that faces the camera as the point's own surface does.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+#: A point and its match may face so far apart: cosine of 60 degrees.
+ALIKE = 0.5
+#: Share of the mean information that holds directions in which no surface does.
+DAMPING = 1e-4
+#: Steps end when none is longer than this: metres, and radians times one metre.
+STILL = 1e-5
+
+
+class Poses(NamedTuple):
+    """
+    Several poses of one camera.
+
+    :ivar rotations: (S, 3, 3), body frame to map frame.
+    :ivar positions: (S, 3), metres, map frame.
+    """
+
+    rotations: np.ndarray
+    positions: np.ndarray
+
+    def only(self, which: np.ndarray) -> 'Poses':
+        """Return some of them."""
+        return Poses(self.rotations[which], self.positions[which])
+
+
+class Surfaces(NamedTuple):
+    """
+    Points of a scan.
+
+    :ivar points: (N, 3) float64, metres, map frame.
+    :ivar normals: (N, 3) unit vectors.
+    :ivar oriented: whether they look to where the surface can be seen from.
+    :ivar tree: of the points.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    oriented: bool
+    tree: cKDTree
+
+    @classmethod
+    def of(cls, points: np.ndarray, normals: np.ndarray, oriented: bool) -> 'Surfaces':
+        """Build the tree."""
+        return cls(points, normals, oriented, cKDTree(points))
+
+
+class Patches(NamedTuple):
+    """
+    What a camera sees, thinned.
+
+    :ivar points: (M, 3) metres, body frame.
+    :ivar normals: (M, 3) unit vectors towards the camera.
+    :ivar deviation: (M,) metres, how far off a point may be.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    deviation: np.ndarray
+
+    def only(self, which: np.ndarray) -> 'Patches':
+        """Return some of them."""
+        return Patches(*(values[which] for values in self))
+
+
+class AlignmentStage(NamedTuple):
+    """
+    One stage of a registration.
+
+    :ivar gate: metres between a point and its match at most, in the first step and the last.
+    :ivar kernel: width of the kernel in standard deviations, in the first step and the last.
+    :ivar steps: how many at most.
+    """
+
+    gate: tuple[float, float]
+    kernel: tuple[float, float]
+    steps: int
+
+
+class Matches(NamedTuple):
+    """
+    Points and what they lie on, for several poses.
+
+    :ivar residuals: (S, M) metres across the surface.
+    :ivar jacobians: (S, M, 6): what a residual gains by radians about the axes of the map through
+        the camera, and by metres along them.
+    :ivar found: (S, M) whether there is a match.
+    :ivar indices: (S, M) of the surface.
+    """
+
+    residuals: np.ndarray
+    jacobians: np.ndarray
+    found: np.ndarray
+    indices: np.ndarray
+
+
+def matched(surfaces: Surfaces, patches: Patches, poses: Poses, gate: float) -> Matches:
+    """Match points to the nearest surfaces that face as they do."""
+    arms = np.einsum('sij,mj->smi', poses.rotations, patches.points)
+    placed = arms + poses.positions[:, None]
+    distance, index = surfaces.tree.query(placed, distance_upper_bound=gate)
+    found = np.isfinite(distance)
+    index = np.where(found, index, 0)
+    foot, normals = surfaces.points[index], surfaces.normals[index]
+    facing = np.einsum('smi,smi->sm', normals, poses.positions[:, None] - foot)
+    if surfaces.oriented:
+        found &= facing > 0.0
+    else:
+        normals = np.where(facing[..., None] < 0.0, -normals, normals)
+    own = np.einsum('sij,mj->smi', poses.rotations, patches.normals)
+    found &= np.einsum('smi,smi->sm', normals, own) > ALIKE
+    residuals = np.einsum('smi,smi->sm', normals, placed - foot)
+    return Matches(residuals, np.concatenate([np.cross(arms, normals), normals], axis=2), found,
+                   index)
+
+
+def weights_of(matches: Matches, deviation: np.ndarray, kernel: float) -> np.ndarray:
+    """Return the weights of matches (S, M), 1/m²: a kernel of Geman and McClure."""
+    scaled = matches.residuals / (kernel * deviation)
+    return matches.found / (deviation * (1.0 + scaled * scaled)) ** 2
+
+
+def moved(poses: Poses, steps: np.ndarray) -> Poses:
+    """Move poses by (S, 6) radians and metres in the map frame."""
+    turns = Rotation.from_rotvec(steps[:, :3]).as_matrix()
+    return Poses(turns @ poses.rotations, poses.positions + steps[:, 3:])
+
+
+def aligned(surfaces: Surfaces, patches: Patches, poses: Poses, stage: AlignmentStage) -> Poses:
+    """
+    Register points to surfaces from several starts.
+
+    :param surfaces: of the scan.
+    :param patches: what the camera sees.
+    :param poses: the starts.
+    :param stage: how.
+    :returns: where each start leads.
+    """
+    for step in range(stage.steps):
+        along = min(step / max(0.7 * stage.steps, 1.0), 1.0)
+        gate, kernel = (first * (last / first) ** along for first, last in stage[:2])
+        matches = matched(surfaces, patches, poses, gate)
+        weights = weights_of(matches, patches.deviation, kernel)
+        change = solved(matches, weights)
+        poses = moved(poses, change)
+        if along == 1.0 and np.abs(change).max() < STILL:
+            break
+    return poses
+
+
+def solved(matches: Matches, weights: np.ndarray) -> np.ndarray:
+    """Return the steps (S, 6) that make the weighted residuals least."""
+    weighted = matches.jacobians * weights[..., None]
+    normal = np.swapaxes(weighted, 1, 2) @ matches.jacobians
+    right = np.einsum('smi,sm->si', weighted, matches.residuals)
+    mean = np.trace(normal, axis1=1, axis2=2)[:, None, None] / 6.0
+    return -np.linalg.solve(normal + (DAMPING * mean + 1e-9) * np.eye(6), right[..., None])[..., 0]

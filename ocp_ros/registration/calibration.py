@@ -1,0 +1,126 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The cameras of a placement, each registered to the scan, and the placement as it was built."""
+
+from collections.abc import Mapping
+from copy import deepcopy
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ocp_ros.geometry.cameras import angle_between, heading_of, Pose
+from ocp_ros.registration.camera_registration import checked, register, Registration
+from ocp_ros.registration.live_view import LiveView
+from ocp_ros.registration.scan_surfaces import ScanSurfaces
+from ocp_ros.rig.placement_file import ANGLES, created_by, FIXED, Placed, Placement
+from ocp_ros.rig.rig_file import Rig, rig_from
+from ocp_ros.scenes.scene import SceneError
+from ocp_ros.util.yaml_files import Document
+
+#: Metres and degrees from which on a camera has moved, and expected deviations.
+MOVED, SURE = (0.02, 1.0), 3.0
+
+
+def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray]
+              ) -> tuple[dict[str, Registration], dict[str, str]]:
+    """
+    Register each camera that has a cloud, from where the placement has it.
+
+    :param scan: of the room, in the frame of the placement.
+    :param placement: planned or measured.
+    :param clouds: (N, 3) metres, body frame, by the camera's name.
+    :returns: what was found, and for cameras whose clouds cannot be used why, both by name.
+    """
+    found, broken = {}, {}
+    for placed in placement.cameras:
+        name, model = placed.camera.name, placed.camera.model
+        if name in clouds:
+            try:
+                view = LiveView(clouds[name], model, name)
+            except SceneError as error:
+                broken[name] = str(error)
+            else:
+                found[name] = register(scan, view, Pose.of(placed.pose), model)
+    return found, broken
+
+
+def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray]
+          ) -> list[str]:
+    """
+    Tell which cameras no longer fit the scan where the placement has them, a sentence each.
+
+    What a scan cannot tell is not reported: a camera that it does not hold may stand still.
+    """
+    moved = []
+    for placed in placement.cameras:
+        name, start = placed.camera.name, Pose.of(placed.pose)
+        if name not in clouds:
+            continue
+        try:
+            view = LiveView(clouds[name], placed.camera.model, name)
+        except SceneError as error:
+            moved.append(str(error))
+            continue
+        found = checked(scan, view, start, placed.camera.model)
+        away = float(np.linalg.norm(found.pose.position - start.position))
+        turn = float(np.rad2deg(angle_between(found.pose.rotation, start.rotation)))
+        if found.unlike:
+            moved.append(f'{name} no longer fits the scan: {found.refused}')
+        elif (away > max(MOVED[0], SURE * found.certainty.metres[0])
+              or turn > max(MOVED[1], SURE * found.certainty.degrees[0])):
+            moved.append(f'{name} hangs {away:.3f} m and {turn:.1f} degrees from where it is said '
+                         'to be; expected it there; call ~/calibrate, or put it back')
+    return moved
+
+
+def as_built(placement: Placement, found: Mapping[str, Registration], command: str) -> Placement:
+    """
+    Return a placement with the cameras where they were found; those that were refused stay.
+
+    :param command: the command line, for the record.
+    """
+    cameras = tuple(_found(placed, found) for placed in placement.cameras)
+    rig = placement.rig and _with_fixed(placement.rig, [
+        placed for placed in cameras if placed.mount == FIXED])
+    created = {**created_by(command, placement.created.get('planner', '')),
+               'calibrated': ', '.join(name for name, one in found.items() if not one.refused)}
+    return replace(placement, cameras=cameras, rig=rig, created=created, document=None, ways=())
+
+
+def answer_of(placed: Placed, found: Registration) -> dict[str, Any]:
+    """Return what was found of a camera as plain data."""
+    held, start = found.certainty, Pose.of(placed.pose)
+    row = {'camera': placed.camera.name, 'refused': found.refused,
+           'residual': found.residual, 'overlap': found.overlap, 'violated': found.violated,
+           'loose': held.loose,
+           'deviations': [
+               *({'along': axis.tolist(), 'metres': float(value)}
+                 for axis, value in zip(held.along, held.metres)),
+               *({'about': axis.tolist(), 'degrees': float(value)}
+                 for axis, value in zip(held.about, held.degrees))]}
+    if not found.refused:
+        row |= {'position': found.pose.position.round(4).tolist(),
+                **dict(zip(ANGLES, np.rad2deg(heading_of(found.pose.rotation)).round(3).tolist())),
+                'moved_metres': float(np.linalg.norm(found.pose.position - start.position)),
+                'moved_degrees': float(np.rad2deg(
+                    angle_between(found.pose.rotation, start.rotation)))}
+    return row
+
+
+def _found(placed: Placed, found: Mapping[str, Registration]) -> Placed:
+    """Return a camera where it was found, if it was."""
+    one = found.get(placed.camera.name)
+    if one is None or one.refused:
+        return placed
+    return placed.found_at(np.concatenate([one.pose.position, heading_of(one.pose.rotation)]))
+
+
+def _with_fixed(rig: Rig, placed: list[Placed]) -> Rig:
+    """Return a rig whose cameras in place are where they were found."""
+    if not any(one.planned for one in placed):
+        return rig
+    data = deepcopy(rig.document.data)
+    for entry, one in zip(data['fixed'], placed, strict=True):
+        entry |= {'position': list(one.position), **dict(zip(ANGLES, one.angles))}
+    return rig_from(Document(rig.document.name, data))

@@ -1,0 +1,256 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Register what a camera sees to the scan of its room, from about where it is planned to hang.
+
+Many starts around that pose are registered coarsely; the best of those that end apart are
+registered finely, to the surfaces of which the scan shows the right side. The answer is the pose
+that explains most of what the camera sees with the fewest surfaces where it has looked through.
+It is refused where little is explained, where another pose explains as much, or where the
+surfaces do not hold the camera.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import qmc
+
+from ocp_ros.geometry.cameras import angle_between, CameraModel, Pose
+from ocp_ros.registration.alignment import (
+    aligned,
+    AlignmentStage,
+    ALIKE,
+    matched,
+    Matches,
+    moved,
+    Patches,
+    Poses,
+    Surfaces,
+    weights_of,
+)
+from ocp_ros.registration.live_view import LiveView
+from ocp_ros.registration.pose_certainty import axis_words, Certainty, certainty
+from ocp_ros.registration.scan_surfaces import ScanSurfaces
+
+#: Metres and radians that starts are away from the planned pose, and how many there are.
+NEARBY, WIDE = (0.4, np.deg2rad(15.0), 32), (1.1, np.deg2rad(32.0), 64)
+#: Patches that starts are registered with, and the best of them again; how many those are.
+SKETCH, OUTLINE, BEST = 160, 600, 12
+#: What becomes of a start, stage by stage.
+ROUGH = AlignmentStage((1.0, 0.3), (40.0, 8.0), 14)
+BETTER = AlignmentStage((0.4, 0.2), (12.0, 5.0), 12)
+FINER = (AlignmentStage((0.15, 0.08), (4.0, 2.0), 16), AlignmentStage((0.1, 0.08), (2.0, 1.0), 16))
+#: Poses are apart beyond so many metres or radians; farther from the start than this none is an
+#: answer.
+APART, FARTHEST = (0.10, np.deg2rad(4.0)), (1.6, np.deg2rad(45.0))
+#: Poses that are refined at most, and how far behind the best they may be by then.
+MOST, MUCH_WORSE = 3, 0.2
+#: Standard deviations and metres across within which a surface explains a point, and metres along
+#: it; and standard deviations and metres from which on it stands beside it.
+EXPLAINED, NEAR, WITHIN = 3.0, 0.02, 0.15
+BESIDE, CLOSE = 2.0, 0.01
+#: What an answer needs: the share of what is seen that the scan explains, the share of surfaces
+#: that may stand where the camera looked through, what another pose must be behind in score, and
+#: the largest doubted deviations, metres and degrees: of the validation rooms' wrong answers the
+#: least doubted one has a third more.
+LEAST_OVERLAP, MOST_VIOLATED, LEAD = 0.35, 0.05, 0.06
+MOST_METRES, MOST_DEGREES = 0.0095, 0.45
+
+
+class Registration(NamedTuple):
+    """
+    Where a camera hangs, by what it sees.
+
+    :ivar pose: in the map frame; where it is refused, what was found best.
+    :ivar residual: root mean square distance of what was matched to the scan, metres.
+    :ivar overlap: the share of what the camera sees that the scan explains, 0 to 1.
+    :ivar violated: the share of the scan's surfaces in view that the camera looked through.
+    :ivar certainty: how well the pose is held.
+    :ivar beside: the share of the surfaces in view that stand beside where they were scanned.
+    :ivar refused: why the pose is not to be used; empty where it is.
+    """
+
+    pose: Pose
+    residual: float
+    overlap: float
+    violated: float
+    certainty: Certainty
+    beside: float
+    refused: str
+
+    @property
+    def unlike(self) -> bool:
+        """Return whether what is seen is not what the scan has there."""
+        return self.overlap < LEAST_OVERLAP or self.violated > MOST_VIOLATED
+
+
+def register(scan: ScanSurfaces, view: LiveView, start: Pose, model: CameraModel) -> Registration:
+    """
+    Find where a camera hangs.
+
+    :param scan: of the room.
+    :param view: what the camera sees.
+    :param start: where it is planned to be; within about a metre and 30 degrees.
+    :param model: of the camera.
+    """
+    found = [_Candidate(pose, answer, _score(scan, view, pose)) for pose, answer in (
+        _refined(scan, view, pose, model) for pose in _apart(scan, view, start))]
+    best = max(found, key=lambda one: one.score)
+    rivals = [one for one in found if one.score > best.score - LEAD
+              and _are_apart(one.pose, best.pose)]
+    if best.answer.refused or not rivals:
+        return best.answer
+    rival = max(rivals, key=lambda one: one.score).pose
+    away = np.linalg.norm(rival.position - best.pose.position)
+    turn = np.rad2deg(angle_between(rival.rotation, best.pose.rotation))
+    return best.answer._replace(refused=f'another pose, {away:.2f} m and {turn:.0f} degrees '
+                                'away, explains what it sees as well')
+
+
+def checked(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) -> Registration:
+    """
+    Find where a camera hangs that hardly moved: cheaper than :func:`register`.
+
+    :param pose: where it hung before, to a few centimetres.
+    """
+    return _refined(scan, view, pose, model)[1]
+
+
+class _Candidate(NamedTuple):
+    """A pose, what becomes of it, and how well it explains what is seen."""
+
+    pose: Pose
+    answer: Registration
+    score: float
+
+
+def _searched(scan: ScanSurfaces, view: LiveView, start: Pose) -> Poses:
+    """Register starts around a pose coarsely, and return where the best of them end."""
+    poses = _starts(start)
+    sketch, outline = (_some(view.patches, count) for count in (SKETCH, OUTLINE))
+    poses = aligned(scan.coarse, sketch, poses, ROUGH)
+    best = np.argsort(-_explained(scan.coarse, sketch, poses, 5.0), kind='stable')[:BEST]
+    # The start itself may be the best one; few points tell badly.
+    best = np.union1d(best, 0)
+    return aligned(scan.coarse, outline, poses.only(best), BETTER)
+
+
+def _starts(start: Pose) -> Poses:
+    """Return a pose, and others around it."""
+    around = [np.zeros((1, 6))]
+    for seed, (metres, radians, count) in enumerate((NEARBY, WIDE)):
+        unit = 2.0 * qmc.Sobol(6, seed=seed).random(count) - 1.0
+        around.append(unit * np.repeat([radians, metres], 3))
+    steps = np.concatenate(around)
+    return moved(Poses(np.repeat(start.rotation[None], len(steps), axis=0),
+                       np.repeat(start.position[None], len(steps), axis=0)), steps)
+
+
+def _some(patches: Patches, count: int) -> Patches:
+    """Return some of the patches, all over the view."""
+    return patches.only(np.random.default_rng(0).permutation(len(patches.points))[:count])
+
+
+def _explained(surfaces: Surfaces, patches: Patches, poses: Poses, kernel: float) -> np.ndarray:
+    """Return the share of patches that surfaces explain, from 0 to 1, (S,)."""
+    matches = matched(surfaces, patches, poses, 0.3)
+    return (weights_of(matches, patches.deviation, kernel) * patches.deviation ** 2).mean(axis=1)
+
+
+def _apart(scan: ScanSurfaces, view: LiveView, start: Pose) -> list[Pose]:
+    """Return the poses around a start that explain best what is seen, all apart."""
+    poses = _searched(scan, view, start)
+    scores = (_explained(scan.coarse, _some(view.patches, OUTLINE), poses, 5.0)
+              - view.violated(scan.coarse.points, poses))
+    found: list[Pose] = []
+    for k in np.argsort(-scores, kind='stable'):
+        pose = Pose(poses.positions[k], poses.rotations[k])
+        near = (np.linalg.norm(pose.position - start.position) <= FARTHEST[0]
+                and angle_between(pose.rotation, start.rotation) <= FARTHEST[1])
+        if (near and scores[k] > scores.max() - MUCH_WORSE and len(found) < MOST
+                and all(_are_apart(pose, other) for other in found)):
+            found.append(pose)
+    return found or [start]
+
+
+def _score(scan: ScanSurfaces, view: LiveView, pose: Pose) -> float:
+    """Tell how well a refined pose explains what is seen, at most 1."""
+    return float(_explained(scan.fine, view.patches, _one(pose), 3.0)[0]
+                 - view.violated(scan.points, _one(pose))[0])
+
+
+def _are_apart(one: Pose, other: Pose) -> bool:
+    """Tell whether two poses are not the same one."""
+    return bool(np.linalg.norm(one.position - other.position) > APART[0]
+                or angle_between(one.rotation, other.rotation) > APART[1])
+
+
+def _refined(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel
+             ) -> tuple[Pose, Registration]:
+    """Register finely from near, and judge the answer."""
+    for stage in FINER:
+        surfaces = scan.seen_from(pose, model)
+        if len(surfaces.points) < len(view.patches.points) // 50 + 1:
+            break
+        poses = aligned(surfaces, view.patches, _one(pose), stage)
+        pose = Pose(poses.positions[0], poses.rotations[0])
+    matches = matched(surfaces, view.patches, _one(pose), stage.gate[1])
+    weights = weights_of(matches, view.patches.deviation, stage.kernel[1])
+    held = certainty(surfaces.points[matches.indices[0]], surfaces.normals[matches.indices[0]],
+                     matches, weights)
+    overlap, beside = _compared(scan, view, pose)
+    violated = float(view.violated(scan.points, _one(pose))[0])
+    return pose, Registration(pose, _residual(matches, weights), overlap, violated,
+                              held, beside,
+                              _refusal(overlap, violated, held, beside))
+
+
+def _one(pose: Pose) -> Poses:
+    """Return a pose as several."""
+    return Poses(pose.rotation[None], pose.position[None])
+
+
+def _residual(matches: Matches, weights: np.ndarray) -> float:
+    """Return the weighted root mean square residual, metres; NaN where nothing was matched."""
+    total = weights.sum()
+    return float(np.sqrt((weights * matches.residuals ** 2).sum() / total)) if total else np.nan
+
+
+def _compared(scan: ScanSurfaces, view: LiveView, pose: Pose) -> tuple[float, float]:
+    """
+    Compare what is seen with the scan, whichever side of its surfaces it shows.
+
+    :returns: the share of what is seen that the scan explains; and how many surfaces stand beside
+        where they are seen, as a share of all that are seen and scanned.
+    """
+    patches = view.patches
+    placed = patches.points @ pose.rotation.T + pose.position
+    distance, index = scan.fine.tree.query(placed, distance_upper_bound=WITHIN)
+    found = np.isfinite(distance)
+    index = np.where(found, index, 0)
+    normals = scan.normals[index]
+    across = np.abs(np.einsum('ij,ij->i', placed - scan.points[index], normals))
+    explained = found & (across < EXPLAINED * patches.deviation + NEAR)
+    alike = np.abs(np.einsum('ij,ij->i', patches.normals @ pose.rotation.T, normals)) > ALIKE
+    known = np.count_nonzero(found & alike)
+    beside = np.count_nonzero(found & alike & (across > BESIDE * patches.deviation + CLOSE))
+    return float(explained.mean()), beside / max(known, 1)
+
+
+def _refusal(overlap: float, violated: float, held: Certainty, beside: float) -> str:
+    """Say why a pose is not to be used, if it is not."""
+    if overlap < LEAST_OVERLAP:
+        return (f'the scan explains {100.0 * overlap:.0f} % of what it sees, '
+                f'{100.0 * LEAST_OVERLAP:.0f} % are needed')
+    if violated > MOST_VIOLATED:
+        return (f'{100.0 * violated:.0f} % of the surfaces in its view stand where it looked '
+                f'through, at most {100.0 * MOST_VIOLATED:.0f} % may')
+    if held.loose:
+        return f'it {" and ".join(held.loose)}: too few surfaces hold it there'
+    doubted = held.doubted(overlap, beside)
+    if doubted.metres[0] > MOST_METRES or doubted.degrees[0] > MOST_DEGREES:
+        return (f'it may be off by {1000.0 * doubted.metres[0]:.0f} mm along '
+                f'{axis_words(doubted.along[0])} and {doubted.degrees[0]:.1f} degrees about '
+                f'{axis_words(doubted.about[0])}, at most {1000.0 * MOST_METRES:.1f} mm and '
+                f'{MOST_DEGREES:g} degrees are allowed')
+    return ''

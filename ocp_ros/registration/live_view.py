@@ -1,0 +1,101 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a camera sees from where it hangs: patches of surfaces, and the space that is free."""
+
+from functools import cached_property
+
+import numpy as np
+from scipy.ndimage import maximum_filter, minimum_filter
+
+from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.geometry.normals import edge_aware_normals
+from ocp_ros.geometry.voxels import thinned_to
+from ocp_ros.registration.alignment import Patches, Poses
+from ocp_ros.registration.depth_noise import deviation
+from ocp_ros.scenes.neighbours import nearest
+from ocp_ros.scenes.scene import MIN_POINTS, NEIGHBOURS, SceneError
+
+#: Patches that a view is thinned to.
+PATCHES = 5000
+#: Rows of the map of free space: 1.5 degrees each.
+ROWS = 120
+#: Metres in front of what a camera sees where the space is surely free, beside its noise.
+MARGIN = 0.05
+
+
+class LiveView:
+    """
+    A live cloud of one camera.
+
+    :param points: (N, 3) metres, body frame (x forward, y left, z up); NaN and the origin are no
+        returns.
+    :param model: its ranges; farther points are left out, since they are measured badly.
+    :param name: what errors call it.
+    :raises SceneError: if too few points are left.
+    """
+
+    def __init__(self, points: np.ndarray, model: CameraModel, name: str = 'cloud') -> None:
+        points = np.asarray(points, dtype=np.float64)
+        points = points[np.isfinite(points).all(axis=1)]
+        distance = np.linalg.norm(points, axis=1)
+        kept = (distance > max(model.min_range, 1e-6)) & (distance <= model.max_range)
+        if np.count_nonzero(kept) < MIN_POINTS:
+            raise SceneError(
+                f'{name}: found {np.count_nonzero(kept)} of {len(points)} points between '
+                f'{model.min_range:g} and {model.max_range:g} m from the camera; expected at '
+                f'least {MIN_POINTS}; check unit and frame, and that the camera is not covered')
+        self.points, self._distance = points[kept], distance[kept]
+
+    @cached_property
+    def patches(self) -> Patches:
+        """Return the patches, thinned evenly in space."""
+        points = thinned_to(self.points, PATCHES).astype(np.float64)
+        normals = edge_aware_normals(points, nearest(points, NEIGHBOURS)[1]).astype(np.float64)
+        away = np.einsum('ij,ij->i', normals, points) > 0.0
+        normals[away] *= -1.0
+        return Patches(points, normals, deviation(np.linalg.norm(points, axis=1)))
+
+    @cached_property
+    def _ranges(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the nearest and the farthest measured distance around each direction."""
+        low, high = np.full((2, ROWS, 2 * ROWS), np.inf)
+        cells = _cells(self.points, self._distance)
+        np.minimum.at(low, cells, self._distance)
+        high[:] = -np.inf
+        np.maximum.at(high, cells, self._distance)
+        empty = np.isinf(low)
+        mode = ('nearest', 'wrap')
+        low, high = minimum_filter(low, 3, mode=mode), maximum_filter(high, 3, mode=mode)
+        low[empty], high[empty] = np.inf, -np.inf
+        return low, high
+
+    def violated(self, points: np.ndarray, poses: Poses) -> np.ndarray:
+        """
+        Tell which share of the surfaces in view stands where the camera has looked through.
+
+        :param points: (N, 3) of the scan, metres, map frame.
+        :param poses: where the camera may be.
+        :returns: (S,) from 0 to 1.
+        """
+        return np.array([self._violated((points - position) @ rotation)
+                         for rotation, position in zip(*poses)])
+
+    def _violated(self, points: np.ndarray) -> float:
+        """Return the share for points in the body frame."""
+        distance = np.maximum(np.linalg.norm(points, axis=1), 1e-6)
+        cells = _cells(points, distance)
+        low, high = (values[cells] for values in self._ranges)
+        margin = MARGIN + 3.0 * deviation(distance)
+        known = np.isfinite(low) & (distance < high + margin)
+        through = known & (distance < low - margin)
+        return float(through.sum() / max(known.sum(), 1))
+
+
+def _cells(points: np.ndarray, distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return row and column of the directions of points (N, 3) in the body frame."""
+    elevation = np.arcsin(np.clip(points[:, 2] / distance, -1.0, 1.0))
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    row = (elevation / np.pi + 0.5) * ROWS
+    column = (azimuth / (2.0 * np.pi) + 0.5) * 2 * ROWS
+    return (np.minimum(row.astype(np.int64), ROWS - 1),
+            np.minimum(column.astype(np.int64), 2 * ROWS - 1))

@@ -1,0 +1,170 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The surfaces of a scan that a camera can be registered to, and which sides of them were scanned.
+
+A panel that was scanned from behind stands as far from what a camera in front of it sees as it is
+thick, and would pull the camera by that. Normals say which side was scanned. Without them only
+such surfaces count as can have but one side: those behind which the scan has nothing, such as
+outer walls, floor and ceiling, and those of which both sides are there.
+"""
+
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ocp_ros.geometry.cameras import CameraModel, Pose
+from ocp_ros.geometry.normals import edge_aware_normals
+from ocp_ros.geometry.packed_bits import Subset
+from ocp_ros.geometry.visibility import FAST, SurfelVisibility
+from ocp_ros.geometry.voxels import voxel_downsample, voxel_size_for
+from ocp_ros.registration.alignment import Surfaces
+from ocp_ros.scenes.neighbours import nearest
+from ocp_ros.scenes.scene import NEIGHBOURS, Scene
+
+#: Points that a scan is thinned to, and those of them that a search begins with.
+FINE_POINTS, COARSE_POINTS = 100_000, 12_000
+#: Share of the outermost surfaces whose normals look inside where those of a file can be trusted.
+INWARD = 0.8
+#: Metres from the bounding box within which a surface is an outermost one.
+SHELL = 0.1
+#: Metres: how thick what has two sides is at most, the steps in which the other is sought, and
+#: how thick it has to be that a fused scan keeps its sides apart, and metres around what is not
+#: where the same face is not to be trusted.
+THICK, STEP, THIN, RESTS = 0.4, 0.04, 0.15, 0.3
+#: Degrees of the cells in which is sought what stands behind a surface, and metres that it has to
+#: be behind.
+CELL, BEHIND = 6.0, 0.1
+NOWHERE = np.empty((0, 3), dtype=np.float32)
+
+
+class ScanSurfaces:
+    """
+    A scan for registration.
+
+    :param scene: the room, as dense as it is known.
+    :ivar points: (N, 3) float64, metres, map frame.
+    :ivar normals: (N, 3) float64 unit vectors; towards free space where they are ``oriented``.
+    :ivar oriented: whether the scan says which side of its surfaces was scanned.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        sign = inward_sign(scene)
+        self.oriented = sign != 0.0
+        edge = voxel_size_for(scene.points, FINE_POINTS)
+        if self.oriented:
+            # Both sides of a thin panel share voxels, but no group.
+            normals = sign * scene.normals
+            axis = np.abs(normals).argmax(axis=1)
+            group = 2 * axis + (np.take_along_axis(normals, axis[:, None], 1)[:, 0] > 0.0)
+            parts = [_thinned(scene.points[group == k], edge, normals[group == k])
+                     for k in range(6) if np.count_nonzero(group == k) > NEIGHBOURS]
+        else:
+            parts = [_thinned(scene.points, edge)]
+        self.points, self.normals, self._pitch = map(np.concatenate, zip(*parts))
+
+    @cached_property
+    def fine(self) -> Surfaces:
+        """Return all points."""
+        return Surfaces.of(self.points, self.normals, self.oriented)
+
+    @cached_property
+    def coarse(self) -> Surfaces:
+        """Return some of the points, all over the room."""
+        few = np.random.default_rng(0).permutation(len(self.points))[:COARSE_POINTS]
+        return Surfaces.of(self.points[few], self.normals[few], self.oriented)
+
+    @cached_property
+    def _visibility(self) -> SurfelVisibility:
+        """Return what tells which points a camera sees."""
+        return SurfelVisibility(self.points.astype(np.float32), self.normals.astype(np.float32),
+                                self._pitch, NOWHERE, FAST)
+
+    @cached_property
+    def _two_sided(self) -> np.ndarray:
+        """Tell of each point on which sides a surface like its own is close to it: (2, N)."""
+        return np.stack([self._backed(-1.0, THICK), self._backed(1.0, THICK)])
+
+    @cached_property
+    def _thin(self) -> np.ndarray:
+        """Tell which points are of what is thinner than fused scans can tell, (N,) bool."""
+        thin = self._backed(-1.0, THIN)
+        if not thin.any():
+            return thin
+        # Of a face that the other one has erased, rests are left around holes.
+        distance, index = cKDTree(self.points[thin]).query(
+            self.points, k=4, distance_upper_bound=RESTS)
+        hit = np.isfinite(distance)
+        normals = self.normals[thin][np.where(hit, index, 0)]
+        alike = np.einsum('ij,ikj->ik', self.normals, normals) > 0.9
+        return thin | (hit & alike).any(axis=1)
+
+    def _backed(self, sign: float, thick: float) -> np.ndarray:
+        """Tell which points have a surface like theirs closely behind or before them, (N,)."""
+        reach = max(0.5 * STEP, 1.5 * float(np.median(self._pitch)))
+        found = np.zeros(len(self.points), dtype=bool)
+        for away in np.arange(0.5 * STEP + reach, thick, STEP):
+            distance, index = self.fine.tree.query(self.points + sign * away * self.normals,
+                                                   distance_upper_bound=reach)
+            hit = np.isfinite(distance)
+            alike = np.einsum('ij,ij->i', self.normals[hit], self.normals[index[hit]])
+            found[hit] |= (-alike if self.oriented else np.abs(alike)) > 0.9
+        return found
+
+    def seen_from(self, pose: Pose, model: CameraModel) -> Surfaces:
+        """
+        Return the surfaces that a camera near a pose can be registered to.
+
+        :param pose: where it is, to a few decimetres and degrees.
+        :param model: its ranges.
+        """
+        seen = Subset.none(self._visibility.order)
+        around = CameraModel(0.0, model.max_range + 0.5)
+        self._visibility.look(pose, around.lens, seen.bits)
+        kept = seen.mask
+        facing = np.einsum('ij,ij->i', pose.position - self.points, self.normals)
+        if self.oriented:
+            kept &= (facing > 0.0) & ~self._thin
+        else:
+            behind = np.where(facing > 0.0, *self._two_sided)
+            kept &= behind | self._last_seen_from(pose.position, np.sign(facing))
+        return Surfaces.of(self.points[kept], self.normals[kept], self.oriented)
+
+    def _last_seen_from(self, position: np.ndarray, sign: np.ndarray) -> np.ndarray:
+        """Tell which points have nothing behind them as seen from a position, (N,) bool."""
+        way = self.points - position
+        distance = np.linalg.norm(way, axis=1)
+        row = np.rad2deg(np.arcsin(way[:, 2] / np.maximum(distance, 1e-6))) // CELL
+        column = np.rad2deg(np.arctan2(way[:, 1], way[:, 0])) // CELL
+        cell = np.unique(row * 1000.0 + column, return_inverse=True)[1]
+        order = np.lexsort((distance, cell))
+        ends = np.flatnonzero(np.append(np.diff(cell[order]) > 0, True))
+        farthest = self.points[order[ends]][cell]
+        behind = -sign * np.einsum('ij,ij->i', farthest - self.points, self.normals)
+        return behind < BEHIND
+
+
+def inward_sign(scene: Scene) -> float:
+    """Return what turns the normals of a scan towards free space: 1, -1, or 0 if nobody knows."""
+    if scene.normals is None:
+        return 0.0
+    low, high = scene.bounds
+    outer = ((scene.points < low + SHELL) | (scene.points > high - SHELL)).any(axis=1)
+    inward = np.einsum('ij,ij->i', scene.normals[outer], scene.bounds.mean(axis=0)
+                       - scene.points[outer]) > 0.0
+    share = inward.mean()
+    return 1.0 if share > INWARD else -1.0 if share < 1.0 - INWARD else 0.0
+
+
+def _thinned(points: np.ndarray, edge: float, signs: np.ndarray | None = None
+             ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Merge points in voxels; return them, normals of some signs, and what each stands for."""
+    merged = voxel_downsample(points, edge).astype(np.float64)
+    distance, neighbours = nearest(merged, min(NEIGHBOURS, len(merged)))
+    normals = edge_aware_normals(merged, neighbours).astype(np.float64)
+    if signs is not None:
+        own = signs[cKDTree(points).query(merged)[1]]
+        normals *= np.where(np.einsum('ij,ij->i', own, normals) < 0.0, -1.0, 1.0)[:, None]
+    pitch = distance[:, min(8, distance.shape[1] - 1)] * np.sqrt(np.pi / 8.0)
+    return merged, normals, np.minimum(pitch, 4.0 * np.median(pitch)).astype(np.float32)

@@ -1,0 +1,73 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What each camera of a rig sees in a bag, in its body frame."""
+
+from collections.abc import Mapping, Sequence
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import PointCloud2
+
+from ocp_ros.geometry.cameras import OPTICAL_TO_BODY
+from ocp_ros.ros.bags.bag_files import Bag, CLOUD, KINDS, Recorded
+from ocp_ros.ros.bags.bag_replay import OPTICAL_ENDS
+from ocp_ros.ros.interface.conversions import MessageError, msg_to_cloud
+from ocp_ros.util.settings import check_known, ConfigurationError
+
+#: Clouds of a topic that are taken together: noise of one frame is not that of the next.
+FRAMES = 5
+
+
+def recorded_clouds(path: Path, names: Sequence[str], chosen: Mapping[str, str],
+                    frame: str | None = None) -> dict[str, np.ndarray]:
+    """
+    Read what cameras see in a bag.
+
+    :param names: of the cameras, in the order of the placement.
+    :param chosen: topics by camera; where there are none, a topic with the camera's name in it, or
+        else the topics in their order.
+    :param frame: of the clouds, ``'optical'`` or ``'body'``; None to go by their frame's name.
+    :returns: (N, 3) float32, metres, body frame, by camera.
+    :raises ConfigurationError: if the bag cannot be read, or whose a topic is is not clear.
+    """
+    with Bag(path) as bag:
+        topics = [topic.name for topic in bag.topics if KINDS.get(topic.kind) == CLOUD]
+        check_known(chosen.values(), topics, f'{path}: topics')
+        return {name: _cloud(bag, topic, frame)
+                for name, topic in (chosen or topics_of_cameras(path, names, topics)).items()}
+
+
+def topics_of_cameras(path: Path, names: Sequence[str], topics: Sequence[str]) -> dict[str, str]:
+    """Find the topic of each camera, see :func:`recorded_clouds`."""
+    named = {name: [topic for topic in topics if name in topic.split('/')] for name in names}
+    found = {name: one[0] for name, one in named.items() if len(one) == 1}
+    if found:
+        return found
+    if len(topics) != len(names):
+        raise ConfigurationError(
+            f'{path}: found {len(topics)} topics of clouds ({", ".join(topics) or "none"}) for '
+            f'{len(names)} cameras ({", ".join(names)}); expected one each, or the names of '
+            'cameras in those of topics; say which is whose (--topics CAMERA=TOPIC)')
+    return dict(zip(names, topics))
+
+
+def _cloud(bag: Bag, topic: str, frame: str | None) -> np.ndarray:
+    """Return the first clouds of a topic together."""
+    clouds, why = [], 'it has no message'
+    for item in islice(bag.messages([topic]), FRAMES):
+        try:
+            if not isinstance(item, Recorded):
+                raise item
+            message = deserialize_message(item.cdr, PointCloud2)
+            optical = frame == 'optical' if frame else \
+                message.header.frame_id.endswith(OPTICAL_ENDS)
+            points = msg_to_cloud(message)
+            clouds.append(points @ OPTICAL_TO_BODY.T if optical else points)
+        except (MessageError, ValueError) as error:
+            why = str(error)
+    if not clouds:
+        raise ConfigurationError(f'{bag.path}: found no cloud on {topic} that can be read '
+                                 f'({why}); expected one; name another topic (--topics)')
+    return np.concatenate(clouds)

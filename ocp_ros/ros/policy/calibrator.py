@@ -1,0 +1,179 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Where live cameras hang by what they see, and whether they still hang there.
+
+Registration takes seconds: it runs in a thread of its own, one job at a time, and turns go on.
+"""
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+import time
+
+import numpy as np
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from rclpy.task import Future
+from std_srvs.srv import Trigger
+
+from ocp_ros.geometry.cameras import heading_of
+from ocp_ros.registration.calibration import as_built, calibrate, drift
+from ocp_ros.registration.scan_surfaces import ScanSurfaces
+from ocp_ros.rig.placement_file import Placed, Placement, placement_of, save_placement
+from ocp_ros.rig.rig_file import Camera
+from ocp_ros.ros.interface.conversions import MessageError, shortened
+from ocp_ros.ros.interface.frames import LiveRig, Sighting
+from ocp_ros.ros.policy.decider import Decider
+from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
+from ocp_ros.scenes.scene_files import load_scene
+from ocp_ros.util.settings import ConfigurationError, UserError
+
+#: Seconds between two looks whether drift is to be checked.
+TICK = 1.0
+
+
+class Calibrator:
+    """
+    Register live cameras to a scan, when asked and, where that is wanted, every now and then.
+
+    :param node: gets the service and a timer.
+    :param config: of the node, with ``scan``.
+    :param decider: knows the rig file, and what each camera sees where there is none.
+    :param sighted: returns the newest cloud of each camera.
+    :param final: tells whether the cameras stay where they are.
+    :raises ConfigurationError: if there is no such scan.
+    """
+
+    def __init__(self, node: Node, config: PolicyNodeConfig, decider: Decider,
+                 sighted: Callable[[], Sighting], final: Callable[[], bool]) -> None:
+        if not Path(config.scan).is_file():
+            raise ConfigurationError(f'scan: found no file {config.scan!r}; expected a scan of '
+                                     'the room; correct the path, or leave it empty')
+        self._node, self._config, self._decider = node, config, decider
+        self._sighted, self._final = sighted, final
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix='calibrator')
+        self._scan: ScanSurfaces | None = None
+        self._busy, self._checked_at = False, time.monotonic()
+        #: What is wrong with cameras that hung elsewhere at the last check.
+        self.drifted: list[str] = []
+        self.checks = 0
+        node.create_service(Trigger, '~/calibrate', self._on_calibrate)
+        node.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def change(self, config: PolicyNodeConfig) -> None:
+        """Go on with other parameters."""
+        self._config = config
+        if not config.drift_seconds:
+            self.drifted = []
+
+    def close(self) -> None:
+        """Begin no other job."""
+        self._worker.shutdown(wait=False, cancel_futures=True)
+
+    async def _on_calibrate(self, request: Trigger.Request, response: Trigger.Response
+                            ) -> Trigger.Response:
+        """Register the newest clouds, and answer with a line for each camera."""
+        if self._busy:
+            response.message = 'busy with another registration; call it again'
+            return response
+        try:
+            sighting = self._sighted()
+            placement = self._placement(sighting.rig)
+        except MessageError as error:
+            response.message = shortened(error)
+            return response
+        response.success, response.message = await self._begun(
+            lambda: self._calibrated(placement, sighting.clouds))
+        return response
+
+    def _on_tick(self) -> None:
+        """Check whether cameras drift, if it is time to."""
+        due = self._config.drift_seconds
+        if not due or self._busy or not self._final() or \
+                time.monotonic() - self._checked_at < due:
+            return
+        self._checked_at = time.monotonic()
+        try:
+            sighting = self._sighted()
+            placement = self._placement(sighting.rig)
+        except MessageError:
+            return
+        self._begun(lambda: self._drift(placement, sighting.clouds))
+
+    def _begun(self, job: Callable[[], tuple[bool, str]]) -> Future:
+        """Run a job in the thread; the future has whether it went well, and what to say."""
+        done, self._busy = Future(executor=self._node.executor), True
+
+        def run() -> None:
+            try:
+                result = job()
+            except (UserError, OSError) as error:
+                result = False, shortened(error)
+            except Exception as error:
+                # Whatever a scan or a cloud does to a registration, this node goes on.
+                result = False, f'found {type(error).__name__}: {shortened(error)}'
+            self._busy = False
+            if not result[0]:
+                self._node.get_logger().warning(f'registration: {result[1]}')
+            done.set_result(result)
+
+        self._worker.submit(run)
+        return done
+
+    def _surfaces(self) -> ScanSurfaces:
+        """Return the scan, which is read once."""
+        if self._scan is None:
+            self._scan = ScanSurfaces(load_scene(self._config.scan))
+        return self._scan
+
+    def _placement(self, rig: LiveRig) -> Placement:
+        """Return where the cameras are said to be."""
+        poses = np.array([[*pose.position, *heading_of(pose.rotation)] for pose in rig.poses])
+        known, models = self._decider.rig, self._decider.models
+        if known is not None and len(poses) >= len(known.cameras):
+            return placement_of(known, poses[:len(known.cameras)], frame=rig.frame)
+        return Placement(tuple(
+            Placed(Camera(f'camera_{number}', '', models[min(number, len(models) - 1)]),
+                   tuple(pose[:3].tolist()), tuple(np.rad2deg(pose[3:]).tolist()), 'free')
+            for number, pose in enumerate(poses)), frame=rig.frame)
+
+    def _calibrated(self, placement: Placement, clouds: Mapping[int, np.ndarray]
+                    ) -> tuple[bool, str]:
+        """Register the cameras, and write where they hang."""
+        found, broken = calibrate(self._surfaces(), placement, _by_name(placement, clouds))
+        lines = []
+        for placed in placement.cameras:
+            name = placed.camera.name
+            if name not in found or found[name].refused:
+                why = found[name].refused if name in found else broken.get(name, 'it has no cloud')
+                lines.append(f'{name}: refused: {why}')
+                continue
+            away = found[name].pose.position - placed.position
+            lines.append(f'{name}: {np.linalg.norm(away):.3f} m from where it was said to be, '
+                         f'expected within {1000.0 * found[name].certainty.metres[0]:.0f} mm')
+        built = as_built(placement, found, 'policy_node')
+        given = any(not one.refused for one in found.values())
+        if given and self._config.placement_file:
+            path = Path(self._config.placement_file)
+            path = path.with_name(f'{path.stem}_as_built{path.suffix}')
+            save_placement(path, built)
+            lines.append(f'wrote {path}')
+        return given, '\n'.join(lines)
+
+    def _drift(self, placement: Placement, clouds: Mapping[int, np.ndarray]) -> tuple[bool, str]:
+        """Note which cameras hang elsewhere than they are said to."""
+        self.drifted = drift(self._surfaces(), placement, _by_name(placement, clouds))
+        self.checks += 1
+        return not self.drifted, '; '.join(self.drifted)
+
+    def status(self) -> tuple[str, dict[str, object]]:
+        """Return what is wrong, if anything, and values to show."""
+        return '; '.join(self.drifted), {'drift_checks': self.checks}
+
+
+def _by_name(placement: Placement, clouds: Mapping[int, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return clouds by the names of their cameras."""
+    return {placement.cameras[number].camera.name: cloud for number, cloud in clouds.items()
+            if number < len(placement.cameras)}

@@ -1,0 +1,218 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""ocp calibrate: cameras are found where they hang, or refused with the reason."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from ocp_ros.cli.main import main
+from ocp_ros.evaluation.calibration_bench import cast, off
+from ocp_ros.geometry.cameras import angle_between, heading_of, OPTICAL_TO_BODY, Pose
+from ocp_ros.registration.alignment import matched, Patches, Poses, Surfaces
+from ocp_ros.registration.calibration import as_built
+from ocp_ros.registration.camera_registration import checked, register
+from ocp_ros.registration.live_view import LiveView
+from ocp_ros.registration.pose_certainty import axis_words
+from ocp_ros.registration.scan_surfaces import inward_sign, ScanSurfaces
+from ocp_ros.rig.placement_file import load_placement
+from ocp_ros.rig.sensors import SENSORS
+from ocp_ros.scenes.mesh_rays import MeshRays
+from ocp_ros.scenes.scene import Scene, SceneError
+from ocp_ros.scenes.scene_files import save_scene
+from ocp_ros.scenes.synthetic.generator import generate_room, mesh_of, plan_of
+
+SEED, SENSOR = 501, 'realsense_d455'
+MODEL = SENSORS[SENSOR].model
+TRUE = np.array([0.4, 0.5, 2.2, 0.7, 0.4, 0.0])
+
+
+@pytest.fixture(scope='module')
+def room():
+    """Return a scanned room."""
+    return generate_room(SEED, 60_000)
+
+
+@pytest.fixture(scope='module')
+def scan(room):
+    """Return it for registration."""
+    return ScanSurfaces(room)
+
+
+def seen_by(pose, seed=0):
+    """Return what a camera sees of the room's mesh, with noise, in its body frame."""
+    return cast(MeshRays(mesh_of(plan_of(SEED))), pose, SENSOR, np.random.default_rng(seed))
+
+
+def errors(found, pose):
+    """Return how far off a pose is: metres and degrees."""
+    return (np.linalg.norm(found.position - pose.position),
+            np.rad2deg(angle_between(found.rotation, pose.rotation)))
+
+
+@pytest.mark.parametrize(('metres', 'degrees'), [(0.3, 10.0), (0.9, 25.0)])
+def test_a_camera_is_found_from_far_off(scan, metres, degrees):
+    true = Pose.of(TRUE)
+    start = off(true, metres, degrees, np.random.default_rng(1))
+    found = register(scan, LiveView(seen_by(true), MODEL), start, MODEL)
+    assert found.refused == ''
+    away, turn = errors(found.pose, true)
+    assert away < 0.01 and turn < 0.5
+    assert found.overlap > 0.8 and found.residual < 0.03
+    assert found.certainty.metres[0] > 0.3 * away and found.certainty.loose == []
+
+
+def test_who_hardly_moved_is_checked_cheaply(scan):
+    true = Pose.of(TRUE)
+    start = off(true, 0.05, 1.0, np.random.default_rng(1))
+    away, turn = errors(checked(scan, LiveView(seen_by(true), MODEL), start, MODEL).pose, true)
+    assert away < 0.01 and turn < 0.5
+
+
+def plane(across, size=8.0, count=160):
+    """Return points of a level x z wall at some y, evenly, with the faintest noise."""
+    grid = np.linspace(-0.5 * size, 0.5 * size, count)
+    x, z = (axis.ravel() for axis in np.meshgrid(grid, grid))
+    rng = np.random.default_rng(0)
+    return np.column_stack([x, across + rng.normal(0.0, 1e-3, x.size), z])
+
+
+def test_a_bare_wall_holds_three_directions_and_says_which_not():
+    # A far corner makes a room of it; the camera does not see that.
+    corner = np.random.default_rng(0).normal([9.0, -6.0, 0.0], 0.2, (300, 3))
+    surfaces = ScanSurfaces(Scene(np.concatenate([plane(3.0), corner]).astype(np.float32)))
+    pose = Pose.of(np.array([0.0, 0.0, 0.0, 0.5 * np.pi, 0.0, 0.0]))
+    depth = 3.0 + np.random.default_rng(1).normal(0.0, 2e-3, (60, 80))
+    y, z = np.meshgrid(np.linspace(-0.8, 0.8, 80), np.linspace(-0.5, 0.5, 60))
+    live = (np.stack([np.ones_like(y), y, z], axis=-1) * depth[..., None]).reshape(-1, 3)
+    found = checked(surfaces, LiveView(live, MODEL), pose, MODEL)
+    assert 'can slide along the x direction' in found.refused
+    assert 'can slide along the vertical' in found.refused
+    assert 'can turn about the y direction' in found.refused
+    assert len(found.certainty.loose) == 3
+    assert found.pose.position[1] == pytest.approx(0.0, abs=0.01)
+
+
+def test_a_cloud_of_another_room_is_refused(scan):
+    other = MeshRays(mesh_of(plan_of(505)))
+    pose = Pose.of(TRUE)
+    points = cast(other, pose, SENSOR, np.random.default_rng(0))
+    assert register(scan, LiveView(points, MODEL), pose, MODEL).refused
+
+
+def test_a_covered_camera_is_refused():
+    with pytest.raises(SceneError, match='found 0 of 2 points between 0.6 and 6 m'):
+        LiveView(np.array([[0.0, 0.0, 0.0], [np.nan] * 3, [99.0, 0.0, 0.0]]), MODEL, 'door')
+
+
+def test_the_back_of_a_scanned_surface_is_no_match():
+    wall = plane(3.0)[::16]
+    seen = Patches(wall, np.tile([0.0, -1.0, 0.0], (len(wall), 1)), np.full(len(wall), 0.01))
+    here = Poses(np.eye(3)[None], np.zeros((1, 3)))
+    for side, oriented, matches in ((-1.0, True, True), (1.0, True, False), (1.0, False, True)):
+        normals = np.tile([0.0, side, 0.0], (len(wall), 1))
+        found = matched(Surfaces.of(wall, normals, oriented), seen, here, 0.1).found
+        assert found.all() == found.any() == matches
+
+
+def test_normals_are_trusted_where_outer_surfaces_look_inside():
+    rng = np.random.default_rng(0)
+    points = rng.uniform(0.0, 4.0, (6000, 3))
+    axis, side = rng.integers(3, size=6000), rng.integers(2, size=6000)
+    points[np.arange(6000), axis] = 4.0 * side
+    normals = np.zeros((6000, 3))
+    normals[np.arange(6000), axis] = 1.0 - 2.0 * side
+    assert inward_sign(Scene(points, normals=normals)) == 1.0
+    assert inward_sign(Scene(points, normals=-normals)) == -1.0
+    assert inward_sign(Scene(points)) == 0.0
+    mixed = normals * rng.choice([-1.0, 1.0], 6000)[:, None]
+    assert inward_sign(Scene(points, normals=mixed)) == 0.0
+
+
+@pytest.mark.parametrize(('axis', 'words'), [
+    ([1.0, 0.0, 0.0], 'the x direction'), ([0.0, -1.0, 0.05], 'the y direction'),
+    ([0.0, 0.0, -1.0], 'the vertical'), ([0.7, 0.7, 0.0], 'the level line at 45 degrees from x'),
+    ([-0.6, 0.0, -0.8], 'the line 0.60, 0.00, 0.80')])
+def test_directions_have_names(axis, words):
+    assert axis_words(np.array(axis)) == words
+
+
+@pytest.fixture
+def files(room, tmp_path, monkeypatch):
+    """Write the room, a placement that is off, and what two of three cameras see."""
+    monkeypatch.chdir(tmp_path)
+    save_scene(room, tmp_path / 'room.ply')
+    entries = []
+    for number, name in enumerate(('door', 'window', 'shelf')):
+        true = Pose.of(TRUE)
+        planned = off(true, 0.2, 5.0, np.random.default_rng(number))
+        yaw, pitch, roll = np.rad2deg(heading_of(planned.rotation)).tolist()
+        entries.append({'name': name, 'sensor': SENSOR, 'position': planned.position.tolist(),
+                        'yaw': yaw, 'pitch': pitch, 'roll': roll})
+    (tmp_path / 'placement.yaml').write_text(yaml.safe_dump({'cameras': entries}))
+    np.save('door.npy', seen_by(Pose.of(TRUE)) @ OPTICAL_TO_BODY)
+    np.save('other.npy', np.zeros((200, 3)))
+    return tmp_path
+
+
+def test_the_placement_as_built_is_written_and_scored(files, capsys):
+    assert main(['calibrate', 'room.ply', 'placement.yaml', '--clouds', 'door.npy',
+                 'window=other.npy', '--json']) == 0
+    found = json.loads(capsys.readouterr().out)
+    door, window, shelf = found['cameras']
+    assert door['refused'] == '' and len(door['deviations']) == 6
+    assert np.linalg.norm(door['position'] - TRUE[:3]) < 0.01
+    assert door['moved_metres'] == pytest.approx(0.2, abs=0.01)
+    assert 'found 0 of 200 points' in window['refused'] and shelf['refused'] == 'it has no cloud'
+    planned, built = (load_placement(name) for name in ('placement.yaml',
+                                                        'out/built/placement.yaml'))
+    assert built.cameras[0].position == tuple(door['position'])
+    assert built.cameras[0].planned[0] == pytest.approx(planned.cameras[0].position, abs=1e-4)
+    assert built.cameras[1][:4] == planned.cameras[1][:4] and built.cameras[1].planned is None
+    launch = (files / 'out' / 'built' / 'cameras.launch.py').read_text()
+    assert "'camera_0_optical'" in launch and "'camera_1'" not in launch
+    assert main(['score', 'room.ply', 'out/built/placement.yaml', '--json']) == 0
+    scores = json.loads(capsys.readouterr().out)
+    assert scores['planned']['loss'] != scores['scores']['loss']
+    assert main(['score', 'room.ply', 'out/built/placement.yaml']) == 0
+    assert 'as planned: depth error' in capsys.readouterr().out
+
+
+def test_where_no_camera_is_found_the_command_fails(files, capsys):
+    assert main(['calibrate', 'room.ply', 'placement.yaml', '--clouds', 'door=other.npy']) == 2
+    out, err = capsys.readouterr()
+    assert 'refused: shelf: it has no cloud' in out
+    assert 'found no camera that could be calibrated' in err and err.count('\n') == 1
+
+
+@pytest.mark.parametrize(('arguments', 'words'), [
+    (['--clouds', 'other.npy'], '--clouds, cameras: found'),
+    (['--clouds', 'door.npy', 'door=other.npy'], 'found two files of door'),
+    (['--clouds', 'door=none.ply'], 'none.ply: found no such file'),
+    (['--clouds', 'door.npy', '--topics', 'door=/a'], '--topics: found it without --bag'),
+    (['--bag', 'none.bag'], 'none.bag: found nothing there'),
+    (['--bag', 'none.bag', '--topics', '/a'], "--topics: found '/a'; expected CAMERA=TOPIC")])
+def test_what_cannot_be_read_is_refused_in_one_sentence(files, capsys, arguments, words):
+    if '--bag' in arguments:
+        pytest.importorskip('rclpy', reason='bags are read with ROS 2 (rclpy)')
+    assert main(['calibrate', 'room.ply', 'placement.yaml', *arguments]) == 2
+    err = capsys.readouterr().err
+    assert words in err and 'expected' in err and err.count('\n') == 1, err
+
+
+def test_cameras_in_place_are_moved_in_the_rig_as_well(files, scan):
+    (files / 'rig.yaml').write_text(
+        f'cameras: [{{sensor: {SENSOR}}}]\nmount: {{on: free}}\nfixed:\n'
+        f'  - {{sensor: {SENSOR}, position: [0.5, 0.5, 2.2], yaw: 40, name: hung}}\n')
+    (files / 'plan.yaml').write_text('cameras: [{position: [0.4, 0.5, 2.2], yaw: 40}]\n')
+    from ocp_ros.rig.placement_file import save_placement
+    from ocp_ros.rig.rig_file import load_rig
+    placement = load_placement('plan.yaml', load_rig('rig.yaml'))
+    pose = Pose.of(TRUE)
+    found = checked(scan, LiveView(seen_by(pose), MODEL), pose, MODEL)
+    save_placement('built.yaml', as_built(placement, {'hung': found}, 'a test'))
+    again = load_placement('built.yaml')
+    assert again.cameras[1].position == pytest.approx(found.pose.position, abs=1e-4)
+    assert again.rig.fixed_poses[0, :3] == pytest.approx(found.pose.position, abs=1e-4)
