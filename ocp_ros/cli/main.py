@@ -18,7 +18,7 @@ from ocp_ros.cli.arguments import (
     seed,
     whole_numbers,
 )
-from ocp_ros.cli.calibrate_command import add_calibrate
+from ocp_ros.cli.calibrate_parser import add_calibrate
 from ocp_ros.cli.common import (
     claim_file,
     Commands,
