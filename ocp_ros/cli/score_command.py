@@ -224,8 +224,8 @@ def show(found: dict[str, Any]) -> None:
 def show_verdict(found: dict[str, Any]) -> None:
     """Print a verdict."""
     console, scores = Console(width=100), found['scores']
-    cameras = Table('camera', 'place (m)', 'yaw, pitch, roll', 'takes from the error',
-                    'only it sees', title='Cameras')
+    cameras = Table('camera', 'place (m)', 'yaw, pitch, roll', 'error reduction',
+                    'seen by this camera only', title='Cameras')
     for placed, added in zip(found['cameras'], scores['cameras']):
         name = f'{added["name"]} (in place)' if placed['mount'] == FIXED else added['name']
         cameras.add_row(name, ', '.join(f'{value:.2f}' for value in placed['position']),

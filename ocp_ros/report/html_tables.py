@@ -28,7 +28,8 @@ def tables_of(judged: Assessment) -> Iterator[str]:
              f'{words.pan}; {words.tilt}', words.coordinates, f'{added["depth_error"]:.3f} m',
              percent(added['only'])) for number, (words, added) in enumerate(zip(
                  judged.words, found['scores']['cameras']), start=1)]
-    yield _table(('', 'camera', 'x, y, z', 'takes from the error', 'only it sees'), rows)
+    yield _table(('', 'camera', 'x, y, z', 'error reduction',
+                  'seen by this camera only'), rows)
     yield '<p>' + escape('Walls: ' + ', '.join(
         f'{wall.letter} {wall.length:.2f} m' + ('' if wall.stands else ' (no wall stands there)')
         for wall in judged.walls) + '; A looks most along y, then clockwise. x, y and z are '

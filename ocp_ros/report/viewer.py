@@ -179,7 +179,8 @@ def layers_of(judged: Assessment) -> Iterator[Layer]:
     yield Layer('ranges', [*balls, *cones(1.0)], len(balls) == len(placed))
     for name, zones, colour in (
             ('regions', {region.name: region.zone for region in rig.regions}, REGION),
-            ('no-go zones', {f'no-go zone {k + 1}': zone for k, zone in enumerate(rig.no_go)},
+            ('keep-out zones',
+             {f'keep-out zone {k + 1}': zone for k, zone in enumerate(rig.no_go)},
              NO_GO)):
         yield Layer(name, [_line(_outline(zone, scene, judged.floor), colour, label)
                            for label, zone in zones.items()])
