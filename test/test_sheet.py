@@ -100,7 +100,7 @@ def test_the_page_is_a4_on_its_side_and_says_what_was_found(rooms, tmp_path):
     texts = ' '.join(text for text, _ in texts_of(sheet.figure_of(judged)))
     scores = judged.found['scores']
     for words in ('room-8: 1 camera', metres(scores['depth_error']),
-                  f'{100 * scores["seen"]:.1f} %', 'seen by no camera', 'mm per m²',
+                  f'{100 * scores["seen"]:.1f} %', 'seen by no camera', 'mm/m²',
                   '1 constraint violated', 'degrees down', 'ocp score 1 p.yaml',
                   judged.words[0].place):
         assert words in texts, words
@@ -121,6 +121,23 @@ def test_what_is_shown_of_a_placement_is_what_the_engine_says(rooms):
     assert counts.tolist() == list(overlap.values())
     assert judged.lost.sum() == pytest.approx(judged.found['scores']['depth_error'], rel=1e-4)
     assert not judged.lost[~judged.missed].any()
+
+
+def test_zones_of_a_rig_are_drawn_and_explained_and_the_foot_has_no_path(rooms):
+    low, high = rooms[2][0].bounds.tolist()
+    rig = rig_of(1, 'd455', keep_out=[{'box': [low, [low[0] + 1.0, low[1] + 1.0, high[2]]]}],
+                 regions=[
+        {'name': 'table', 'box': [low, high], 'weight': 2.0},
+        {'name': 'door', 'box': [low, high], 'must_see': 0.1}])
+    poses = np.array([[*rooms[2][0].bounds.mean(axis=0)[:2], 1.9, 0.0, 0.3, 0.0]])
+    judged = judge(rooms[2][0], placement_of(rig, poses, engine=ENGINE), rooms[2][1],
+                   'ocp score /home/me/a.ply --rig=sub/rig.yaml')
+    kinds = {'keep-out zone', 'weighted region', 'must-see region'}
+    for drawn in (sheet.figure_of(judged), floor_plan.figure_of(judged)):
+        assert kinds <= {patch.get_label() for patch in drawn.axes[0].patches}
+        assert kinds <= {text for text, _ in texts_of(drawn)}
+    text = ' '.join(text for text, _ in texts_of(sheet.figure_of(judged)))
+    assert 'a.ply --rig=rig.yaml' in text and '/home' not in text and 'sub/' not in text
 
 
 @given(places=st.integers(1, 30), seed=st.integers(0, 99))

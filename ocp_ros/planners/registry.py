@@ -12,7 +12,7 @@ each worker; a program adds its own by :func:`register_planner`.
 from collections.abc import Callable
 from importlib.metadata import entry_points
 import logging
-from multiprocessing import parent_process
+import os
 import re
 from typing import TYPE_CHECKING
 
@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 PAPER = 'paper'
 #: Entry points of packages that bring planners, and names that mean something else.
 GROUP = 'ocp_ros.planners'
+#: Environment variable with the names of those that cannot be used, once somebody was told so.
+TOLD = 'OCP_ROS_BROKEN_PLANNERS'
 TAKEN = ('rig_search', 'exact', 'random_placement', 'truth_search', 'exact_plane')
 
 _log = logging.getLogger(__name__)
@@ -175,17 +177,21 @@ def register_planner(name: str, planner: type[Planner] | type[Online]) -> None:
 
 def _load_plugins() -> None:
     """Register what installed packages bring; one that is broken is left out, and is named."""
+    told = [name for name in os.environ.get(TOLD, '').split(',') if name]
     for entry in entry_points(group=GROUP):
         try:
             register_planner(entry.name, entry.load())
         except (Exception, SystemExit) as error:  # A package of others may raise anything.
-            # Workers load them too; one warning is enough.
-            if parent_process() is None:
+            # Workers load them too; one warning is enough, and they inherit that it was given.
+            if entry.name not in told:
                 reason = printable(f'{type(error).__name__}: {error}')[:300]
                 _log.warning(
                     'planner %s: found the entry point %s of %s, which cannot be used (%s); going '
                     'on without it; mend or remove that package', printable(entry.name),
                     printable(entry.value), entry.dist.name if entry.dist else 'a package', reason)
+            told.append(entry.name)
+    if told:
+        os.environ[TOLD] = ','.join(told)
 
 
 _load_plugins()

@@ -3,6 +3,7 @@
 """The key figures of a judged placement in words, for the sheet and the page."""
 
 from collections import Counter
+import re
 from typing import NamedTuple
 
 from ocp_ros.report.assessment import Assessment
@@ -46,7 +47,8 @@ def figures_of(judged: Assessment) -> Figures:
     made = judged.placement.created
     foot = '; '.join(filter(None, [
         f'found by the planner {made["planner"]}' if 'planner' in made else '',
-        f'made by {made["command"]}' if 'command' in made else '', made.get('date', ''),
+        f'made by {without_folders(made["command"])}' if 'command' in made else '',
+        made.get('date', ''),
         f'ocp_ros {made["version"]}' if 'version' in made else '',
         'distances are perpendicular to the walls, to the centre of the front of a camera']))
     doubts = tuple(map(printable, judged.found.get('notes', ())))
@@ -54,6 +56,11 @@ def figures_of(judged: Assessment) -> Figures:
         verdict += ', but the scan is doubtful'
     return Figures(title, subtitle, verdict, not (broken or doubts), doubts,
                    _cards(judged, scores), printable(foot))
+
+
+def without_folders(command: str) -> str:
+    """Return a command with the names of files alone, without their folders."""
+    return re.sub(r'[^\s\'"=]*/(?=[^\s\'"/])', '', command)
 
 
 def _cards(judged: Assessment, scores: dict) -> list[tuple[str, str, str]]:

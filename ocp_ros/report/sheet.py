@@ -17,6 +17,7 @@ from ocp_ros.report.drawing.figure_files import save_figure
 from ocp_ros.report.drawing.figure_table import draw_table, shortened
 from ocp_ros.report.drawing.fonts import all_letters
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
+from ocp_ros.report.drawing.zone_drawing import zone_legend
 from ocp_ros.report.key_figures import Figures, figures_of
 
 #: Inches: A4 on its side, its margins, and dots of each.
@@ -67,7 +68,7 @@ def _figure(judged: Assessment) -> Figure:
     image = assessment_pictures.draw_error_map(errors, stage, judged)
     _title(figure, MAPS, 'Where the depth error is', bottom + half + 0.14)
     bar = figure.colorbar(image, cax=_axes(figure, MAPS + 2.14, bottom + 0.1, 0.07, half - 0.2))
-    bar.set_label('depth error (mm per m² of floor)', fontsize=6, color=PALE_INK, labelpad=2.0)
+    bar.set_label('depth error per floor area (mm/m²)', fontsize=6, color=PALE_INK, labelpad=2.0)
     bar.set_ticks(_few_ticks(image.norm.vmax))
     bar.minorticks_off()
     bar.ax.tick_params(labelsize=5.5, colors=PALE_INK, length=1.5, pad=1.0)
@@ -151,8 +152,10 @@ def _draw_legend(figure: Figure, y: float, judged: Assessment) -> None:
     entries |= {name: Patch(facecolor=colour)
                 for name, colour in zip(assessment_pictures.COUNT_NAMES,
                                         assessment_pictures.COUNT_COLOURS)}
+    entries |= zone_legend(judged.objective.rig)
     figure.legend(entries.values(), entries.keys(), loc='center', ncols=len(entries),
-                  frameon=False, fontsize=7, labelcolor=INK, columnspacing=1.6, handlelength=1.4,
+                  frameon=False, labelcolor=INK,
+                  fontsize=7 if len(entries) < 8 else 6.2, columnspacing=1.6, handlelength=1.4,
                   bbox_to_anchor=(0.5, y / HEIGHT), borderpad=0.0, borderaxespad=0.0)
 
 

@@ -26,6 +26,7 @@ from ocp_ros.report.drawing.room_drawing import (
     Room,
     room_of,
 )
+from ocp_ros.report.drawing.zone_drawing import draw_zones
 
 #: Seen by 0, 1, 2, and 3 or more cameras: lightness tells them apart as well as hue does.
 COUNT_COLOURS = ('#d55e00', '#b7d4ea', '#5b9bd0', '#174f8f')
@@ -93,6 +94,7 @@ def draw_room_plan(axes: Axes, stage: Stage, judged: Assessment) -> None:
                        edgecolor=(*to_rgb(colour), 0.9), linewidth=1.0, zorder=3)
         axes.add_patch(part).set_clip_path(outline)
     _hide_outside(axes, stage)
+    draw_zones(axes, judged.objective.rig, stage.upright[:2, :2], 3.8)
     letters = _draw_walls(axes, judged)
     _frame(axes, stage, judged, 0.1)
     draw_numbers(axes, positions(judged) @ stage.upright[:2].T, 7.0, letters)

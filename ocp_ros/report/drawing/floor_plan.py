@@ -12,6 +12,7 @@ from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.drawing.camera_labels import apart, camera_colour, draw_numbers
 from ocp_ros.report.drawing.figure_files import save_figure
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
+from ocp_ros.report.drawing.zone_drawing import draw_zones, zone_legend
 from ocp_ros.rig.placement_file import Placement
 
 #: Metres above the floor and below the ceiling that a plan leaves out, and points that it shows.
@@ -50,6 +51,11 @@ def figure_of(judged: Assessment) -> Figure:
     corners = np.concatenate([places, np.column_stack([x, y])])
     low, high = corners.min(axis=0) - 2.0 * margin, corners.max(axis=0) + 2.0 * margin
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    draw_zones(axes, judged.objective.rig, frame, 1.5)
+    explained = zone_legend(judged.objective.rig)
+    if explained:
+        figure.legend(explained.values(), explained.keys(), loc='lower center', frameon=False,
+                      ncols=len(explained), fontsize=10, labelcolor=INK)
     _draw_arrows(axes, placement, places, 2.0 * margin * frame)
     draw_numbers(axes, places, NUMBERS, letters)
     return figure
