@@ -332,7 +332,7 @@ def test_the_report_and_the_files_name_the_planner(files, tmp_path, monkeypatch,
     assert 'found by the planner cma_es' in (tmp_path / 'b/report.html').read_text()
     assert main([*command[:-1], '5']) == 0
     out = ' '.join(capsys.readouterr().out.split())
-    assert 'cma_es: 5 placements in' in out and ', of one search' in out
+    assert 'cma_es: 5 placements in' in out and '(one search)' in out
 
 
 @pytest.mark.parametrize(('arguments', 'words'), [
