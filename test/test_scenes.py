@@ -14,9 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from ocp_ros.geometry.voxels import voxel_downsample, voxel_size_for
 from ocp_ros.scenes.neighbours import nearest
-from ocp_ros.scenes.scene import check_points, likely_up_axis, Scene, SceneError
+from ocp_ros.scenes.scene import check_points, Scene, SceneError
 from ocp_ros.scenes.scene_files import load_scene, SceneWarning
+from ocp_ros.scenes.scene_source import room_named
 from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.scenes.up_axis import likely_up, likely_up_axis, map_from_file, UP_AXES, up_of
 
 ROOM = generate_room(3, 2500).points
 # From a scene with z up to the same scene in a file with another axis up.
@@ -162,6 +164,38 @@ def test_corridors_and_cubes_do_not_warn(size):
     points = rng.random((20000, 3)) * size
     points[np.arange(20000), face // 2] = np.array(size)[face // 2] * (face % 2)
     assert likely_up_axis(points) == 'z'
+
+
+@pytest.mark.parametrize('up', UP_AXES)
+def test_each_direction_that_may_be_up_is_turned_to_z(tmp_path, up):
+    rotation, path = map_from_file(up), tmp_path / 'room.npy'
+    assert np.linalg.det(rotation) == pytest.approx(1.0) and up_of(rotation) == up
+    np.save(path, ROOM.astype(np.float64) @ rotation)
+    scene = load_scene(path, up=up)
+    assert np.allclose(scene.points, ROOM, atol=1e-6) and scene.source.up == up
+    assert np.allclose(scene.source.to_source(scene.points), scene.points @ rotation)
+
+
+@pytest.mark.parametrize('up', ['x', 'y', '-y', 'z'])
+def test_auto_finds_which_way_most_rooms_were_saved(up):
+    rotation = map_from_file(up)
+    guesses = [likely_up(room(seed).points @ rotation) for seed in range(12)]
+    assert guesses.count(up) >= 8
+
+
+def test_a_guess_is_named_and_recorded(tmp_path):
+    path = tmp_path / 'room.npy'
+    np.save(path, room(5).points.astype(np.float64) @ map_from_file('y'))
+    scene = load_scene(path, up='auto')
+    assert scene.source.up == 'y' and scene.remarks == ('up: y, a guess (--up)',)
+    assert room_named(str(path), up='auto')[1]['up'] == 'y'
+
+
+def test_a_scan_that_is_thinned_says_so(tmp_path):
+    path = tmp_path / 'room.npy'
+    np.save(path, ROOM)
+    kept = load_scene(path, max_points=2000)
+    assert kept.remarks == (f'{len(kept):,} of {len(load_scene(path)):,} points kept (--points)',)
 
 
 @pytest.mark.parametrize(('size', 'remedy'), [

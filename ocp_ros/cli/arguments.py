@@ -3,10 +3,16 @@
 """Values of the command line: read, or refused with what was found and what was expected."""
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import re
 
-from ocp_ros.util.settings import current_name, LARGEST_SEED, MOST_CAMERAS
+from ocp_ros.util.settings import (
+    current_name,
+    FEWEST_POINTS,
+    LARGEST_SEED,
+    MOST_CAMERAS,
+    MOST_POINTS,
+)
 
 
 def count(text: str) -> int:
@@ -25,6 +31,14 @@ def cameras(text: str) -> int:
 def seconds(text: str) -> float:
     """Read a time."""
     return number(text, 'seconds above 0', lambda value: 0.0 < value < float('inf'))
+
+
+def room_points(text: str) -> int:
+    """Read how many points a room has."""
+    if len(text) > 9 or not text.isdecimal() or not FEWEST_POINTS <= int(text) <= MOST_POINTS:
+        raise argparse.ArgumentTypeError(
+            f'found {text!r}; expected a whole number from {FEWEST_POINTS} to {MOST_POINTS}')
+    return int(text)
 
 
 def share(text: str) -> float:
@@ -86,7 +100,28 @@ def at_least(least: int) -> Callable[[str], int]:
 def add_units(command: argparse.ArgumentParser, what: str) -> None:
     """Add in which units scans are."""
     command.add_argument('--scale', type=float, help=f'metres per unit {what}')
-    command.add_argument('--up', choices=('x', 'y', 'z'), help=f'axis {what} that points up')
+    command.add_argument('--up', type=direction, metavar='AXIS',
+                         help=f'direction {what} that points up: x, y, z, -x, -y, -z, or auto for '
+                              'a guess; default: z')
+
+
+def direction(text: str) -> str:
+    """Read which direction of a scan points up."""
+    # Imported where it is needed: a command line is read without NumPy.
+    from ocp_ros.scenes.up_axis import UP_CHOICES
+    if text not in UP_CHOICES:
+        raise argparse.ArgumentTypeError(f'found {text!r}; expected one of {", ".join(UP_CHOICES)}')
+    return text
+
+
+def joined(argv: Sequence[str]) -> list[str]:
+    """Join ``--up`` and a direction such as ``-y``, which argparse takes for an option."""
+    found: list[str] = []
+    for part in argv:
+        if found and found[-1] == '--up' and part.startswith('-'):
+            part = f'{found.pop()}={part}'
+        found.append(part)
+    return found
 
 
 def add_frame(command: argparse.ArgumentParser) -> None:
@@ -112,6 +147,13 @@ def add_overwrite(command: argparse.ArgumentParser) -> None:
     """Add that files of others may be replaced."""
     command.add_argument('--overwrite', action='store_true',
                          help='replace files that ocp did not write or that were edited since')
+
+
+def add_points(command: argparse.ArgumentParser) -> None:
+    """Add how many points of a room are kept."""
+    command.add_argument('--points', type=room_points, metavar='N',
+                         help='number of points of a generated room; a larger scan is thinned to '
+                              'this number; default: 60000, or the number in the placement')
 
 
 def add_reading(command: argparse.ArgumentParser) -> None:

@@ -15,6 +15,7 @@ import sys
 from typing import Any, NoReturn
 import warnings
 
+from ocp_ros.cli.arguments import joined
 from ocp_ros.util.files import file_to_write
 from ocp_ros.util.own_files import check_own
 from ocp_ros.util.settings import ConfigurationError, UserError
@@ -121,7 +122,7 @@ def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
         sys.stdout.reconfigure(errors='backslashreplace')
     try:
         _check_folder()
-        arguments = parser.parse_args(argv)
+        arguments = parser.parse_args(joined(argv))
         arguments.argv = list(argv)
         with warnings.catch_warnings(), redirect_stdout(sys.stderr) if as_json else nullcontext():
             warnings.showwarning = _warn

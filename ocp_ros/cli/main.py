@@ -10,6 +10,7 @@ import sys
 from ocp_ros.cli.arguments import (
     add_frame,
     add_overwrite,
+    add_points,
     add_reading,
     add_units,
     at_least,
@@ -226,6 +227,7 @@ def _add_score(commands: Commands) -> None:
                         help='folder for report, placement, CSV, launch file, xacro and more')
     add_frame(judged)
     add_overwrite(judged)
+    add_points(judged)
     add_reading(judged)
     judged.set_defaults(run=_score, show=_show_score)
 
@@ -243,6 +245,7 @@ def _add_view(commands: Commands) -> None:
     seen.add_argument('--out', type=Path, default=Path('out/view.html'), help='page to write')
     seen.add_argument('--open', action='store_true', help='open the page in a browser')
     add_overwrite(seen)
+    add_points(seen)
     add_reading(seen)
     seen.set_defaults(run=_view, show=show_written)
 

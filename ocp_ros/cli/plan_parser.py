@@ -8,6 +8,7 @@ from pathlib import Path
 from ocp_ros.cli.arguments import (
     add_frame,
     add_overwrite,
+    add_points,
     add_reading,
     at_least,
     cameras,
@@ -78,5 +79,6 @@ def add_plan(commands: Commands) -> None:
                          help='folder for report, placement, CSV, launch file, xacro and more')
     add_frame(planned)
     add_overwrite(planned)
+    add_points(planned)
     add_reading(planned)
     planned.set_defaults(run=_plan, show=_show)

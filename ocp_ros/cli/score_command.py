@@ -128,7 +128,7 @@ def room_asked(arguments: argparse.Namespace, known: dict[str, Any]
     """
     Read the room of a command line.
 
-    :param arguments: with ``room``, ``scale`` and ``up``.
+    :param arguments: with ``room``, how it is read, and perhaps ``points``.
     :param known: how it was read before, as placement files have it; what the command line says
         comes first.
     """
@@ -140,6 +140,8 @@ def room_asked(arguments: argparse.Namespace, known: dict[str, Any]
             f'{arguments.room}; expected a scan, since generated rooms are in metres, z up; leave '
             'it out')
     known = {key: known[key] for key in ('points', *READING) if key in known}
+    if (points := getattr(arguments, 'points', None)) is not None:
+        known['points'] = points
     if arguments.room.isdecimal():
         known = {key: value for key, value in known.items() if key == 'points'}
     return room_named(arguments.room, **{**known, **given})

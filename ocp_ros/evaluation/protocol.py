@@ -40,7 +40,7 @@ from ocp_ros.planners.rollout import play
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import Result, solve
 from ocp_ros.rig.rig_file import load_rig
-from ocp_ros.scenes.scene_files import UP_AXES
+from ocp_ros.scenes.up_axis import UP_CHOICES
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem, Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
@@ -76,7 +76,7 @@ class Protocol:
     :ivar budgets: evaluations of offline planners; online ones have the episode's turns.
     :ivar seeds: how many runs of each.
     :ivar scale: metres per unit of the scans.
-    :ivar up: the axis of the scans that points up.
+    :ivar up: the direction of the scans that points up, or ``'auto'``.
     :ivar simulation: the rig, or a rig file, for which each planner plans under all its
         constraints; its engine is the one that ends searches and makes promises.
     :ivar model: weights of planners that have learned: path or name.
@@ -115,10 +115,10 @@ class Protocol:
             given = getattr(self, figure)
             if len(set(given)) < len(given):
                 raise ConfigurationError(f'{figure}: found {list(given)}; expected each once')
-        if not 0.0 < self.scale < np.inf or self.up not in UP_AXES:
+        if not 0.0 < self.scale < np.inf or self.up not in UP_CHOICES:
             raise ConfigurationError(
                 f'protocol: found scale={self.scale!r} and up={self.up!r}; expected a number '
-                f'above 0 and one of {sorted(UP_AXES)}')
+                f'above 0 and one of {", ".join(UP_CHOICES)}')
         if any(not model.omnidirectional for model in self.simulation.rig.models):
             raise ConfigurationError(
                 f'rig.sensors: found {self.simulation.rig.sensors!r}; expected omnidirectional: '

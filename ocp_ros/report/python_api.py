@@ -33,6 +33,7 @@ from ocp_ros.util.settings import (
     check_positive,
     check_whole,
     ConfigurationError,
+    FEWEST_POINTS,
     LARGEST_SEED,
     MOST_CAMERAS,
 )
@@ -42,8 +43,6 @@ RoomLike: TypeAlias = str | PathLike[str] | int | Scene | ArrayLike
 RigLike: TypeAlias = str | PathLike[str] | Mapping[str, Any] | Rig
 #: What counting cameras goes by, and the number that asks for it.
 BY, AUTO = ('error', 'seen', 'coverage'), 'auto'
-#: As placement files have it.
-FEWEST_POINTS = 1000
 
 
 @dataclass(frozen=True, eq=False)

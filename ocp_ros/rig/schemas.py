@@ -11,6 +11,8 @@ from typing import Any
 
 from ocp_ros.geometry.visibility import PRESETS
 from ocp_ros.rig.rig_config import KINDS
+from ocp_ros.scenes.up_axis import UP_AXES
+from ocp_ros.util.settings import FEWEST_POINTS, MOST_POINTS
 
 Schema = dict[str, Any]
 DIALECT = 'https://json-schema.org/draft/2020-12/schema'
@@ -139,9 +141,9 @@ ROOM = mapping(
             'hexadecimal digits', 'type': 'string', 'pattern': '^[0-9a-f]{64}$',
             'examples': ['0' * 64]},
     points={'description': 'the most points that are kept of the scan, 1000 or more',
-            'type': 'integer', 'minimum': 1000, 'maximum': 5_000_000, 'examples': [25000]},
+            'type': 'integer', 'minimum': FEWEST_POINTS, 'maximum': MOST_POINTS, 'examples': [25000]},
     scale=number('metres per unit of the file, above 0', 1.0, exclusiveMinimum=0),
-    up={'description': 'x, y or z', 'enum': ['x', 'y', 'z'], 'examples': ['z']},
+    up={'description': f'one of {", ".join(UP_AXES)}', 'enum': list(UP_AXES), 'examples': ['z']},
     drop_nonfinite={'description': 'true or false', 'type': 'boolean', 'examples': [True]},
     source_from_map={
         'description': 'four rows of four numbers: map coordinates to those of the scan',

@@ -12,6 +12,7 @@ from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.geometry.normals import edge_aware_normals
 from ocp_ros.scenes.neighbours import nearest
 from ocp_ros.scenes.source_frame import SourceFrame
+from ocp_ros.scenes.up_axis import axis_of
 from ocp_ros.util.settings import UserError
 
 MIN_POINTS = 100
@@ -143,14 +144,14 @@ def check_points(points: np.ndarray, name: str, up: str = 'z') -> None:
 
     :param points: (N, 3) array.
     :param name: what the message calls them.
-    :param up: the axis that points up, ``'x'``, ``'y'`` or ``'z'``.
+    :param up: the direction that points up, one of :data:`~ocp_ros.scenes.up_axis.UP_AXES`.
     :raises SceneError: for a wrong shape, fewer than 100 points, NaN or inf, a flat cloud, or a
         size that no room in metres has.
     """
     check_numbers(points, name)
     # Coordinates of 1e308 are far apart, and need no warning.
     with np.errstate(over='ignore', invalid='ignore'):
-        _check_size(np.asarray(points, dtype=np.float64), name, 'xyz'.index(up))
+        _check_size(np.asarray(points, dtype=np.float64), name, axis_of(up))
 
 
 def check_numbers(points: np.ndarray, name: str) -> None:
@@ -215,26 +216,3 @@ def _thickness(points: np.ndarray) -> float:
     """Return the extent (N, 3) points have in the direction in which they vary least, metres."""
     centred = points - points.mean(axis=0)
     return float(np.ptp(centred @ np.linalg.eigh(centred.T @ centred)[1][:, 0]))
-
-
-def likely_up_axis(points: np.ndarray) -> str:
-    """
-    Guess which axis of a room points up or down: that between its two fullest layers.
-
-    Floor and ceiling reach over the whole room, walls have openings and differ: each axis scores
-    the geometric mean of the shares of points in its lowest and highest decimetre. The guess
-    leaves z only for clear evidence: another axis with half as high a score again, shorter than z
-    and, since corridors are narrow but no room is lower, longer than 2 m.
-
-    A bare cube has no up, and a closed shaft higher than 1.5 times its width looks like a room
-    lying down: for the first the guess is z, for the second it is wrong.
-
-    :param points: (N, 3), metres.
-    :returns: ``'x'``, ``'y'`` or ``'z'``.
-    """
-    low, high = np.percentile(points, [0.5, 99.5], axis=0)
-    score = np.sqrt((points < low + 0.1).mean(axis=0) * (points > high - 0.1).mean(axis=0))
-    best = int(score.argmax())
-    size = high - low
-    clear = score[best] > 1.5 * score[2] and 2.0 < size[best] < size[2]
-    return 'xyz'[best] if clear else 'z'

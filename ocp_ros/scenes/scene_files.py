@@ -18,21 +18,26 @@ from ocp_ros.scenes.room_formats import READERS
 from ocp_ros.scenes.scene import (
     check_numbers,
     check_points,
-    likely_up_axis,
     MIN_POINTS,
     Scene,
     SceneError,
 )
 from ocp_ros.scenes.source_frame import SourceFrame
 from ocp_ros.scenes.stray_points import stray_points
+from ocp_ros.scenes.up_axis import (
+    AUTO,
+    axis_of,
+    likely_up,
+    likely_up_axis,
+    map_from_file,
+    UP_CHOICES,
+)
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.shown_text import printable
 
 FAR = 1000.0
 #: Metres: no room is both lower than the first and shorter than the second.
 SMALL = (1.0, 1.5)
-# What the file calls x, y and z up, as the file's axes and signs that make x, y and z of the map.
-UP_AXES = {'x': ([1, 2, 0], [1, 1, 1]), 'y': ([0, 2, 1], [1, -1, 1]), 'z': ([0, 1, 2], [1, 1, 1])}
 
 _log = logging.getLogger(__name__)
 
@@ -62,7 +67,8 @@ def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: flo
     :param voxel_size: edge of the cubes whose points are merged, metres; 0 merges none.
     :param max_points: most points wanted where no voxel size is given; 0 for all of them.
     :param scale: metres per unit of the file, 0.001 for millimetres.
-    :param up: the axis of the file that points up, ``'x'``, ``'y'`` or ``'z'``.
+    :param up: the direction of the file that points up, such as ``'z'`` or ``'-y'``, or ``'auto'``
+        for a guess, which the remarks name.
     :param drop_nonfinite: leave out the points with NaN or inf rather than refuse the file.
     :returns: the scene, in metres, z up.
     :raises SceneError: if the file or an option cannot be used; the message names the file.
@@ -108,18 +114,22 @@ def _scene_from(points: np.ndarray, normals: np.ndarray | None, name: str, calle
         points = points * scale
     check_numbers(points, name)
     points, normals, remarks = _without_strays(points, normals, name)
-    check_points(points, name, up)
+    check_points(points, name, 'z' if up == AUTO else up)
+    if up == AUTO:
+        up = likely_up(points)
+        remarks += (f'up: {up}, a guess (--up)',)
     notes = _size_notes(points, up)
-    axes, signs = UP_AXES[up]
-    rotation = np.eye(3)[axes] * np.array(signs)[:, None]
-    points, shift = _near_origin(points[:, axes] * signs, name)
-    normals = None if normals is None else _unit(normals[:, axes] * signs)
+    rotation = map_from_file(up)
+    points, shift = _near_origin(points @ rotation.T, name)
+    normals = None if normals is None else _unit(normals @ rotation.T)
     points, normals = _without_duplicates(points.astype(np.float32), normals, name)
-    if up == 'z':
+    if axis_of(up) == 2:
         notes += _up_notes(points)
     for note in notes:
         warnings.warn(f'{name}: {note}', SceneWarning, stacklevel=3)
     merged = _merge(points, voxel_size, max_points, name)
+    if len(merged) < len(points):
+        remarks += (f'{len(merged):,} of {len(points):,} points kept (--points)',)
     return Scene(merged, called, normals if merged is points else None,
                  source=SourceFrame(scale, rotation, shift), notes=tuple(notes),
                  remarks=remarks)
@@ -221,7 +231,8 @@ def _check_options(name: str, voxel_size: float, max_points: int, scale: float, 
             ('max_points', max_points, max_points == 0 or max_points >= MIN_POINTS,
              f'0 or at least {MIN_POINTS}'),
             ('scale', scale, 1e-6 <= scale <= 1e6, '0.000001 to 1000000, such as 0.001'),
-            ('up', up, isinstance(up, str) and up in UP_AXES, "'x', 'y' or 'z'")):
+            ('up', up, isinstance(up, str) and up in UP_CHOICES,
+             f"one of {', '.join(UP_CHOICES)}")):
         if not usable:
             raise SceneError(f'{name}: found {option}={value!r}; expected {expected}')
 
@@ -307,7 +318,7 @@ def _without_duplicates(points: np.ndarray, normals: np.ndarray | None, name: st
 def _size_notes(points: np.ndarray, up: str) -> list[str]:
     """Say so where a room is lower and shorter than any, as one is whose scale is wrong."""
     size = np.ptp(corners_of(points), axis=0)
-    if size['xyz'.index(up)] >= SMALL[0] or size.max() >= SMALL[1]:
+    if size[axis_of(up)] >= SMALL[0] or size.max() >= SMALL[1]:
         return []
     return [f'found a room of {" x ".join(f"{edge:.3g}" for edge in size)} m; expected one that '
             f'is {SMALL[0]:g} m high or {SMALL[1]:g} m long; correct the scale (--scale) unless '

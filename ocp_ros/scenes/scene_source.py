@@ -11,7 +11,8 @@ from ocp_ros.scenes.scene import Scene, SceneError, turned
 from ocp_ros.scenes.scene_cache import load_cached
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.scenes.synthetic.generator import generate_room
-from ocp_ros.util.settings import LARGEST_SEED, setting
+from ocp_ros.scenes.up_axis import UP_CHOICES
+from ocp_ros.util.settings import FEWEST_POINTS, LARGEST_SEED, MOST_POINTS, setting
 
 #: Points of a room that placements are judged in, where nobody says.
 ROOM_POINTS = 60_000
@@ -25,11 +26,12 @@ class SceneConfig:
     seed: int = setting(1, 'seed of the generated room', 0, LARGEST_SEED)
     points: int = setting(15000, 'points of a generated room; a larger scan is thinned to this '
                                  'number',
-                          1000, 5000000)
+                          FEWEST_POINTS, MOST_POINTS)
     voxel_size: float = setting(
         0.0, 'edge of the grid that thins a scan, metres; 0: use scene.points', 0.0, 10.0)
     scale: float = setting(1.0, 'metres per unit of the file', 1e-6, 1e6)
-    up: str = setting('z', 'axis of the file that points up', choices=('x', 'y', 'z'))
+    up: str = setting('z', 'direction of the file that points up; auto: guess it',
+                      choices=UP_CHOICES)
     drop_nonfinite: bool = setting(False, 'leave out points with NaN or inf')
 
 
@@ -68,7 +70,7 @@ def make_room(name: str, rotation: float, points: int = 15000, scale: float = 1.
     :param rotation: degrees about the vertical axis.
     :param points: of a generated room; a larger scan is thinned to as many.
     :param scale: metres per unit of a scan.
-    :param up: the axis of a scan that points up.
+    :param up: the direction of a scan that points up, or ``'auto'``.
     :param drop_nonfinite: leave out points with NaN or inf rather than refuse the scan.
     :raises SceneError: if the scan cannot be used.
     """
@@ -94,7 +96,8 @@ def room_named(name: str, points: int = ROOM_POINTS, **reading: Any
         return scene, {'seed': int(name), 'points': points,
                        'sha256': sha256_of(scene)}
     content = hashlib.sha256(Path(name).read_bytes()).hexdigest()
-    room = {'file': name, 'sha256': content, 'points': points, 'scale': 1.0, 'up': 'z', **reading}
+    room = {'file': name, 'sha256': content, 'points': points, 'scale': 1.0, **reading,
+            'up': scene.source.up}
     if not scene.source.is_map:
         room['source_from_map'] = scene.source.matrix.tolist()
     return scene, room

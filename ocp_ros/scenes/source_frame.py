@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ocp_ros.scenes.up_axis import up_of
+
 
 @dataclass(frozen=True, eq=False)
 class SourceFrame:
@@ -34,6 +36,11 @@ class SourceFrame:
         matrix[:3, :3] = self.rotation.T / self.scale
         matrix[:3, 3] = self.rotation.T @ self.shift / self.scale
         return matrix
+
+    @property
+    def up(self) -> str:
+        """Return the direction of the file that is up in the map, such as ``'z'`` or ``'-y'``."""
+        return up_of(self.rotation)
 
     def to_source(self, positions: np.ndarray) -> np.ndarray:
         """Return positions (..., 3) of the map, metres, in the axes and units of the file."""

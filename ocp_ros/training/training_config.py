@@ -57,7 +57,8 @@ class RoomsConfig:
                           choices=('generated', 's3dis', 'folder'))
     folder: str = setting('', 'folder of scans to learn in, for source: folder')
     scale: float = setting(1.0, 'metres per unit of these scans', 1e-6, 1e6)
-    up: str = setting('z', 'axis of these scans that points up', choices=('x', 'y', 'z'))
+    up: str = setting('z', 'direction of these scans that points up; auto: guess it',
+                      choices=UP_CHOICES)
     training: int = setting(96, 'most rooms to learn in', 1, 100000)
     validation: int = setting(12, 'most rooms to choose the best weights by', 1, 100000)
     test: int = setting(10, 'most rooms to report', 1, 100000)

@@ -20,6 +20,8 @@ _log = logging.getLogger(__name__)
 RENAMED = {'hand_rule': 'greedy_step', 'learned+lookahead': 'learned_lookahead'}
 #: The most cameras of a rig, and the largest seed.
 MOST_CAMERAS, LARGEST_SEED = 64, 1 << 31
+#: Points of a room.
+FEWEST_POINTS, MOST_POINTS = 1000, 5_000_000
 
 
 class UserError(ValueError):
