@@ -381,8 +381,9 @@ def test_a_bad_room_is_refused_in_one_sentence(files, capsys, name, write, words
     (['room.ply', '--out', 'room.ply/x'], '--out: found room.ply/x, where nothing can be written'),
     (['room.ply', '--out', '/proc'], '--out: found /proc, where nothing can be written'),
     (['8', '--up', 'y'], '--up: found it with the generated room 8'),
+    (['room.ply', '--rig', 'rig.yaml', '--mount', 'walls'], '--mount: found walls with --rig'),
     (['room.ply', '--rig', 'rig.yaml', '--count', 'auto'], 'cameras: found 2 groups; expected'),
-    (['low.npy'], 'ocp: rig (no file): mount.height: found 1.9 m by default; expected less '
+    (['low.npy', '--mount', 'plane'], 'ocp: rig (no file): mount.height: found 1.9 m by default; expected less '
      'than the 1.62 m that low is high; write mount: {on: plane, height: 1.1} in a rig file')])
 def test_bad_input_ends_with_two_and_one_sentence(files, capsys, arguments, words):
     np.save('low.npy', made_room(8, 2500).points * [1.0, 1.0, 0.5])
@@ -392,7 +393,8 @@ def test_bad_input_ends_with_two_and_one_sentence(files, capsys, arguments, word
 @pytest.mark.parametrize('arguments', [
     ['--seconds', '0'], ['--seconds', 'nan'], ['--target', '1.5'], ['--count', 'few'],
     ['--evaluations', '0'], ['--cameras', '65'], ['--most', '65'],
-    ['--rig', 'rig.yaml', '--model', 'd455']])
+    ['--rig', 'rig.yaml', '--model', 'd455'],
+    ['--points', '10'], ['--up', '-w']])
 def test_options_without_meaning_are_refused(files, capsys, arguments):
     with pytest.raises(SystemExit, match='2'):
         main(['plan', 'room.ply', *arguments])

@@ -27,12 +27,13 @@ from ocp_ros.cli.score_command import (
 from ocp_ros.planners.budget import Budget
 from ocp_ros.report.count_report import draw_curve
 from ocp_ros.report.exports import PLACEMENTS
-from ocp_ros.report.rig_planning import CAMERAS, Counting, PlannedRig, PlanTask
+from ocp_ros.report.rig_planning import CAMERAS, Counting, MOUNT, PlannedRig, PlanTask
 from ocp_ros.report.verdict_tables import show_plan, WIDTH
 from ocp_ros.rig.placement_file import Placement, save_placement
 from ocp_ros.rig.rig_file import load_rig, Rig, rig_of, with_count
 from ocp_ros.util.files import folder_to_write
 from ocp_ros.util.own_files import note_own
+from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
 
 
@@ -93,9 +94,13 @@ def rig_asked(arguments: argparse.Namespace) -> Rig:
     """Return the rig of a command line; with ``auto``, one that may be counted up."""
     count = arguments.count
     if arguments.rig is None:
-        rig = rig_of(count or CAMERAS, arguments.model)
+        rig = rig_of(count or CAMERAS, arguments.model, mount={'on': arguments.mount or MOUNT})
         return replace(rig, document=replace(rig.document, name='rig (no file)'))
     rig = load_rig(arguments.rig)
+    if arguments.mount is not None:
+        raise ConfigurationError(
+            f'--mount: found {arguments.mount} with --rig; expected one of the two: the rig file '
+            'says its mount; leave --mount out, or change the key mount of the file')
     return rig if count is None else with_count(rig, count or len(rig.cameras))
 
 

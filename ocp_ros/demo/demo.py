@@ -16,7 +16,6 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
-from ocp_ros.cli.arguments import direction, joined
 from ocp_ros.demo.node_processes import NodeProcess, stopped_at_the_end
 from ocp_ros.demo.watcher import run_watched, Watch, Watcher
 from ocp_ros.report.drawing.placement_picture import draw_placement
@@ -24,6 +23,7 @@ from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.ros.policy.policy_config import PLANNERS, PolicyNodeConfig
 from ocp_ros.ros.sim_node import SimNodeConfig
 from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.up_axis import UP_CHOICES
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.settings import from_flat, to_nested
@@ -45,8 +45,8 @@ def parser() -> argparse.ArgumentParser:
                                                                            'room')
     top.add_argument('--scale', type=float, default=defaults.scene.scale,
                      help='metres per unit of the scan, 0.001 for millimetres')
-    top.add_argument('--up', type=direction, default=defaults.scene.up, metavar='AXIS',
-                     help='direction of the scan that points up: x, y, z, -x, -y, -z or auto')
+    top.add_argument('--up', choices=UP_CHOICES, default=defaults.scene.up,
+                     help='direction of the scan that points up, such as --up=-y; auto: guess it')
     top.add_argument('--drop-nonfinite', action='store_true',
                      help='leave out points with NaN or inf')
     top.add_argument('--planner', choices=PLANNERS, default=PolicyNodeConfig.planner,
@@ -165,7 +165,7 @@ def show(options: argparse.Namespace, result: dict[str, Any]) -> None:
 
 def main(args: list[str] | None = None) -> int:
     """Run the demo; bad input gets one sentence and exit code 2."""
-    options = parser().parse_args(joined(sys.argv[1:] if args is None else args))
+    options = parser().parse_args(args)
     return run_watched('demo', options.out, lambda domain, watch: play(options, domain, watch),
                        lambda result: show(options, result), (RuntimeError, OSError))
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ocp_ros.planners.rig_methods import RIG_SEARCH
 from ocp_ros.planners.rig_search import Progress
 from ocp_ros.report.assessment import Assessment, judge
-from ocp_ros.report.rig_planning import CAMERAS, Counting, PlannedRig, PlanTask
+from ocp_ros.report.rig_planning import CAMERAS, Counting, MOUNT, PlannedRig, PlanTask
 from ocp_ros.report.verdict_tables import as_text, show_plan, show_verdict
 from ocp_ros.rig.placement_file import (
     load_placement,
@@ -118,10 +118,10 @@ class PlanResult(ScoreResult):
 
 
 def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | None = None,
-         sensor: str = OMNIDIRECTIONAL, planner: str = RIG_SEARCH, seconds: float | None = None,
-         evaluations: int | None = None, seed: int = 0, target: float = 0.95, by: str = 'error',
-         most: int = 12, points: int = ROOM_POINTS, progress: Progress | None = None,
-         **reading: Any) -> PlanResult:
+         sensor: str = OMNIDIRECTIONAL, mount: str | None = None, planner: str = RIG_SEARCH,
+         seconds: float | None = None, evaluations: int | None = None, seed: int = 0,
+         target: float = 0.95, by: str = 'error', most: int = 12, points: int = ROOM_POINTS,
+         progress: Progress | None = None, **reading: Any) -> PlanResult:
     """
     Find where to hang cameras in a room, as ``ocp plan`` does.
 
@@ -129,6 +129,8 @@ def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | Non
     :param rig: path of a rig file, what stands in one as a mapping, or a rig.
     :param cameras: how many, or ``'auto'`` to count them; 4 or those of the rig unless given.
     :param sensor: of all cameras where no rig is given, or a part of its name such as ``d455``.
+    :param mount: of all cameras where no rig is given: ``walls`` (the default), ``ceiling``,
+        ``plane`` or ``free``.
     :param planner: who searches, see docs/planners.md.
     :param seconds: of search; 60, or 15 for each number of cameras, unless evaluations are given.
     :param evaluations: judge so many placements; the same seed finds the same answer.
@@ -150,7 +152,7 @@ def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | Non
     auto = isinstance(cameras, str) and cameras == AUTO
     counting = _counting(target, by, most) if auto else None
     task = PlanTask(planner, seconds, evaluations, seed, counting)
-    asked = _rig(rig, cameras, sensor)
+    asked = _rig(rig, cameras, sensor, mount)
     scene, record = _room(room, points, reading)
     planned = PlannedRig(scene, asked, task, *task.budgets(), progress)
     judged = planned.judged(planned.placement(record, 'ocp_ros.plan'))
@@ -219,17 +221,21 @@ def _room(room: RoomLike, points: int, reading: dict[str, Any]) -> tuple[Scene, 
     return scene, record
 
 
-def _rig(rig: RigLike | None, cameras: int | str | None, sensor: str) -> Rig:
+def _rig(rig: RigLike | None, cameras: int | str | None, sensor: str,
+         mount: str | None = None) -> Rig:
     """Return a rig with so many cameras; ``'auto'`` is for whoever counts them."""
     counted = isinstance(cameras, str) and cameras == AUTO
     if not counted:
         check_whole('cameras', cameras, 1, MOST_CAMERAS)
     count = None if counted else cameras
     if rig is None:
-        return rig_of(int(count or CAMERAS), sensor)
+        return rig_of(int(count or CAMERAS), sensor, mount={'on': mount or MOUNT})
     if sensor != OMNIDIRECTIONAL:
         raise ConfigurationError(f'sensor: found {sensor!r} with a rig; expected one of the two: '
                                  'a rig says its sensors; leave one out')
+    if mount is not None:
+        raise ConfigurationError(f'mount: found {mount!r} with a rig; expected one of the two: a '
+                                 'rig says its mount; leave one out')
     if isinstance(rig, (str, PathLike)):
         rig = load_rig(fspath(rig))
     elif isinstance(rig, Mapping):

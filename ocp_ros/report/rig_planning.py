@@ -25,6 +25,8 @@ from ocp_ros.scenes.scene import Scene
 #: Cameras where nobody says how many, and seconds of search for each number of cameras where one
 #: is planned and where several are.
 CAMERAS, SECONDS, SECONDS_EACH = 4, 60.0, 15.0
+#: What cameras are mounted on where nobody says: nobody mounts them in mid-air.
+MOUNT = 'walls'
 #: Share of the seconds for proving how good an answer is.
 PROVING = 0.25
 

@@ -9,6 +9,7 @@ from ocp_ros.agent.move_effects import LONGEST
 from ocp_ros.planners.registry import OFFLINE, ONLINE
 from ocp_ros.planners.rig_methods import EXACT
 from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.scenes.up_axis import UP_CHOICES
 from ocp_ros.simulation.problem import settings_for
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.settings import (
