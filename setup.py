@@ -38,7 +38,7 @@ setup(
     install_requires=[
         'setuptools', 'numpy>=1.26', 'numba', 'scipy', 'torch', 'safetensors', 'gymnasium', 'cma',
         'highspy', 'stable-baselines3', 'tensorboard', 'open3d', 'plyfile', 'laspy[lazrs]',
-        'matplotlib', 'plotly', 'rich', 'rosbags', 'pyyaml', 'jsonschema'],
+        'pye57', 'matplotlib', 'plotly', 'rich', 'rosbags', 'pyyaml', 'jsonschema'],
     extras_require={'test': ['pytest', 'pytest-timeout', 'hypothesis'], 'ray': ['ray']},
     entry_points={
         'console_scripts': [

@@ -30,7 +30,8 @@ ROOM = generate_room(3, 2500).points
 LIMITS = ReadingLimits(600_000_000, 20, 1_000_000)
 #: Spoilt files of each format; of those that a process of its own reads only one, for time's sake.
 FILES, GUARDED = 60, 1
-GUARDED_FORMATS = ('las.las', 'laz.laz', 'mesh.ply', 'obj.obj', 'off.off', 'stl.stl', 'glb.glb')
+GUARDED_FORMATS = ('las.las', 'laz.laz', 'e57.e57', 'mesh.ply', 'obj.obj', 'off.off', 'stl.stl',
+                   'glb.glb')
 
 
 def refusal(path, read=load_scene) -> str:

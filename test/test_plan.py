@@ -383,8 +383,9 @@ def test_a_bad_room_is_refused_in_one_sentence(files, capsys, name, write, words
     (['8', '--up', 'y'], '--up: found it with the generated room 8'),
     (['room.ply', '--rig', 'rig.yaml', '--mount', 'walls'], '--mount: found walls with --rig'),
     (['room.ply', '--rig', 'rig.yaml', '--count', 'auto'], 'cameras: found 2 groups; expected'),
-    (['low.npy', '--mount', 'plane'], 'ocp: rig (no file): mount.height: found 1.9 m by default; expected less '
-     'than the 1.62 m that low is high; write mount: {on: plane, height: 1.1} in a rig file')])
+    (['low.npy', '--mount', 'plane'],
+     'ocp: rig (no file): mount.height: found 1.9 m by default; expected less than the 1.62 m '
+     'that low is high; write mount: {on: plane, height: 1.1} in a rig file')])
 def test_bad_input_ends_with_two_and_one_sentence(files, capsys, arguments, words):
     np.save('low.npy', made_room(8, 2500).points * [1.0, 1.0, 0.5])
     assert words in refused(capsys, *arguments)

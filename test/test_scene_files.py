@@ -10,7 +10,14 @@ from hypothesis import given, settings, strategies
 import numpy as np
 from plyfile import PlyData, PlyElement
 import pytest
-from system.spoilt_files import write_las, write_pcd, write_ply, write_records, write_text
+from system.spoilt_files import (
+    write_e57,
+    write_las,
+    write_pcd,
+    write_ply,
+    write_records,
+    write_text,
+)
 
 from ocp_ros.geometry.voxels import voxel_downsample
 from ocp_ros.scenes.scene import Scene, SceneError
@@ -37,6 +44,12 @@ def turned(points, turn):
     return points[:, axes] * signs
 
 
+def write_table(path, points, separator, header='', decimal='.'):
+    lines = [separator.join(f'{value:.7f}'.replace('.', decimal) for value in point)
+             for point in points.tolist()]
+    path.write_text('\n'.join([header, *lines] if header else lines) + '\n', encoding='utf-8')
+
+
 def write_pcd_with_open3d(path, points, **options):
     open3d = pytest.importorskip('open3d')
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points.astype(np.float64)))
@@ -55,12 +68,20 @@ FORMATS = {
     'compressed.pcd': lambda path, points: write_pcd_with_open3d(path, points, compressed=True),
     'scan.las': write_las,
     'scan.laz': write_las,
+    'scan.e57': write_e57,
+    'two_scans.e57': lambda path, points: write_e57(
+        path, points, ((1.0, 0.0, 0.0, 0.0, 1.0, 2.0, 1.5), (0.6, 0.0, 0.0, 0.8, -3.0, 0.5, 1.4))),
     'array.npy': np.save,
     'wide.npy': lambda path, points: np.save(path, np.hstack([points, points])),
     'records.npy': write_records,
     'scan.xyz': write_text,
     'colours.txt': lambda path, points: write_text(path, points, ' 12 34 56'),
     'CAPITALS.XYZ': write_text,
+    'commas.csv': lambda path, points: write_table(path, points, ','),
+    'commas.xyz': lambda path, points: write_table(path, points, ', '),
+    'named.csv': lambda path, points: write_table(path, points[:, ::-1], ',', 'Z,"Y",X'),
+    'excel.csv': lambda path, points: write_table(path, points, ';', '\ufeffx;y;z', ','),
+    'cloud_compare.txt': lambda path, points: write_table(path, points, ' ', '//X Y Z'),
 }
 
 
@@ -192,7 +213,7 @@ def test_points_that_are_not_finite_are_refused_or_dropped_but_never_silently(
 def test_a_truncated_file_is_refused(room_file, share):
     content = room_file.read_bytes()
     size = int(share * len(content))
-    if room_file.suffix in ('.xyz', '.XYZ', '.txt'):
+    if room_file.suffix in ('.xyz', '.XYZ', '.txt', '.csv'):
         # Within the second number of a line, where text shows that it broke off.
         size = content.index(b'\n', size) + 14
     room_file.write_bytes(content[:size])
@@ -260,13 +281,14 @@ def test_a_file_that_the_disk_does_not_give_is_refused(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(('name', 'hint'), [
     ('room.plly', 'did you mean .ply?'), ('room.pdc', 'did you mean .pcd?'),
-    ('room.dae', 'convert it'), ('room.e57', 'convert it'), ('room', 'convert it')])
+    ('room.dae', 'convert it'), ('room.rcp', 'convert it'), ('room', 'convert it')])
 def test_an_unknown_suffix_is_refused_with_the_known_ones(tmp_path, name, hint):
     path = tmp_path / name
     write_text(path, ROOM)
     message = refusal(path)
     assert hint in message
-    assert ('expected one of .glb .gltf .las .laz .npy .obj .off .pcd .ply .stl .txt .xyz;'
+    assert ('expected one of .csv .e57 .glb .gltf .las .laz .npy .obj .off .pcd .ply .stl .txt '
+            '.xyz;'
             in message)
 
 

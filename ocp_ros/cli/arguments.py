@@ -110,7 +110,8 @@ def direction(text: str) -> str:
     # Imported where it is needed: a command line is read without NumPy.
     from ocp_ros.scenes.up_axis import UP_CHOICES
     if text not in UP_CHOICES:
-        raise argparse.ArgumentTypeError(f'found {text!r}; expected one of {", ".join(UP_CHOICES)}')
+        raise argparse.ArgumentTypeError(
+            f'found {text!r}; expected one of {", ".join(UP_CHOICES)}')
     return text
 
 

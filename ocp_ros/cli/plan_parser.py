@@ -55,9 +55,9 @@ def add_plan(commands: Commands) -> None:
     rig.add_argument('--model', metavar='SENSOR', default='omnidirectional',
                      help='sensor of all cameras, or a part of its name such as d455')
     planned.add_argument('--mount', choices=('walls', 'ceiling', 'plane', 'free'),
-                         help='mount of all cameras: walls (1.5 to 2.5 m above the floor), ceiling '
-                              '(below it), plane (1.9 m above the floor) or free (1.5 to 2.5 m); '
-                              'default: walls, or the mount in the rig file')
+                         help='mount of all cameras: walls (1.5 to 2.5 m above the floor), '
+                              'ceiling (below it), plane (1.9 m above the floor) or free (1.5 to '
+                              '2.5 m); default: walls, or the mount in the rig file')
     planned.add_argument('--cameras', '--count', dest='count', type=count, metavar='N',
                          help='number of cameras, or auto; default: 4, or the number in the rig '
                               'file')

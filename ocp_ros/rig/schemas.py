@@ -141,9 +141,11 @@ ROOM = mapping(
             'hexadecimal digits', 'type': 'string', 'pattern': '^[0-9a-f]{64}$',
             'examples': ['0' * 64]},
     points={'description': 'the most points that are kept of the scan, 1000 or more',
-            'type': 'integer', 'minimum': FEWEST_POINTS, 'maximum': MOST_POINTS, 'examples': [25000]},
+            'type': 'integer', 'minimum': FEWEST_POINTS, 'maximum': MOST_POINTS,
+            'examples': [25000]},
     scale=number('metres per unit of the file, above 0', 1.0, exclusiveMinimum=0),
-    up={'description': f'one of {", ".join(UP_AXES)}', 'enum': list(UP_AXES), 'examples': ['z']},
+    up={'description': f'one of {", ".join(UP_AXES)}', 'enum': list(UP_AXES),
+        'examples': ['z']},
     drop_nonfinite={'description': 'true or false', 'type': 'boolean', 'examples': [True]},
     source_from_map={
         'description': 'four rows of four numbers: map coordinates to those of the scan',

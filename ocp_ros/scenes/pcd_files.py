@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ocp_ros.scenes.text_tables import read_table
+from ocp_ros.scenes.text_tables import read_table, TableForm
 
 #: Bytes of a line of the header, and lines of a header.
 LONGEST, LINES = 1 << 16, 1000
@@ -73,7 +73,8 @@ def _pcd_ascii(path: Path, layout: np.dtype, skip: int) -> dict[str, np.ndarray]
     """Read the fields of a PCD file in ascii, one point per line."""
     widths = [layout[field].shape[0] for field in layout.names]
     starts = np.cumsum([0, *widths[:-1]]).tolist()
-    return dict(zip(layout.names, read_table(path, starts, skip).T, strict=True))
+    table = read_table(path, TableForm(skip=skip, columns=starts))
+    return dict(zip(layout.names, table.T, strict=True))
 
 
 def _pcd_compressed(body: bytes, layout: np.dtype, count: int) -> dict[str, np.ndarray]:

@@ -31,6 +31,15 @@ def las_rows(path: str) -> Iterator[np.ndarray]:
             yield np.stack([points.x, points.y, points.z], axis=1)
 
 
+def e57_rows(path: str) -> Iterator[np.ndarray]:
+    """Yield the valid points (N, 3) of each scan of an E57 file, in the file's frame."""
+    from pye57 import E57
+    with E57(path) as file:
+        for index in range(file.scan_count):
+            columns = file.read_scan(index, ignore_missing_fields=True)
+            yield np.stack([columns[f'cartesian{axis}'] for axis in 'XYZ'], axis=1)
+
+
 def mesh_rows(path: str) -> Iterator[np.ndarray]:
     """Yield points and normals (N, 6) on the faces of a mesh, in the file's unit and axes."""
     import open3d
@@ -69,7 +78,7 @@ def _check_rounding(vertices: np.ndarray) -> None:
                              'near the origin, or save it as .ply')
 
 
-READ = {'las': las_rows, 'mesh': mesh_rows}
+READ = {'e57': e57_rows, 'las': las_rows, 'mesh': mesh_rows}
 
 
 def main(arguments: list[str]) -> int:

@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from ocp_ros.scenes.e57_files import read_e57_points
 from ocp_ros.scenes.las_files import read_las_points
 from ocp_ros.scenes.mesh_files import MESHES, read_mesh
 from ocp_ros.scenes.pcd_files import read_pcd_fields
 from ocp_ros.scenes.ply_files import read_ply_fields
 from ocp_ros.scenes.scene import SceneError
-from ocp_ros.scenes.text_tables import read_table
+from ocp_ros.scenes.text_tables import read_points
 
 
 def _from_fields(fields: dict[str, np.ndarray], name: str):
@@ -54,9 +55,14 @@ def _read_las(path: Path):
     return read_las_points(path), None
 
 
-def _read_xyz(path: Path):
-    """Read text with x y z at the start of each line."""
-    return read_table(path), None
+def _read_e57(path: Path):
+    """Read all scans of an E57 file."""
+    return read_e57_points(path), None
+
+
+def _read_text(path: Path):
+    """Read text with x, y and z in each line."""
+    return read_points(path), None
 
 
 def _read_pcd(path: Path):
@@ -66,5 +72,6 @@ def _read_pcd(path: Path):
 
 #: Each returns points (N, 3), and normals (N, 3) or None, in the unit and the axes of the file.
 READERS = {'.las': _read_las, '.laz': _read_las, '.npy': _read_npy, '.pcd': _read_pcd,
-           '.ply': _read_ply, '.txt': _read_xyz, '.xyz': _read_xyz,
+           '.ply': _read_ply, **dict.fromkeys(('.csv', '.txt', '.xyz'), _read_text),
+           '.e57': _read_e57,
            **dict.fromkeys(MESHES, read_mesh)}

@@ -62,8 +62,9 @@ def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: flo
     taken, evenly by area and always the same: about one every 2 cm in an office, every 5 cm in a
     hall. Their normals are those of the faces.
 
-    :param path: a .ply, .pcd, .las, .laz, .npy, .xyz or .txt file or a mesh; the room is called
-        by its stem, an S3DIS room ``Area_1/office_1/office_1.txt`` is called ``Area_1_office_1``.
+    :param path: a .ply, .pcd, .e57, .las, .laz, .npy, .csv, .xyz or .txt file or a mesh; the room
+        is called by its stem, an S3DIS room ``Area_1/office_1/office_1.txt`` is called
+        ``Area_1_office_1``.
     :param voxel_size: edge of the cubes whose points are merged, metres; 0 merges none.
     :param max_points: most points wanted where no voxel size is given; 0 for all of them.
     :param scale: metres per unit of the file, 0.001 for millimetres.

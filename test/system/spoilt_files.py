@@ -13,6 +13,8 @@ import struct
 import laspy
 import numpy as np
 from plyfile import PlyData, PlyElement
+import pye57
+from scipy.spatial.transform import Rotation
 
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.rig_file import load_rig
@@ -66,6 +68,17 @@ def write_las(path, points, offsets=(0.0, 0.0, 0.0)):
     content = laspy.LasData(header)
     content.x, content.y, content.z = points.astype(np.float64).T
     content.write(path)
+
+
+def write_e57(path, points, poses=((1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),)):
+    """Write points (N, 3) as E57: a scan for each pose, a unit quaternion and a position."""
+    with pye57.E57(str(path), mode='w') as file:
+        for part, pose in zip(np.array_split(points.astype(np.float64), len(poses)), poses):
+            turn, position = Rotation.from_quat(np.roll(pose[:4], -1)), np.array(pose[4:])
+            local = turn.inv().apply(part - position)
+            columns = dict(zip(('cartesianX', 'cartesianY', 'cartesianZ'),
+                               np.ascontiguousarray(local.T)))
+            file.write_scan_raw(columns, rotation=np.array(pose[:4]), translation=position)
 
 
 def write_text(path, points, tail=''):
@@ -206,7 +219,8 @@ def good_files(folder: Path) -> dict[str, Callable]:
     room = generate_room(3, 600)
     points, mesh = room.points, room.mesh
     for name, write in {
-            'las.las': write_las, 'laz.laz': write_las, 'ply_binary.ply': write_ply,
+            'las.las': write_las, 'laz.laz': write_las, 'e57.e57': write_e57,
+            'ply_binary.ply': write_ply,
             'npy.npy': np.save, 'records.npy': write_records, 'xyz.xyz': write_text,
             'pcd_binary.pcd': write_pcd, 'pcd_packed.pcd': write_packed_pcd}.items():
         write(folder / name, points)
