@@ -385,7 +385,7 @@ def write_half(path):
 BAD_ROOMS = {
     'not there': ('none.ply', lambda path: None, 'none.ply: found no such file', 'check the path'),
     'a folder': ('folder.ply', lambda path: path.mkdir(), 'found a folder', 'give the path'),
-    'of a kind nobody knows': ('room.e57', lambda path: path.write_text('x'), "suffix '.e57'",
+    'of a kind nobody knows': ('room.rcp', lambda path: path.write_text('x'), "suffix '.rcp'",
                                'CloudCompare'),
     'empty': ('empty.ply', lambda path: path.write_bytes(b''), 'empty.ply: found an empty file',
               'copy or export it again'),

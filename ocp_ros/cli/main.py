@@ -31,6 +31,7 @@ from ocp_ros.cli.common import (
     run,
     show_written,
 )
+from ocp_ros.cli.info_command import add_info
 from ocp_ros.cli.plan_parser import add_plan
 from ocp_ros.cli.replay_command import add_replay
 from ocp_ros.cli.rooms_command import add_rooms
@@ -253,7 +254,7 @@ def _add_view(commands: Commands) -> None:
 def commands() -> Commands:
     """Build all commands."""
     made = Commands('ocp', 'Where do I put my depth cameras? Tools that need no ROS graph.')
-    for add in (add_plan, _add_score, add_calibrate, _add_view, add_rooms, _add_train,
+    for add in (add_plan, _add_score, add_calibrate, add_info, _add_view, add_rooms, _add_train,
                 _add_evaluate, _add_benchmark, _add_bench, add_replay):
         add(made)
     return made

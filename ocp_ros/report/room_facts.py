@@ -1,0 +1,114 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What there is to know of a room before cameras are planned for it."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from ocp_ros.geometry.depth_error import DepthError
+from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.rig.plausibility import room_notes
+from ocp_ros.rig.structure import Air, ceiling_of, floor_height
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.source_frame import SourceFrame
+
+#: Positions that openings are looked for from; rows of their depth maps; half the side of a
+#: point's cube in multiples of the square that it stands for.
+PLACES, ROWS, CUBE = 9, 64, 0.75
+#: Degrees of elevation from which on a direction is above or below.
+STEEP = 30.0
+#: The directions that openings are told apart by.
+SIDES = ('+x', '+y', '-x', '-y', 'above', 'below')
+#: Names of common units, by metres.
+UNITS = {1.0: 'metres', 0.001: 'millimetres', 0.01: 'centimetres', 0.0254: 'inches',
+         0.3048: 'feet'}
+
+
+def facts_of(scene: Scene) -> dict[str, Any]:
+    """
+    Measure a room.
+
+    :returns: plain data: ``name``, ``points`` and their median ``spacing``; ``bounds`` and
+        ``size``, metres; ``floor`` and ``ceiling``, their heights in metres, the second None where
+        there is none; ``floor_area``, square metres that are free for cameras; ``openings``, the
+        share of the view from inside that meets no surface, by direction; ``source``: unit, up
+        direction and the transform from the map to the file; ``notes`` and ``remarks``.
+    """
+    floor = floor_height(scene)
+    ceiling = ceiling_of(scene).points
+    space = FreePlane.of(scene.points, float(scene.bounds[1, 2]), 1, 0.0, clearance=0.0)
+    return {
+        'name': scene.name, 'points': len(scene), 'spacing': float(np.median(scene.spacing)),
+        'bounds': scene.bounds.tolist(), 'size': scene.size.tolist(), 'floor': floor,
+        'ceiling': float(np.median(ceiling[:, 2])) if len(ceiling) else None,
+        'floor_area': space.area, 'openings': openings_of(scene, Air(scene, space)),
+        'source': _source(scene.source), 'notes': [*room_notes(scene), *scene.notes],
+        'remarks': list(scene.remarks)}
+
+
+def openings_of(scene: Scene, air: Air) -> dict[str, float]:
+    """
+    Measure which share of the view from inside a room meets no surface.
+
+    :param air: of the room.
+    :returns: shares of the solid angle: ``all``, and those of each of the six ``SIDES``; empty
+        where the room has no inside.
+    """
+    places = air.places(float(scene.bounds[:, 2].mean()), PLACES)
+    if len(places) == 0:
+        return {}
+    maps = DepthError(scene.points, scene.pitch, scene.bounds, ROWS, CUBE, places)
+    rows, columns = maps.shape
+    # Row 0 is straight down, column 0 begins at the direction opposite to x: as cell_of has it.
+    elevation = (np.arange(rows) + 0.5) * 180.0 / rows - 90.0
+    azimuth = (np.arange(columns) + 0.5) * 360.0 / columns - 180.0
+    side = np.empty((rows, columns), dtype=int)
+    side[:] = np.round(azimuth / 90.0).astype(int) % 4
+    side[elevation > STEEP], side[elevation < -STEEP] = SIDES.index('above'), SIDES.index('below')
+    weights = np.repeat(np.cos(np.deg2rad(elevation)), columns)
+    empty = np.mean([maps.depth_map(k) >= maps.far for k in range(len(places))], axis=0)
+    open_, whole = (np.bincount(side.ravel(), values, len(SIDES))
+                    for values in (weights * empty.ravel(), weights))
+    return {'all': float(open_.sum() / whole.sum()),
+            **dict(zip(SIDES, (open_ / whole).tolist()))}
+
+
+def _source(source: SourceFrame) -> dict[str, Any]:
+    """Return how the file's coordinates became those of the map."""
+    return {'metres_per_unit': source.scale, 'up': source.up, 'shift': source.shift.tolist(),
+            'source_from_map': source.matrix.tolist()}
+
+
+def show_facts(console: Console, found: Mapping[str, Any]) -> None:
+    """Print what was measured of a room."""
+    low, high = found['bounds']
+    ceiling, openings, source = found['ceiling'], found['openings'], found['source']
+    unit = UNITS.get(source['metres_per_unit'], f'{source["metres_per_unit"]:g} m')
+    table = Table('room', found['name'], title_justify='left')
+    table.add_row('points', f'{found["points"]:,}, median spacing {found["spacing"]:.3f} m')
+    table.add_row('size', ' x '.join(f'{edge:.2f}' for edge in found['size']) + ' m')
+    table.add_row('bounds', ', '.join(f'{axis} {first:.2f} to {last:.2f}' for axis, first, last
+                                      in zip('xyz', low, high)) + ' m')
+    table.add_row('floor', f'z = {found["floor"]:.2f} m, {found["floor_area"]:.1f} m²')
+    table.add_row('ceiling', 'not found' if ceiling is None else
+                  f'z = {ceiling:.2f} m, {ceiling - found["floor"]:.2f} m above the floor')
+    table.add_row('openings', 'no inside was found' if not openings else (
+        f'{_percent(openings["all"])} of the view from inside meets no surface ('
+        + ', '.join(f'{side} {_percent(openings[side])}' for side in SIDES) + ')'))
+    table.add_row('file', f'unit: {unit}; up: {source["up"]}' + (
+        f'; moved by {", ".join(f"{-value:.0f}" for value in source["shift"])} m'
+        if any(source['shift']) else ''))
+    console.print(table)
+    for remark in found['remarks']:
+        console.print(remark, markup=False, highlight=False)
+    for note in found['notes']:
+        console.print(f'note: {note}', style='yellow', markup=False, highlight=False)
+
+
+def _percent(share: float) -> str:
+    """Return a share as words."""
+    return f'{100.0 * share:.0f} %'

@@ -1,0 +1,78 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""ocp info: what it measures of a room is what the room is like."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ocp_ros.cli.main import main
+from ocp_ros.report.room_facts import facts_of, openings_of, SIDES
+from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.rig.structure import Air
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.up_axis import map_from_file
+
+SIZE = np.array([5.0, 4.0, 2.5])
+
+
+def box(without=(), step=0.05) -> Scene:
+    """Make a room of six faces, without some of them: (axis, end)."""
+    faces = []
+    for axis in range(3):
+        across = [np.arange(step / 2, SIZE[k], step) for k in range(3) if k != axis]
+        flat = np.stack(np.meshgrid(*across), axis=-1).reshape(-1, 2)
+        for end in (0, 1):
+            if (axis, end) not in without:
+                faces.append(np.insert(flat, axis, end * SIZE[axis], axis=1))
+    return Scene(np.concatenate(faces), 'box')
+
+
+def test_a_closed_box_is_measured():
+    found = facts_of(box())
+    assert found['floor'] == pytest.approx(0.0, abs=0.01)
+    assert found['ceiling'] == pytest.approx(2.5, abs=0.01)
+    assert found['size'] == pytest.approx(SIZE, abs=0.06)
+    assert found['spacing'] == pytest.approx(0.05, rel=0.01)
+    assert found['floor_area'] == pytest.approx(20.0, rel=0.15)
+    assert found['openings']['all'] < 0.01 and found['notes'] == []
+
+
+@pytest.mark.parametrize(('face', 'side'), [
+    ((0, 1), '+x'), ((0, 0), '-x'), ((1, 1), '+y'), ((1, 0), '-y'), ((2, 1), 'above')])
+def test_a_face_that_is_missing_is_an_opening_on_its_side(face, side):
+    scene = box([face])
+    space = FreePlane.of(scene.points, float(scene.bounds[1, 2]), 1, 0.0, clearance=0.0)
+    found = openings_of(scene, Air(scene, space))
+    others = max(found[other] for other in SIDES if other != side)
+    assert found[side] > 0.4 and found[side] > 2.0 * others
+
+
+def test_a_room_without_a_ceiling_says_so():
+    found = facts_of(box([(2, 1)]))
+    assert found['ceiling'] is None and any('found no ceiling' in note for note in found['notes'])
+
+
+def test_the_command_prints_measures_and_draws(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    np.save('room.npy', 1000.0 * box().points.astype(np.float64) @ map_from_file('y'))
+    assert main(['info', 'room.npy', '--scale', '0.001', '--up', 'y', '--points', '5000']) == 0
+    told = capsys.readouterr().out
+    for words in ('millimetres', 'up: y', 'x 2.50 m', 'points kept', 'wrote out/info'):
+        assert words in told
+    assert Path('out/info.png').read_bytes().startswith(b'\x89PNG')
+    assert main(['info', 'room.npy', '--scale', '0.001', '--up', 'y', '--json']) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found['source']['up'] == 'y' and found['room']['up'] == 'y'
+    # The matrix leads back to the file.
+    matrix = np.array(found['source']['source_from_map'])
+    assert matrix @ [0.0, 0.0, 1.0, 1.0] == pytest.approx([0.0, 1000.0, 0.0, 1.0])
+
+
+def test_a_direction_with_a_minus_is_read(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    np.save('room.npy', box().points.astype(np.float64) @ map_from_file('-z'))
+    assert main(['info', 'room.npy', '--up', '-z', '--json']) == 0
+    assert json.loads(capsys.readouterr().out)['source']['up'] == '-z'
