@@ -9,7 +9,7 @@ from conftest import Here, rows_for
 import numpy as np
 import pytest
 
-from ocp_ros.cli import main as cli
+from ocp_ros.cli import benchmark_command, main as cli
 from ocp_ros.evaluation import task_runner
 from ocp_ros.evaluation.benchmark_rooms import rooms_in, TEST_ROOMS
 from ocp_ros.evaluation.protocol import (
@@ -26,6 +26,7 @@ from ocp_ros.evaluation.summary import interval, ranks, summarise
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.report.benchmark_report import page
 from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.scene import SceneError, turned
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.scenes.scene_source import make_room
@@ -268,6 +269,41 @@ def test_the_page_says_who_agrees_who_is_better_and_how_long_it_takes():
 def test_units_of_scans_need_scans(capsys):
     assert cli.main(['benchmark', '--scale', '0.001']) == 2
     assert '--scale and --up: found no --rooms; expected a folder' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(('arguments', 'words'), [
+    (['--rig', 'rig.yaml', '--cameras', '3'], '--cameras: found 3 with --rig; expected one'),
+    (['--rig', 'rig.yaml', '--sensor', 'd455'], '--sensor: found d455 with --rig; expected one'),
+    (['--mount', 'walls'], '--mount: found walls without --sensor; expected both'),
+    (['--sensor', 'd4'], "sensor: found 'd4', which")])
+def test_options_about_cameras_may_not_contradict(tmp_path, monkeypatch, capsys, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'rig.yaml').write_text(D455)
+    assert cli.main(['benchmark', *arguments]) == 2
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(('arguments', 'expected'), [
+    ([], (4, '')), (['--cameras', '2'], (2, '')),
+    (['--cameras', '3', '--sensor', 'd455'], (3, 'out/benchmark/rig.yaml'))])
+def test_cameras_and_sensor_say_what_is_compared(tmp_path, monkeypatch, arguments, expected):
+    monkeypatch.chdir(tmp_path)
+    asked = []
+
+    def stop(protocol, *_):
+        asked.append(protocol)
+        raise ConfigurationError('enough')
+
+    monkeypatch.setattr(benchmark_command, 'run', stop)
+    assert cli.main(['benchmark', *arguments]) == 2
+    count, path = expected
+    simulation = asked[0].simulation
+    assert simulation.rig_file == path
+    if path:
+        rig = load_rig(path)
+        assert len(rig.cameras) == count and rig.mount.on == 'walls'
+    else:
+        assert simulation.rig.cameras == count
 
 
 @pytest.mark.parametrize(('arguments', 'words'), [

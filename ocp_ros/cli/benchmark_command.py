@@ -36,16 +36,19 @@ from ocp_ros.report.benchmark_report import (
 )
 from ocp_ros.report.comparison_page import write_page
 from ocp_ros.report.drawing.placement_picture import draw_examples, Example
-from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.report.rig_planning import CAMERAS, MOUNT
+from ocp_ros.rig.rig_file import load_rig, rig_of
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.files import folder_to_write, write_atomically
 from ocp_ros.util.own_files import check_own, note_own, remove_own
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
-from ocp_ros.util.yaml_files import timestamp
+from ocp_ros.util.yaml_files import timestamp, written
 
 #: Files of the results, those of a report, and those of them that rig files have none of.
 RESULTS = ('results.csv', 'results.json', 'summary.json')
+#: The rig of ``--sensor``, beside the results.
+RIG = 'rig.yaml'
 OF_PLACEMENTS = ('anytime.png', 'placements.html', 'placements.png')
 REPORTED = ('README.md', 'rooms.png', 'summary.json', *OF_PLACEMENTS)
 #: Rooms on the page that can be turned around.
@@ -64,6 +67,10 @@ def protocol_of(arguments: argparse.Namespace) -> Protocol:
     if arguments.rooms is None and changes.keys() & {'scale', 'up'}:
         raise ConfigurationError('--scale and --up: found no --rooms; expected a folder of scans '
                                  'that they are about; generated rooms are in metres, z up')
+    if arguments.cameras is not None:
+        simulation = PRESETS[arguments.preset].simulation
+        changes['simulation'] = replace(
+            simulation, rig=replace(simulation.rig, cameras=arguments.cameras))
     if arguments.rig is not None:
         # Read now: a file that cannot be used is refused before anything runs.
         load_rig(arguments.rig)
@@ -88,13 +95,17 @@ def compare(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     :param command: the command line, for the record.
     :returns: the summary.
     """
+    inputs = inputs_of(arguments)
+    _check_cameras(arguments)
+    results = [arguments.out / name for name in RESULTS]
+    if arguments.sensor is not None:
+        results.append(_write_rig(arguments))
     protocol = protocol_of(arguments)
     folder_to_write(arguments.out)
-    results = [arguments.out / name for name in RESULTS]
-    check_own(results, inputs_of(arguments), arguments.overwrite)
+    check_own(results, inputs, arguments.overwrite)
     if arguments.report:
         folder_to_write(arguments.report, '--report')
-        check_own(_reported(arguments), inputs_of(arguments), arguments.overwrite, '--report')
+        check_own(_reported(arguments), inputs, arguments.overwrite, '--report')
     columns = (TextColumn('comparing planners'), BarColumn(), MofNCompleteColumn(),
                TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as progress:
@@ -122,6 +133,31 @@ def compare(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     print('wrote ' + printable(f'{arguments.out / "summary.json"}' + (
         f' and {arguments.report / "README.md"}' if arguments.report else '')))
     return summary
+
+
+def _check_cameras(arguments: argparse.Namespace) -> None:
+    """Refuse options about cameras that contradict each other."""
+    for option in ('cameras', 'sensor', 'mount'):
+        if arguments.rig is not None and (value := getattr(arguments, option)) is not None:
+            raise ConfigurationError(
+                f'--{option}: found {value} with --rig; expected one of the two: the rig file '
+                f'says its {option}; leave one out')
+    if arguments.mount is not None and arguments.sensor is None:
+        raise ConfigurationError(
+            f'--mount: found {arguments.mount} without --sensor; expected both: without a sensor '
+            'omnidirectional cameras on a plane are compared; add --sensor omnidirectional')
+
+
+def _write_rig(arguments: argparse.Namespace) -> Path:
+    """Write the rig of ``--sensor`` beside the results, and go on as if it had been given."""
+    rig = rig_of(arguments.cameras or CAMERAS, arguments.sensor,
+                 mount={'on': arguments.mount or MOUNT})
+    path = folder_to_write(arguments.out) / RIG
+    check_own([path], (), arguments.overwrite)
+    write_atomically(path, written(rig.document.data, path.suffix))
+    note_own([path])
+    arguments.rig, arguments.cameras = path, None
+    return path
 
 
 def _reported(arguments: argparse.Namespace) -> list[Path]:

@@ -15,6 +15,7 @@ from ocp_ros.cli.arguments import (
     add_units,
     at_least,
     camera_counts,
+    cameras,
     names,
     seed,
     whole_numbers,
@@ -151,6 +152,14 @@ def _add_benchmark(commands: Commands) -> None:
     add_units(compare, 'of the scans')
     compare.add_argument('--rig', type=find_config, help='rig file, instead of omnidirectional '
                                                          'cameras: docs/reference/rig.md')
+    compare.add_argument('--cameras', type=cameras, metavar='N',
+                         help='number of cameras, without a rig file; default: 4')
+    compare.add_argument('--sensor', metavar='SENSOR',
+                         help='sensor of all cameras, without a rig file, or a part of its name '
+                              'such as d455; without it omnidirectional cameras on a plane are '
+                              'compared')
+    compare.add_argument('--mount', choices=('walls', 'ceiling', 'plane', 'free'),
+                         help='with --sensor: mount of all cameras; default: walls')
     compare.add_argument('--planners', type=names,
                          help='names with commas between; default: all')
     compare.add_argument('--budgets', type=whole_numbers, help='numbers of evaluations, with '
