@@ -278,6 +278,25 @@ def test_poses_of_another_shape_are_refused(rooms):
         allowed.broken(np.zeros((2, 6)))
 
 
+def test_the_rolls_of_a_mount_are_candidates_and_no_others_are_allowed(rooms):
+    allowed = allowed_of(rooms['box'], 'walls', roll=[0, 90])
+    poses = allowed.candidates(D455, 600)
+    assert set(np.rad2deg(poses[:, 5]).round(6)) == {0.0, 90.0} and allowed.allowed(poses).all()
+    tilted = poses[:1].copy()
+    tilted[0, 5] = np.deg2rad(45.0)
+    assert not allowed.allowed(tilted).any()
+    assert 'found a roll of 45 degrees; expected 0 or 90 (roll)' in allowed.broken(tilted)[0]
+    # Brackets are turned by hand, and a rig that does not speak of rolls has none to keep.
+    tilted[0, 5] = np.deg2rad(83.0)
+    assert allowed.allowed(tilted).all()
+    assert allowed_of(rooms['box'], 'walls').allowed(tilted).all()
+
+
+def test_a_mount_for_portrait_alone_has_no_other_candidates(rooms):
+    allowed = allowed_of(rooms['box'], 'ceiling', roll=[90])
+    assert set(np.rad2deg(allowed.candidates(D455, 200)[:, 5]).round(6)) == {90.0}
+
+
 def test_each_camera_of_a_mixed_rig_has_its_own_pitch(rooms):
     rig = rig_of(1, 'd455', mount=MOUNTS['plane'], pitch=[0, 30])
     other = replace(rig, cameras=(rig.cameras[0], rig_of(1).cameras[0]))

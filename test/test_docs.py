@@ -196,7 +196,7 @@ def test_every_command_in_the_documentation_can_be_run(command, tmp_path, monkey
 
 def test_the_commands_are_found():
     found = {command[0] for command in commands()}
-    assert found == {'plan', 'score', 'calibrate', 'view', 'rooms', 'train', 'evaluate',
+    assert found == {'plan', 'info', 'score', 'calibrate', 'view', 'rooms', 'train', 'evaluate',
                      'benchmark', 'bench', 'replay'}
 
 

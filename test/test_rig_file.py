@@ -4,6 +4,7 @@
 
 from dataclasses import replace
 import json
+import re
 
 from conftest import refused_in_one_sentence, ROOT
 import numpy as np
@@ -33,6 +34,7 @@ regions:
   - {name: table, box: [[1, 1, 0.5], [2, 2, 1.2]], weight: 3.0, must_see: true}
   - {name: desk, polygon: [[0, 0], [2, 0], [2, 1]], must_see: 0.5}
 seen_by: 2
+roll: [0, 90]
 """
 
 
@@ -55,12 +57,35 @@ def test_every_key_arrives_in_metres_and_radians(tmp_path):
     np.testing.assert_allclose(rig.fixed_poses, [[1.0, 2.0, 2.2, np.pi / 2, np.pi / 9, 0.0]])
     assert rig.mount == ('walls', (1.8, 2.4))
     assert rig.pitch == pytest.approx((0.0, np.pi / 3))
+    assert rig.rolls == pytest.approx((0.0, np.pi / 2))
     assert (rig.keep_clear, rig.spacing, rig.seen_by) == (0.3, 0.5, 2)
     table, desk = rig.regions
     assert (table.name, table.weight, table.must_see) == ('table', 3.0, MUST_SEE)
     assert (desk.name, desk.weight, desk.must_see) == ('desk', 1.0, 0.5)
     assert table.where == 'rig.yaml: line 15, regions[0]'
 
+
+
+def test_a_plain_lens_is_a_pinhole(tmp_path):
+    model = rig_in(tmp_path, 'cameras: [{focal_length: 4.0, sensor_size: [8.0, 6.0], '
+                             'max_range: 5}]').models[0]
+    # Half the edge over the focal length is the tangent of half the angle.
+    assert np.tan([model.horizontal_fov / 2, model.vertical_fov / 2]) == pytest.approx([1.0, 0.75])
+    rig = rig_in(tmp_path, 'cameras: [{sensor: kinect_v2, focal_length: 4.0, '
+                           'sensor_size: [8.0, 6.0]}]')
+    assert rig.models[0].max_range == 4.5 and rig.models[0].horizontal_fov == pytest.approx(
+        np.pi / 2)
+
+
+@pytest.mark.parametrize(('keys', 'words'), [
+    ('focal_length: 4.0', 'cameras[0].focal_length: found no sensor_size; expected both or none'),
+    ('sensor_size: [8, 6]', 'cameras[0].sensor_size: found no focal_length'),
+    ('focal_length: 4.0, sensor_size: [8, 6], vertical_fov: 60',
+     'cameras[0].vertical_fov: found it beside focal_length'),
+    ('focal_length: 4.0, sensor_size: [8, 0]', 'sensor_size')])
+def test_half_a_lens_is_refused(tmp_path, keys, words):
+    with pytest.raises(ConfigurationError, match=re.escape(words)):
+        rig_in(tmp_path, f'cameras: [{{{keys}, max_range: 5}}]')
 
 def test_what_is_left_out_has_defaults(tmp_path):
     rig = rig_in(tmp_path, 'cameras: [{sensor: omnidirectional}]')

@@ -47,6 +47,8 @@ ANYWHERE, NEIGHBOURS = 0.3, 12
 EXCHANGED = 0.1
 #: Standard deviation of a move's first and last steps: metres and radians.
 FAR, NEAR = np.array([0.4, 0.3]), np.array([0.01, 0.01])
+#: Share of the moves whose roll is drawn anew, where the mount offers several.
+FLIPPED = 0.2
 #: Moves that are drawn at once, of which the first that is allowed is taken.
 DRAWN = 4
 #: Temperatures are taken from this loss at least.
@@ -222,6 +224,9 @@ def poses_around(region: FeasibleRegion, pose: np.ndarray, model: CameraModel, f
     if not model.omnidirectional:
         poses[:, 3:5] += rng.normal(0.0, turn, (count, 2))
         poses[:, 4] = np.clip(poses[:, 4], *region.rig.pitch)
+        if len(rolls := region.rig.rolls) > 1:
+            flipped = rng.random(count) < FLIPPED
+            poses[flipped, 5] = rng.choice(rolls, np.count_nonzero(flipped))
     return as_written(poses)
 
 

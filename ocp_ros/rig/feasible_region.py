@@ -27,6 +27,8 @@ from ocp_ros.util.settings import ConfigurationError
 #: Metres and radians that a camera may be off its height and its pitch, and metres that distances
 #: may fall short: who hangs exactly where it is asked for is not a rounding away from it.
 LEEWAY, SHORT, ROUNDING = 0.01, 0.001, 1e-5
+#: Radians that a camera may be off the rolls of its mount: brackets are turned by hand.
+ROLL_LEEWAY = np.deg2rad(10.0)
 #: What messages call the constraint that a ball can be carried to a camera.
 FREE_SPACE = 'free space'
 #: Metres from a camera on a wall into the room, where there has to be floor.
@@ -125,9 +127,9 @@ class FeasibleRegion:
         """
         offered = places_in(self.rig, self.scene, self.space, self.surface)
         headings = headings_of(self.rig, model)
-        # A pitch that is allowed, so that only the place is judged.
+        # A pitch and a roll that are allowed, so that only the place is judged.
         level = np.zeros((len(offered.positions), 6))
-        level[:, :3], level[:, 4] = offered.positions, headings[0, 1]
+        level[:, :3], level[:, 4:] = offered.positions, headings[0, 1:]
         good = self.allowed(level, model)
         if not good.any():
             raise self.rig.document.error(
@@ -223,6 +225,7 @@ class FeasibleRegion:
                 f'found a position in keep-out zone {number}; expected one outside; '
                 'move it out'))
         yield from self._pitch(poses, models)
+        yield from self._roll(poses, models)
         for fixed in self.rig.fixed:
             away = np.linalg.norm(positions - fixed.pose[:3], axis=1)
             near = away < self.rig.spacing - SHORT
@@ -297,6 +300,19 @@ class FeasibleRegion:
         yield Check('pitch', wrong, lambda k: (
             f'found a pitch of {np.rad2deg(pitch[k]):.0f} degrees; expected '
             f'{np.rad2deg(low):.0f} to {np.rad2deg(high):.0f} (pitch); tilt it'))
+
+    def _roll(self, poses: np.ndarray, models: Sequence[CameraModel | None]) -> Iterator[Check]:
+        """Check that the mount offers the roll, where the rig file says which it offers."""
+        if poses.shape[1] == 3 or 'roll' not in self.rig.document.data:
+            return
+        roll, rolls = poses[:, 5], np.array(self.rig.rolls)
+        away = np.abs((roll[:, None] - rolls + np.pi) % (2.0 * np.pi) - np.pi).min(axis=1)
+        wrong = (away > ROLL_LEEWAY) & np.array(
+            [model is None or not model.omnidirectional for model in models], dtype=bool)
+        offered = ' or '.join(f'{angle:.0f}' for angle in np.rad2deg(rolls))
+        yield Check('roll', wrong, lambda k: (
+            f'found a roll of {np.rad2deg(roll[k]):.0f} degrees; expected {offered} (roll); turn '
+            'it about its viewing direction'))
 
     def _too_near(self, away: float, other: str) -> str:
         """Say that two cameras are too near to each other."""

@@ -121,12 +121,13 @@ def headings_of(rig: Rig, model: CameraModel) -> np.ndarray:
     pitches = low + (high - low) * (np.arange(count) + 0.5) / count
     if model.horizontal_fov >= FULL_TURN - 1e-9:
         # As level as may be.
-        return np.array([[0.0, np.clip(0.0, low, high), 0.0]])
+        return np.array([[0.0, np.clip(0.0, low, high), rig.rolls[0]]])
     step = np.deg2rad(WIDE_STEP if model.horizontal_fov >= np.deg2rad(WIDE) else NARROW_STEP)
     yaws = np.arange(0.0, FULL_TURN - 1e-9, step)
     if rig.mount.on == 'walls':
         yaws = np.deg2rad(np.arange(-SIDEWAYS, SIDEWAYS + 1.0, NARROW_STEP))
-    return np.array([(yaw, pitch, 0.0) for pitch in pitches for yaw in yaws])
+    return np.array([(yaw, pitch, roll) for roll in rig.rolls for pitch in pitches
+                     for yaw in yaws])
 
 
 def first_headings(rig: Rig, positions: np.ndarray, middle: np.ndarray) -> np.ndarray:
@@ -138,6 +139,7 @@ def first_headings(rig: Rig, positions: np.ndarray, middle: np.ndarray) -> np.nd
     :returns: (K, 3) yaw, pitch and roll in radians.
     """
     headings = outwards(len(positions), float(np.clip(0.0, *rig.pitch)))
+    headings[:, 2] = rig.rolls[0]
     if rig.mount.on == 'walls':
         way = middle - positions[:, :2]
         headings[:, 0] = np.arctan2(way[:, 1], way[:, 0])

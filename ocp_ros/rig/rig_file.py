@@ -108,6 +108,7 @@ class Rig:
     fixed: tuple[Fixed, ...]
     mount: Mount
     pitch: tuple[float, float]
+    rolls: tuple[float, ...]
     keep_clear: float
     spacing: float
     keep_out: tuple[Zone, ...]
@@ -239,6 +240,7 @@ def model_of(document: Document, way: Way) -> CameraModel:
     given = {key: data[key] for key in MODEL if key in data}
     given = {key: float(np.deg2rad(value)) if key.endswith('fov') else value
              for key, value in given.items()}
+    given |= _lens(document, way, given)
     if 'resolution' in given:
         given['resolution'] = tuple(given['resolution'])
     sensor = given.pop('sensor', None)
@@ -262,6 +264,24 @@ def model_of(document: Document, way: Way) -> CameraModel:
     return replace(preset, **given)
 
 
+def _lens(document: Document, way: Way, given: dict[str, Any]) -> dict[str, float]:
+    """Take the keys of a plain lens out, and return the field of view of a pinhole with it."""
+    focal, size = given.pop('focal_length', None), given.pop('sensor_size', None)
+    if focal is None and size is None:
+        return {}
+    if focal is None or size is None:
+        there, missing = ('sensor_size', 'focal_length') if focal is None else (
+            'focal_length', 'sensor_size')
+        raise document.error((*way, there), f'no {missing}', 'both or none',
+                             f'add {missing}: {MODEL[missing]["examples"][0]}')
+    for key in ('horizontal_fov', 'vertical_fov'):
+        if key in given:
+            raise document.error((*way, key), 'it beside focal_length', 'one of the two, which '
+                                 'both say the field of view', f'leave {key} out')
+    return dict(zip(('horizontal_fov', 'vertical_fov'),
+                    (2.0 * float(np.arctan(edge / (2.0 * focal))) for edge in size)))
+
+
 def pose_of(data: dict[str, Any]) -> np.ndarray:
     """Return position, yaw, pitch and roll of a file as a pose: (6,) metres and radians."""
     angles = np.deg2rad([float(data.get(key, 0.0)) for key in ('yaw', 'pitch', 'roll')])
@@ -283,6 +303,7 @@ def rig_from(document: Document) -> Rig:
                              'as many as there are cameras', 'lower it or add cameras')
     low, high = _range(document, ('pitch',), data.get('pitch', [0.0, 90.0]))
     return Rig(cameras, fixed, _mount(document), (float(np.deg2rad(low)), float(np.deg2rad(high))),
+               tuple(map(float, np.deg2rad(data.get('roll', [0.0])))),
                float(data.get('keep_clear', 0.2)), float(data.get('spacing', SPACING)),
                tuple(zone_of(document, (key, k)) for key in ('keep_out', 'no_go')
                      for k in range(len(data.get(key, ())))),

@@ -62,6 +62,15 @@ SENSORS = {
         'Orbbec Femto Bolt, NFOV unbinned', (0.5, 3.86), (75.0, 65.0), (640, 576), ORBBEC),
     'femto_bolt_wfov': _sensor(
         'Orbbec Femto Bolt, WFOV 2x2 binned', (0.25, 2.88), (120.0, 120.0), (512, 512), ORBBEC),
+    'gemini_2': _sensor(
+        'Orbbec Gemini 2', (0.2, 5.0), (91.0, 66.0), (1280, 800),
+        'Seeed Studio, wiki page of the Orbbec Gemini 2: ideal range 0.2 to 5 m, 91 x 66 degrees, '
+        '1280 x 800'),
+    'zed_2i_wide': _sensor(
+        'Stereolabs ZED 2i, 2.1 mm lens, HD720', (0.3, 12.0), (93.0, 61.0), (1280, 720),
+        'Stereolabs, depth settings: ideal range 0.3 to 12 m; its support on the depth map of '
+        'HD720: 93 degrees across, less than the 110 of the sheet, which are those before '
+        'rectification; 61 degrees down follow from 1280 x 720 square pixels'),
     'kinect_v2': _sensor(
         'Microsoft Kinect for Windows v2', (0.5, 4.5), (70.0, 60.0), (512, 424),
         'Microsoft, Kinect for Windows v2 hardware features: 0.5 to 4.5 m, 70 x 60 degrees'),
