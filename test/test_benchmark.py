@@ -9,7 +9,8 @@ from conftest import Here, rows_for
 import numpy as np
 import pytest
 
-from ocp_ros.cli import benchmark_command, main as cli
+from ocp_ros.cli import benchmark_command
+from ocp_ros.cli import main as cli
 from ocp_ros.evaluation import task_runner
 from ocp_ros.evaluation.benchmark_rooms import rooms_in, TEST_ROOMS
 from ocp_ros.evaluation.protocol import (

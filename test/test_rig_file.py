@@ -65,7 +65,6 @@ def test_every_key_arrives_in_metres_and_radians(tmp_path):
     assert table.where == 'rig.yaml: line 15, regions[0]'
 
 
-
 def test_a_plain_lens_is_a_pinhole(tmp_path):
     model = rig_in(tmp_path, 'cameras: [{focal_length: 4.0, sensor_size: [8.0, 6.0], '
                              'max_range: 5}]').models[0]
@@ -86,6 +85,7 @@ def test_a_plain_lens_is_a_pinhole(tmp_path):
 def test_half_a_lens_is_refused(tmp_path, keys, words):
     with pytest.raises(ConfigurationError, match=re.escape(words)):
         rig_in(tmp_path, f'cameras: [{{{keys}, max_range: 5}}]')
+
 
 def test_what_is_left_out_has_defaults(tmp_path):
     rig = rig_in(tmp_path, 'cameras: [{sensor: omnidirectional}]')
