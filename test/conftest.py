@@ -357,6 +357,12 @@ def flat_clouds():
             'all alike': np.ones((300, 3)), 'one wall': wall, 'one wall askew': askew}
 
 
+def blank_report(folder, judged):
+    """Write no picture as the only page of a report: drawing takes longer than most plans."""
+    (folder / 'report.png').write_text('drawn')
+    yield folder / 'report.png'
+
+
 @contextmanager
 def refused_in_one_sentence(place, remedy):
     """Expect an error of a single sentence that begins with a place and has a remedy."""

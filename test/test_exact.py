@@ -5,7 +5,7 @@
 from itertools import combinations, product
 import json
 
-from conftest import made_room
+from conftest import blank_report, made_room
 from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
@@ -236,7 +236,7 @@ def files(tmp_path, monkeypatch):
     save_scene(made_room(8, 2000), tmp_path / 'room.ply')
     (tmp_path / 'rig.yaml').write_text(RIG)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr('ocp_ros.report.sheet.draw', lambda path, judged: path.touch())
+    monkeypatch.setattr('ocp_ros.report.sheet.draw', blank_report)
     return tmp_path
 
 

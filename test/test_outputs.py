@@ -10,7 +10,7 @@ import os
 import resource
 import sys
 
-from conftest import made_room, observation, random_checkpoint
+from conftest import blank_report, made_room, observation, random_checkpoint
 from markdown_it import MarkdownIt
 from matplotlib.figure import Figure
 import numpy as np
@@ -48,7 +48,7 @@ def files(tmp_path, monkeypatch):
     (tmp_path / 'placement.yaml').write_text(PLACEMENT)
     (tmp_path / 'config.yaml').write_text('interactions: 24  # few\n')
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr('ocp_ros.report.sheet.draw', lambda path, judged: path.write_text('drawn'))
+    monkeypatch.setattr('ocp_ros.report.sheet.draw', blank_report)
     return tmp_path
 
 

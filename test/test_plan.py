@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 
-from conftest import BAD_ROOMS, HUNG, made_room, MOUNTS, ROOT
+from conftest import BAD_ROOMS, blank_report, HUNG, made_room, MOUNTS, ROOT
 from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
@@ -266,7 +266,7 @@ def files(tmp_path, monkeypatch):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Leave the one-page report blank: it takes longer than the plan, and others look at it."""
-    monkeypatch.setattr('ocp_ros.report.sheet.draw', lambda path, judged: path.touch())
+    monkeypatch.setattr('ocp_ros.report.sheet.draw', blank_report)
 
 
 def planned(capsys, *arguments):

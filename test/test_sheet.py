@@ -54,7 +54,7 @@ def texts_of(figure):
 
 @pytest.mark.parametrize('count, number, named, together', [
     (1, 0, False, False), (4, 1, True, False), (6, 2, False, True), (9, 0, True, True),
-    (14, 1, False, True), (24, 2, True, False)])
+    (14, 1, False, True), (20, 1, False, False), (24, 2, True, False), (40, 1, False, False)])
 def test_all_labels_are_on_the_page_and_none_is_on_another(rooms, count, number, named, together):
     rng, room = np.random.default_rng(count), rooms[number]
     low, high = room[0].bounds
@@ -63,15 +63,19 @@ def test_all_labels_are_on_the_page_and_none_is_on_another(rooms, count, number,
         poses[:, :3] = poses[0, :3]
     cameras = [{'sensor': 'realsense_d455', 'count': count, **({'name': LONG} if named else {})}]
     judged = judged_in(room, rig_from(Document('rig', {'cameras': cameras})), poses)
-    figure = sheet.figure_of(judged)
-    texts = texts_of(figure)
-    width, height = figure.get_size_inches() * figure.dpi
-    for text, box in texts:
-        assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height, text
-    # A pixel more or less is what letters are rounded to.
-    for (one, a), (other, b) in combinations(texts, 2):
-        assert (min(a.x1, b.x1) - max(a.x0, b.x0) <= 1.5
-                or min(a.y1, b.y1) - max(a.y0, b.y0) <= 1.5), (one, other)
+    pages = list(sheet.figures_of_pages(judged))
+    assert len(pages) == (1 if count <= sheet.MOST else 2)
+    for figure in pages:
+        texts = texts_of(figure)
+        width, height = figure.get_size_inches() * figure.dpi
+        for text, box in texts:
+            assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height, text
+        # A pixel more or less is what letters are rounded to.
+        for (one, a), (other, b) in combinations(texts, 2):
+            assert (min(a.x1, b.x1) - max(a.x0, b.x0) <= 1.5
+                    or min(a.y1, b.y1) - max(a.y0, b.y0) <= 1.5), (one, other)
+    # The last page has the table, with every camera.
+    assert all(words.place in ' '.join(text for text, _ in texts) for words in judged.words)
 
 
 @pytest.mark.parametrize('number', range(3))
@@ -93,11 +97,11 @@ def test_numbers_in_the_plan_hide_neither_each_other_nor_the_walls(rooms, number
 def test_the_page_is_a4_on_its_side_and_says_what_was_found(rooms, tmp_path):
     poses = np.array([[*rooms[2][0].bounds.mean(axis=0)[:2], 1.9, 0.0, 0.3, 0.0]])
     judged = judged_in(rooms[2], rig_of(1, 'd455', pitch=[30, 60]), poses)
-    sheet.draw(tmp_path / 'new' / 'report.png', judged)
+    list(sheet.draw(tmp_path / 'new', judged))
     image = imread(tmp_path / 'new' / 'report.png')
     assert image.shape[1] / image.shape[0] == pytest.approx(297 / 210, rel=0.01)
     assert image.shape[1] >= 1700
-    texts = ' '.join(text for text, _ in texts_of(sheet.figure_of(judged)))
+    texts = ' '.join(text for text, _ in texts_of(next(sheet.figures_of_pages(judged))))
     scores = judged.found['scores']
     for words in ('room-8: 1 camera', metres(scores['depth_error']),
                   f'{100 * scores["seen"]:.1f} %', 'seen by no camera', 'mm/m²',
@@ -133,10 +137,10 @@ def test_zones_of_a_rig_are_drawn_and_explained_and_the_foot_has_no_path(rooms):
     judged = judge(rooms[2][0], placement_of(rig, poses, engine=ENGINE), rooms[2][1],
                    'ocp score /home/me/a.ply --rig=sub/rig.yaml')
     kinds = {'keep-out zone', 'weighted region', 'must-see region'}
-    for drawn in (sheet.figure_of(judged), floor_plan.figure_of(judged)):
+    for drawn in (next(sheet.figures_of_pages(judged)), floor_plan.figure_of(judged)):
         assert kinds <= {patch.get_label() for patch in drawn.axes[0].patches}
         assert kinds <= {text for text, _ in texts_of(drawn)}
-    text = ' '.join(text for text, _ in texts_of(sheet.figure_of(judged)))
+    text = ' '.join(text for text, _ in texts_of(next(sheet.figures_of_pages(judged))))
     assert 'a.ply --rig=rig.yaml' in text and '/home' not in text and 'sub/' not in text
 
 
@@ -193,7 +197,7 @@ def test_letters_that_the_usual_font_lacks_are_those_of_an_installed_one(tmp_pat
 def test_letters_that_no_font_has_are_no_reason_to_complain(rooms, tmp_path, recwarn):
     scene = replace(rooms[2][0], name='\ue000')
     poses = np.array([[*scene.bounds.mean(axis=0)[:2], 1.9, 0.0, 0.3, 0.0]])
-    sheet.draw(tmp_path / 'report.png', judged_in((scene, rooms[2][1]), rig_of(1, 'd455'), poses))
+    list(sheet.draw(tmp_path, judged_in((scene, rooms[2][1]), rig_of(1, 'd455'), poses)))
     assert not recwarn.list and (tmp_path / 'report.png').stat().st_size > 10000
 
 

@@ -26,7 +26,7 @@ from ocp_ros.util.yaml_files import written
 
 #: All that is written of a placement, and the part of it that counting cameras adds.
 CURVE = 'curve.png'
-WRITTEN = (*FORMS, 'report.png', 'report.html', CURVE)
+WRITTEN = (*FORMS, 'report.png', 'report_2.png', 'report.html', CURVE)
 #: How a scan is read, as command lines and placement files say it.
 READING = ('scale', 'up', 'drop_nonfinite')
 
@@ -103,8 +103,7 @@ def reports(folder: Path, judged: Assessment) -> Iterator[Path]:
     # What draws is slow to import, and most placements are judged without.
     from ocp_ros.report import sheet
     from ocp_ros.report.viewer import write_view
-    sheet.draw(folder / 'report.png', judged)
-    yield folder / 'report.png'
+    yield from sheet.draw(folder, judged)
     write_view(folder / 'report.html', judged.scene, judged)
     yield folder / 'report.html'
 

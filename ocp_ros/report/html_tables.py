@@ -37,7 +37,7 @@ def tables_of(judged: Assessment) -> Iterator[str]:
         yield '<h2>Regions</h2>' + _table(('region', 'seen', 'required', 'satisfied'), [
             (region['name'], percent(region['seen']), percent(region['must_see']),
              'yes' if region['met'] else 'no') for region in found['scores']['regions']])
-    yield f'<p>{escape(figures.foot)}</p>'
+    yield from (f'<p>{escape(line)}</p>' for line in figures.foot)
 
 
 def _named(words: Words) -> str:

@@ -4,10 +4,16 @@
 
 from collections import Counter
 import re
+import shlex
 from typing import NamedTuple
 
 from ocp_ros.report.assessment import Assessment
 from ocp_ros.util.shown_text import printable
+
+
+DISTANCES = 'distances are perpendicular to the walls, to the centre of the front of a camera'
+#: Folders before the name of a file, in a word of a command line.
+FOLDERS = re.compile(r'(?<![^=])[^=]*/(?=[^/])')
 
 
 class Figures(NamedTuple):
@@ -20,7 +26,8 @@ class Figures(NamedTuple):
     :ivar kept: whether nothing is wrong: every constraint is kept, and there are no doubts.
     :ivar doubts: what may be wrong with the room or the file, a sentence each.
     :ivar cards: label, value and a remark of each key figure.
-    :ivar foot: by which planner, by what command and when.
+    :ivar foot: two lines: by which planner, by what command and when; what was mended, and what
+        distances mean.
     """
 
     title: str
@@ -29,7 +36,7 @@ class Figures(NamedTuple):
     kept: bool
     doubts: tuple[str, ...]
     cards: list[tuple[str, str, str]]
-    foot: str
+    foot: tuple[str, str]
 
 
 def figures_of(judged: Assessment) -> Figures:
@@ -41,26 +48,29 @@ def figures_of(judged: Assessment) -> Figures:
     title = f'{scene.name}: {len(cameras)} camera{"s" * (len(cameras) != 1)}'
     subtitle = f'{width:.1f} x {depth:.1f} x {scene.size[2]:.1f} m, {len(scene):,} points; ' + \
         ', '.join(f'{count} x {sensor.replace("_", " ")}' for sensor, count in sensors.items())
-    subtitle = '; '.join([subtitle, *scene.remarks])
     verdict = 'all constraints are satisfied' if not broken else (
         f'{len(broken)} constraint{"s" * (len(broken) != 1)} violated')
     made = judged.placement.created
-    foot = '; '.join(filter(None, [
+    origin = '; '.join(filter(None, [
         f'found by the planner {made["planner"]}' if 'planner' in made else '',
         f'made by {without_folders(made["command"])}' if 'command' in made else '',
         made.get('date', ''),
-        f'ocp_ros {made["version"]}' if 'version' in made else '',
-        'distances are perpendicular to the walls, to the centre of the front of a camera']))
+        f'ocp_ros {made["version"]}' if 'version' in made else '']))
+    meaning = '; '.join([*scene.remarks, DISTANCES])
     doubts = tuple(map(printable, judged.found.get('notes', ())))
     if doubts:
         verdict += ', but the scan is doubtful'
     return Figures(title, subtitle, verdict, not (broken or doubts), doubts,
-                   _cards(judged, scores), printable(foot))
+                   _cards(judged, scores), (printable(origin), printable(meaning)))
 
 
 def without_folders(command: str) -> str:
     """Return a command with the names of files alone, without their folders."""
-    return re.sub(r'[^\s\'"=]*/(?=[^\s\'"/])', '', command)
+    try:
+        parts = shlex.split(command)
+    except ValueError:
+        return FOLDERS.sub('', command)
+    return shlex.join(FOLDERS.sub('', part) for part in parts)
 
 
 def _cards(judged: Assessment, scores: dict) -> list[tuple[str, str, str]]:

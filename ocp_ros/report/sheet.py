@@ -1,11 +1,14 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One page that says at a glance what a placement is worth and how to hang it up."""
+"""One page that says at a glance what a placement is worth and how to mount it."""
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple, TypeAlias
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.patches import FancyBboxPatch, Patch
 import numpy as np
@@ -24,58 +27,137 @@ from ocp_ros.report.key_figures import Figures, figures_of
 WIDTH, HEIGHT, MARGIN, DOTS = 11.69, 8.27, 0.4, 150
 #: Cameras that the table has room for, and inches of a row; more cameras have lower rows.
 MOST, ROW, LOW_ROW, FEW = 20, 0.175, 0.135, 9
-#: Inches: left edge of the maps.
-MAPS = 4.42
+#: Inches: bottom of the table; height of a picture's title; least and greatest width of the plan;
+#: width of a map.
+FOOT, TITLE, PLAN, MAP = 0.42, 0.32, (1.8, 3.7), 2.1
+#: How many times as wide as deep rooms are whose maps lie below the plan, and widths of these.
+WIDE, WIDE_PLAN, WIDE_MAP = 1.6, 6.0, 2.85
+#: The pages; the second one where the table has more rows than the first one has room for.
+PAGES = ('report.png', 'report_2.png')
+DEPTH_ERROR = ('Depth error: how much deeper the room looks when only the points that the cameras '
+               'see are left; the sum over five viewpoints of the mean over all directions. 0 m is '
+               'perfect.')
 GOOD, BAD = '#00664d', '#b04a00'
 #: Doubts about the room that there is space for.
 DOUBTS = 2
-#: Where the viewer stands: before the corners C and D, B and C, A and B, D and A.
-CORNERS = {'C and D': -125.0, 'B and C': -55.0, 'A and B': 55.0, 'D and A': 125.0}
+#: Where the viewer stands: before the corners of two walls.
+CORNERS = {'C, D': -125.0, 'B, C': -55.0, 'A, B': 55.0, 'D, A': 125.0}
+#: Left, bottom, width and height, inches.
+Box: TypeAlias = tuple[float, float, float, float]
 
 
-def draw(path: str | Path, judged: Assessment) -> None:
+def draw(folder: Path, judged: Assessment) -> Iterator[Path]:
     """
-    Write the page as PNG, A4 on its side.
+    Write the pages as PNG, A4 on its side, and yield each: one, or two with many cameras.
 
-    :param path: file to write; its folder is made.
-    :param judged: the placement and what was found of it.
+    :param folder: it is made where it is not there.
     """
+    for name, figure in zip(PAGES, figures_of_pages(judged)):
+        with all_letters():
+            save_figure(figure, folder / name, dpi=DOTS)
+        yield folder / name
+
+
+def figures_of_pages(judged: Assessment) -> Iterator[Figure]:
+    """Draw the pages: the pictures with the table, which has a page of its own where it is long."""
     with all_letters():
-        save_figure(_figure(judged), path, dpi=DOTS)
+        pages = [_pictures(judged)]
+        if len(judged.placement.cameras) > MOST:
+            pages.append(_table_page(judged))
+    yield from pages
 
 
-def figure_of(judged: Assessment) -> Figure:
-    """Draw the page."""
-    with all_letters():
-        return _figure(judged)
-
-
-def _figure(judged: Assessment) -> Figure:
-    """Draw the page in the fonts that are set."""
-    figure = Figure(figsize=(WIDTH, HEIGHT), dpi=DOTS, facecolor='white')
+def _pictures(judged: Assessment) -> Figure:
+    """Draw the page of the pictures in the fonts that are set."""
+    figure = _page()
+    found = figures_of(judged)
     stage = assessment_pictures.stage_of(judged)
-    _draw_head(figure, judged)
-    bottom = _draw_cameras(figure, judged) + 0.42
-    high = 6.52 - bottom
-    plan = _axes(figure, MARGIN + 0.15, bottom + 0.1, 3.7, high - 0.1)
-    assessment_pictures.draw_room_plan(plan, stage, judged)
-    _title(figure, MARGIN, 'Plan: what each camera could reach (m along the walls)')
-    half = 0.5 * (high - 0.32)
-    counts = _axes(figure, MAPS, bottom + half + 0.32, 2.1, half)
-    assessment_pictures.draw_count_map(counts, stage, judged)
-    _title(figure, MAPS, 'Seen by how many cameras')
-    errors = _axes(figure, MAPS, bottom, 2.1, half)
-    image = assessment_pictures.draw_error_map(errors, stage, judged)
-    _title(figure, MAPS, 'Where the depth error is', bottom + half + 0.14)
-    bar = figure.colorbar(image, cax=_axes(figure, MAPS + 2.14, bottom + 0.1, 0.07, half - 0.2))
-    bar.set_label('depth error per floor area (mm/m²)', fontsize=6, color=PALE_INK, labelpad=2.0)
+    _draw_head(figure, found)
+    top = FOOT if len(judged.placement.cameras) > MOST else _draw_cameras(figure, judged)
+    _draw_foot(figure, found)
+    bottom = top + 0.58
+    slots = _slots(judged, bottom, 6.52 - bottom)
+    assessment_pictures.draw_room_plan(_axes(figure, *slots.plan), stage, judged)
+    _title(figure, slots.plan, 'Plan (m)')
+    assessment_pictures.draw_count_map(_axes(figure, *slots.counts), stage, judged)
+    _title(figure, slots.counts, 'Seen by how many cameras')
+    image = assessment_pictures.draw_error_map(_axes(figure, *slots.errors), stage, judged)
+    _title(figure, slots.errors, 'Where the depth error is')
+    left, low, width, high = slots.errors
+    _draw_bar(figure, image, (left + width + 0.04, low + 0.1, 0.07, high - 0.2))
+    for box, (corner, azimuth) in zip(slots.looks, CORNERS.items()):
+        assessment_pictures.draw_look(_axes(figure, *box), stage, judged, np.deg2rad(azimuth))
+        _title(figure, box, f'From corner {corner}')
+    _draw_legend(figure, bottom - 0.16, judged)
+    figure.text(0.5, (bottom - 0.36) / HEIGHT, shortened(DEPTH_ERROR, WIDTH - 2.0 * MARGIN, 6.8),
+                fontsize=6.8, color=PALE_INK, va='center', ha='center')
+    return figure
+
+
+def _table_page(judged: Assessment) -> Figure:
+    """Draw the page of a table with many cameras."""
+    figure, found = _page(), figures_of(judged)
+    _write_title(figure, found)
+    _draw_foot(figure, found)
+    rows = len(judged.placement.cameras) + 1
+    _draw_cameras(figure, judged, min(ROW, (7.4 - FOOT) / rows))
+    return figure
+
+
+def _page() -> Figure:
+    """Return an empty page."""
+    return Figure(figsize=(WIDTH, HEIGHT), dpi=DOTS, facecolor='white')
+
+
+class _Slots(NamedTuple):
+    """Where the pictures are: left, bottom, width and height of each, inches."""
+
+    plan: Box
+    counts: Box
+    errors: Box
+    looks: list[Box]
+
+
+def _slots(judged: Assessment, bottom: float, high: float) -> _Slots:
+    """
+    Share a page: the plan gets as much of it as its room fills.
+
+    :param bottom: of all pictures, inches.
+    :param high: of all pictures, inches.
+    """
+    width, depth = (wall.length for wall in judged.walls[:2])
+    half = 0.5 * (high - TITLE)
+    if width > WIDE * depth:
+        # The maps lie below the plan.
+        low = float(np.clip(1.2 * depth / width * WIDE_MAP, 0.8, 0.4 * high))
+        plan = (MARGIN + 0.15, bottom + low + TITLE + 0.1, WIDE_PLAN, high - low - TITLE - 0.1)
+        counts = (MARGIN, bottom, WIDE_MAP, low)
+        errors = (MARGIN + WIDE_MAP + 0.15, bottom, WIDE_MAP, low)
+        looks = MARGIN + WIDE_PLAN + 0.45
+    else:
+        around = 0.2 * max(width, depth)
+        wide = float(np.clip(high * (width + around) / (depth + around), *PLAN))
+        plan = (MARGIN + 0.15, bottom + 0.1, wide, high - 0.1)
+        left = MARGIN + wide + 0.32
+        counts = (left, bottom + half + TITLE, MAP, half)
+        errors = (left, bottom, MAP, half)
+        looks = left + MAP + 0.63
+    wide = 0.5 * (WIDTH - MARGIN - looks - 0.1)
+    return _Slots(plan, counts, errors, [
+        (looks + column * (wide + 0.1), bottom + row * (half + TITLE), wide, half)
+        for row in (1, 0) for column in (0, 1)])
+
+
+def _draw_bar(figure: Figure, image: AxesImage, box: Box) -> None:
+    """Draw the colour bar of the depth error in a box, inches."""
+    bar = figure.colorbar(image, cax=_axes(figure, *box))
+    size = 6.0 if box[3] > 1.6 else 5.0
+    bar.set_label('depth error per floor area (mm/m²)' if box[3] > 1.4 else 'mm/m²', fontsize=size,
+                  color=PALE_INK, labelpad=2.0)
     bar.set_ticks(_few_ticks(image.norm.vmax))
     bar.minorticks_off()
     bar.ax.tick_params(labelsize=5.5, colors=PALE_INK, length=1.5, pad=1.0)
     bar.outline.set_visible(False)
-    _draw_looks(figure, stage, judged, bottom, half)
-    _draw_legend(figure, bottom - 0.16, judged)
-    return figure
 
 
 def _axes(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
@@ -83,9 +165,10 @@ def _axes(figure: Figure, left: float, bottom: float, width: float, height: floa
     return figure.add_axes((left / WIDTH, bottom / HEIGHT, width / WIDTH, height / HEIGHT))
 
 
-def _title(figure: Figure, left: float, text: str, y: float = 6.66) -> None:
-    """Write what a picture shows above it, inches."""
-    figure.text(left / WIDTH, y / HEIGHT, text, fontsize=8, fontweight='bold', color=INK,
+def _title(figure: Figure, box: Box, text: str) -> None:
+    """Write what a picture shows above its box, inches."""
+    left, bottom, _, height = box
+    figure.text(left / WIDTH, (bottom + height + 0.14) / HEIGHT, text, fontsize=8, fontweight='bold', color=INK,
                 va='center')
 
 
@@ -96,17 +179,21 @@ def _few_ticks(most: float) -> np.ndarray:
     return np.array([0.0, 0.1 * top, 0.4 * top, top])
 
 
-def _draw_head(figure: Figure, judged: Assessment) -> None:
-    """Write the room's name, what stands in it, and the key figures."""
-    found: Figures = figures_of(judged)
-    figure.text(MARGIN / WIDTH, 7.92 / HEIGHT, shortened(found.title, 7.0, 15, True), fontsize=15,
+def _write_title(figure: Figure, found: Figures) -> None:
+    """Write the room's name, what is in it, and the verdict."""
+    figure.text(MARGIN / WIDTH, 7.92 / HEIGHT, shortened(found.title, 5.6, 15, True), fontsize=15,
                 fontweight='bold', color=INK, va='center')
     figure.text(MARGIN / WIDTH, 7.66 / HEIGHT,
                 shortened(found.subtitle, 4.6 if found.doubts else 10.8, 8), fontsize=8,
                 color=PALE_INK, va='center')
-    figure.text((WIDTH - MARGIN) / WIDTH, 7.92 / HEIGHT, shortened(found.verdict, 3.6, 9.5, True),
+    figure.text((WIDTH - MARGIN) / WIDTH, 7.92 / HEIGHT, shortened(found.verdict, 5.0, 9.5, True),
                 fontsize=9.5, fontweight='bold', va='center', ha='right',
                 color=GOOD if found.kept else BAD)
+
+
+def _draw_head(figure: Figure, found: Figures) -> None:
+    """Write the title, what is doubtful, and the key figures."""
+    _write_title(figure, found)
     for number, doubt in enumerate(found.doubts[:DOUBTS]):
         more = len(found.doubts) - DOUBTS
         text = f'{doubt} (and {more} more)' if more > 0 and number == DOUBTS - 1 else doubt
@@ -128,19 +215,6 @@ def _draw_head(figure: Figure, judged: Assessment) -> None:
                         va='center', fontweight='bold' if bold else 'normal')
 
 
-def _draw_looks(figure: Figure, stage: assessment_pictures.Stage, judged: Assessment,
-                bottom: float, half: float) -> None:
-    """Draw four looks into the room."""
-    left, wide = 7.15, 2.02
-    for number, (corner, azimuth) in enumerate(CORNERS.items()):
-        x = left + (number % 2) * (wide + 0.1)
-        y = bottom + (1 - number // 2) * (half + 0.32)
-        assessment_pictures.draw_look(_axes(figure, x, y, wide, half), stage, judged,
-                                      np.deg2rad(azimuth))
-        _title(figure, x, f'From the corner of {corner}',
-               6.66 if number < 2 else bottom + half + 0.14)
-
-
 def _draw_legend(figure: Figure, y: float, judged: Assessment) -> None:
     """Explain the marks of all pictures in one line, inches from the bottom."""
     entries = {'camera': Line2D([], [], color=camera_colour(0), marker='o', markersize=6,
@@ -159,13 +233,18 @@ def _draw_legend(figure: Figure, y: float, judged: Assessment) -> None:
                   bbox_to_anchor=(0.5, y / HEIGHT), borderpad=0.0, borderaxespad=0.0)
 
 
-def _draw_cameras(figure: Figure, judged: Assessment) -> float:
-    """Draw the installer's table; return how high it reaches, inches."""
-    placed, left_out = judged.placement.cameras, len(judged.placement.cameras) - MOST
-    rows = [['', 'camera', 'sensor', 'place', 'height', 'pan', 'tilt', 'x, y, z',
+def _draw_cameras(figure: Figure, judged: Assessment, step: float | None = None) -> float:
+    """
+    Draw the installer's table at the foot of a page.
+
+    :param step: height of a row, inches; by the number of cameras unless given.
+    :returns: how high the table reaches, inches.
+    """
+    placed = judged.placement.cameras
+    rows = [['', 'camera', 'sensor', 'place', 'height', 'pan', 'tilt', 'x, y, z (m)',
              'error reduction']]
     for number, (one, words, added) in enumerate(zip(
-            placed[:MOST], judged.words, judged.found['scores']['cameras']), start=1):
+            placed, judged.words, judged.found['scores']['cameras']), start=1):
         name = f'{words.name} (fixed)' if one.mount == 'fixed' else words.name
         sensor = '' if words.name.startswith(words.sensor) else words.sensor
         rows.append([str(number), name, sensor, words.place,
@@ -173,13 +252,16 @@ def _draw_cameras(figure: Figure, judged: Assessment) -> float:
                      words.coordinates, f'{added["depth_error"]:.3f} m'])
     if not any(row[2] for row in rows[1:]):
         rows = [[*row[:2], *row[3:]] for row in rows]
-    step = ROW if len(rows) - 1 <= FEW else LOW_ROW
+    step = step or (ROW if len(rows) - 1 <= FEW else LOW_ROW)
     high = step * len(rows)
-    draw_table(figure, (MARGIN, 0.42, WIDTH - 2.0 * MARGIN, high), rows,
-               7.2 if step == ROW else 6.2,
+    draw_table(figure, (MARGIN, FOOT, WIDTH - 2.0 * MARGIN, high), rows,
+               7.2 if step == ROW else 6.2 if step >= LOW_ROW else 5.4,
                [dark(camera_colour(number)) for number in range(len(rows) - 1)])
-    found = figures_of(judged)
-    foot = found.foot if left_out <= 0 else f'{left_out} more cameras: installer.md. {found.foot}'
-    figure.text(MARGIN / WIDTH, 0.22 / HEIGHT, shortened(foot, WIDTH - 2.0 * MARGIN, 6.2),
-                fontsize=6.2, color=PALE_INK, va='center')
-    return 0.42 + high
+    return FOOT + high
+
+
+def _draw_foot(figure: Figure, found: Figures) -> None:
+    """Write how the placement was found, and what its distances mean."""
+    for line, y in zip(found.foot, (0.27, 0.15)):
+        figure.text(MARGIN / WIDTH, y / HEIGHT, shortened(line, WIDTH - 2.0 * MARGIN, 6.2),
+                    fontsize=6.2, color=PALE_INK, va='center')

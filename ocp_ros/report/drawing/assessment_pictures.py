@@ -13,7 +13,13 @@ import numpy as np
 from scipy import ndimage
 
 from ocp_ros.report.assessment import Assessment
-from ocp_ros.report.drawing.camera_labels import camera_colour, draw_numbers
+from ocp_ros.report.drawing.camera_labels import (
+    apart,
+    camera_colour,
+    draw_headings,
+    draw_numbers,
+    unit_of,
+)
 from ocp_ros.report.drawing.frustum_drawing import edges, reach
 from ocp_ros.report.drawing.room_drawing import (
     cut_open,
@@ -40,6 +46,8 @@ CELLS, CELL = 48, (0.1, 0.5)
 CONE, LONGEST = 0.15, 1.2
 #: Points that a picture shows.
 SHOWN = 16000
+#: Inches between the middles of two letters of walls.
+LETTER = 0.17
 #: Metres: edge of the cells that tell inside from outside.
 FINE = 0.1
 
@@ -91,13 +99,16 @@ def draw_room_plan(axes: Axes, stage: Stage, judged: Assessment) -> None:
         colour = camera_colour(number)
         seen = reach(placed.camera.model, placed.pose, (float(low), float(high)))
         part = Polygon(seen @ stage.upright[:2, :2].T, facecolor=(*to_rgb(colour), 0.2 * strength),
-                       edgecolor=(*to_rgb(colour), 0.9), linewidth=1.0, zorder=3)
+                       edgecolor=(*to_rgb(colour), 0.9 * strength), linewidth=1.0, zorder=3)
         axes.add_patch(part).set_clip_path(outline)
     _hide_outside(axes, stage)
     draw_zones(axes, judged.objective.rig, stage.upright[:2, :2], 3.8)
-    letters = _draw_walls(axes, judged)
     _frame(axes, stage, judged, 0.1)
-    draw_numbers(axes, positions(judged) @ stage.upright[:2].T, 7.0, letters)
+    letters = _draw_walls(axes, judged)
+    places = positions(judged) @ stage.upright[:2].T
+    longer = max(wall.length for wall in judged.walls)
+    draw_headings(axes, judged.placement, places, 0.07 * longer * stage.upright[:2, :2], 1.2)
+    draw_numbers(axes, places, 7.0, _area(judged), letters, always=True)
     left, bottom = _corner(judged)
     for axis, start, edge in ((axes.xaxis, left, judged.walls[0]),
                               (axes.yaxis, bottom, judged.walls[1])):
@@ -146,9 +157,12 @@ def _draw_walls(axes: Axes, judged: Assessment) -> np.ndarray:
         axes.text(*letters[-1], wall.letter, fontsize=10, fontweight='bold', color=INK,
                   ha='center', va='center', zorder=5,
                   path_effects=[patheffects.withStroke(linewidth=2.5, foreground='white')])
-    for inner in judged.references.inner:
-        letters.append(judged.upright[:2, :2] @ (inner.at + 0.5 * away * inner.outward))
-        axes.text(*letters[-1], inner.letter, fontsize=7, fontweight='bold', color=INK,
+    inner_walls = judged.references.inner
+    beside = np.array([judged.upright[:2, :2] @ (wall.at + 0.5 * away * wall.outward)
+                       for wall in inner_walls]).reshape(-1, 2)
+    for inner, at in zip(inner_walls, apart(beside, LETTER * unit_of(axes), np.array(letters))):
+        letters.append(tuple(at))
+        axes.text(*at, inner.letter, fontsize=7, fontweight='bold', color=INK,
                   ha='center', va='center', zorder=5,
                   path_effects=[patheffects.withStroke(linewidth=2.0, foreground='white')])
     return np.array(letters)
@@ -158,6 +172,11 @@ def _corner(judged: Assessment, far: bool = False) -> tuple[float, float]:
     """Return where walls D and C meet, or with ``far`` B and A, in the frame of the plan."""
     walls = judged.walls
     return (walls[1].offset, walls[0].offset) if far else (-walls[3].offset, -walls[2].offset)
+
+
+def _area(judged: Assessment) -> float:
+    """Return the area of the rectangle around the room, square metres."""
+    return judged.walls[0].length * judged.walls[1].length
 
 
 def _frame(axes: Axes, stage: Stage, judged: Assessment, margin: float) -> None:
@@ -216,7 +235,7 @@ def _small_map(axes: Axes, stage: Stage, judged: Assessment) -> None:
     axes.set_xticks([])
     axes.set_yticks([])
     _frame(axes, stage, judged, 0.02)
-    draw_numbers(axes, positions(judged) @ stage.upright[:2].T, 5.0)
+    draw_numbers(axes, positions(judged) @ stage.upright[:2].T, 5.0, _area(judged))
 
 
 def draw_look(axes: Axes, stage: Stage, judged: Assessment, azimuth: float) -> None:
@@ -242,4 +261,5 @@ def draw_look(axes: Axes, stage: Stage, judged: Assessment, azimuth: float) -> N
                   linestyle=(0, (2, 2)), zorder=3)
     _fit(axes, np.concatenate(shown), 0.02)
     axes.set_axis_off()
-    draw_numbers(axes, eye(places), 5.0)
+    # A room seen from a corner fills about half of the rectangle around it.
+    draw_numbers(axes, eye(places), 5.0, 0.5 * float(np.prod(np.ptp(outline.get_xy(), axis=0))))

@@ -7,9 +7,16 @@ from matplotlib.colors import to_rgb
 import numpy as np
 
 from ocp_ros.report.drawing.placement_picture import CAMERA_COLOURS
+from ocp_ros.report.drawing.room_drawing import INK
+from ocp_ros.rig.placement_file import Placement
 
 #: Inches for each point of size that the middles of two numbers are apart.
 APART = 0.032
+#: The smallest numbers that are read without a lens, points, and the share of a room's picture
+#: that numbers may hide.
+LEAST, HIDDEN = 4.5, 0.35
+#: Metres that a scale bar may be long.
+BARS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 NONE = np.empty((0, 2))
 
 
@@ -18,7 +25,7 @@ def camera_colour(number: int) -> str:
     return CAMERA_COLOURS[number % len(CAMERA_COLOURS)]
 
 
-def apart(places: np.ndarray, least: float, taken: np.ndarray, rounds: int = 200) -> np.ndarray:
+def apart(places: np.ndarray, least: float, taken: np.ndarray, rounds: int = 1000) -> np.ndarray:
     """
     Push places (K, 2) away from each other until all are so far apart, or nearly so.
 
@@ -37,28 +44,85 @@ def apart(places: np.ndarray, least: float, taken: np.ndarray, rounds: int = 200
     return moved
 
 
-def draw_numbers(axes: Axes, places: np.ndarray, size: float, taken: np.ndarray = NONE) -> None:
+def draw_numbers(axes: Axes, places: np.ndarray, size: float, area: float,
+                 taken: np.ndarray = NONE, always: bool = False) -> None:
     """
     Draw cameras (K, 2) as dots with numbers; those on top of each other get them beside.
 
-    :param size: of the letters, points.
+    Numbers become smaller where they would hide too much of the room, and are left out where they
+    would be too small.
+
+    :param size: of the largest letters, points.
+    :param area: of the room in the picture, in the square of the unit of the places.
     :param taken: (M, 2) where other letters are.
+    :param always: draw numbers, however much they hide.
     """
-    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    box = axes.get_position(original=True)
-    width, height = axes.get_figure(root=True).get_size_inches()
-    unit = max((right - left) / (box.width * width), (top - bottom) / (box.height * height))
+    unit = unit_of(axes)
+    size = min(size, float(np.sqrt(HIDDEN * area / len(places))) / unit / APART)
+    if size < LEAST and not always:
+        for number, place in enumerate(places):
+            _draw_dot(axes, place, camera_colour(number))
+        return
+    size = max(size, LEAST)
     least = APART * size * unit
     for number, (place, label) in enumerate(zip(places, apart(places, least, taken))):
         colour = camera_colour(number)
         if np.linalg.norm(label - place) > 0.2 * least:
             axes.plot(*np.stack([place, label]).T, color=colour, linewidth=1.0, zorder=6)
-        axes.plot(*place, 'o', color=colour, markersize=3.5, markeredgecolor='white',
-                  markeredgewidth=0.6, zorder=6)
+        _draw_dot(axes, place, colour)
         axes.text(label[0], label[1], str(number + 1), fontsize=size, fontweight='bold',
                   color='white', ha='center', va='center', zorder=7, clip_on=False,
                   bbox={'boxstyle': 'circle,pad=0.22', 'facecolor': dark(colour),
                         'edgecolor': 'white', 'linewidth': 0.8})
+
+
+def unit_of(axes: Axes) -> float:
+    """Return how much an inch of a picture stands for."""
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    box = axes.get_position(original=True)
+    width, height = axes.get_figure(root=True).get_size_inches()
+    return max((right - left) / (box.width * width), (top - bottom) / (box.height * height))
+
+
+def _draw_dot(axes: Axes, place: np.ndarray, colour: str) -> None:
+    """Draw where a camera is."""
+    axes.plot(*place, 'o', color=colour, markersize=3.5, markeredgecolor='white',
+              markeredgewidth=0.6, zorder=6)
+
+
+def draw_headings(axes: Axes, placement: Placement, places: np.ndarray, frame: np.ndarray,
+                  width: float) -> None:
+    """
+    Draw an arrow for each camera that does not see all around, the way it looks.
+
+    :param places: (K, 2) of the cameras.
+    :param frame: (2, 2) from the map frame to that of the picture; its scale is the length of the
+        arrows in metres.
+    :param width: of the lines, points.
+    """
+    for number, (placed, place) in enumerate(zip(placement.cameras, places)):
+        if placed.camera.model.horizontal_fov < 2.0 * np.pi - 1e-9:
+            yaw = np.deg2rad(placed.angles[0])
+            axes.annotate('', place + frame @ [np.cos(yaw), np.sin(yaw)], place, zorder=5,
+                          arrowprops={'arrowstyle': '-|>', 'color': camera_colour(number),
+                                      'lw': width, 'shrinkA': 0.0, 'shrinkB': 0.0})
+
+
+def draw_scale_bar(axes: Axes, size: float) -> None:
+    """
+    Draw a scale bar below the lower left corner of a plan in metres.
+
+    :param size: of the letters, points.
+    """
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    longest = 0.25 * max(right - left, top - bottom)
+    length = max((one for one in BARS if one <= longest), default=BARS[0])
+    x, y = left + 0.01 * (right - left), bottom + 0.012 * (top - bottom)
+    axes.plot([x, x, x, x + length, x + length, x + length],
+              [y, y + 0.012 * (top - bottom), y, y, y + 0.012 * (top - bottom), y],
+              color=INK, linewidth=1.0, zorder=8, clip_on=False, solid_capstyle='butt')
+    axes.text(x + 1.06 * length, y, f'{length:g} m', fontsize=size, color=INK, va='center',
+              zorder=8)
 
 
 def dark(colour: str) -> tuple[float, float, float]:

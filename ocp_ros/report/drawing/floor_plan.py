@@ -9,16 +9,22 @@ from matplotlib.figure import Figure
 import numpy as np
 
 from ocp_ros.report.assessment import Assessment
-from ocp_ros.report.drawing.camera_labels import apart, camera_colour, draw_numbers
+from ocp_ros.report.drawing.camera_labels import (
+    apart,
+    draw_headings,
+    draw_numbers,
+    draw_scale_bar,
+)
 from ocp_ros.report.drawing.figure_files import save_figure
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 from ocp_ros.report.drawing.zone_drawing import draw_zones, zone_legend
-from ocp_ros.rig.placement_file import Placement
 
 #: Metres above the floor and below the ceiling that a plan leaves out, and points that it shows.
 LOW, HIGH, SHOWN = 0.15, 0.4, 12000
 #: Points: size of the cameras' numbers, of the letters of sides, and of walls inside the room.
 NUMBERS, LETTERS, INNER = 12.0, 20.0, 13.0
+#: Inches: the longer edge of the plan, and the least of the shorter one.
+LONG, SHORT = 10.0, 4.5
 
 
 def draw_plan(path: Path, judged: Assessment) -> None:
@@ -33,12 +39,12 @@ def figure_of(judged: Assessment) -> Figure:
     low, high = scene.bounds[:, 2]
     points = scene.points[(scene.points[:, 2] > low + LOW) & (scene.points[:, 2] < high - HIGH)]
     flat = points[::max(len(points) // SHOWN, 1), :2] @ frame.T
-    figure = Figure(figsize=(10.0, 8.0), dpi=100, facecolor='white')
+    sides = [wall.offset for wall in walls]
+    x, y = (sides[1], -sides[3]), (sides[0], -sides[2])
+    figure = Figure(figsize=_inches(x[0] - x[1], y[0] - y[1]), dpi=100, facecolor='white')
     axes = figure.add_axes((0.05, 0.05, 0.9, 0.9), aspect='equal')
     axes.set_axis_off()
     axes.scatter(*flat.T, s=2.0, color=PALE_INK, alpha=0.4, linewidths=0.0)
-    sides = [wall.offset for wall in walls]
-    x, y = (sides[1], -sides[3]), (sides[0], -sides[2])
     axes.plot([x[0], x[0], x[1], x[1], x[0]], [y[0], y[1], y[1], y[0], y[0]], color=INK, lw=1.0)
     margin = 0.05 * max(wall.length for wall in walls)
     letters = np.array([(np.mean(x), y[0] + margin), (x[0] + margin, np.mean(y)),
@@ -56,9 +62,16 @@ def figure_of(judged: Assessment) -> Figure:
     if explained:
         figure.legend(explained.values(), explained.keys(), loc='lower center', frameon=False,
                       ncols=len(explained), fontsize=10, labelcolor=INK)
-    _draw_arrows(axes, placement, places, 2.0 * margin * frame)
-    draw_numbers(axes, places, NUMBERS, letters)
+    draw_headings(axes, placement, places, 2.0 * margin * frame, 2.0)
+    draw_numbers(axes, places, NUMBERS, (x[0] - x[1]) * (y[0] - y[1]), letters, always=True)
+    draw_scale_bar(axes, 10.0)
     return figure
+
+
+def _inches(width: float, depth: float) -> tuple[float, float]:
+    """Return width and height of a picture that a room of so many metres fills."""
+    scale = LONG / max(width, depth)
+    return max(scale * width, SHORT), max(scale * depth, SHORT)
 
 
 def _draw_distances(axes: Axes, judged: Assessment, places: np.ndarray, frame: np.ndarray,
@@ -75,11 +88,3 @@ def _draw_distances(axes: Axes, judged: Assessment, places: np.ndarray, frame: n
                   ha='center', va='center')
     return letters
 
-
-def _draw_arrows(axes: Axes, placement: Placement, places: np.ndarray, frame: np.ndarray) -> None:
-    """Draw where cameras look that do not see all around; the frame says how long arrows are."""
-    for number, (placed, place) in enumerate(zip(placement.cameras, places)):
-        if placed.camera.model.horizontal_fov < 2.0 * np.pi - 1e-9:
-            yaw = np.deg2rad(placed.angles[0])
-            axes.annotate('', place + frame @ [np.cos(yaw), np.sin(yaw)], place, arrowprops={
-                'arrowstyle': '-|>', 'color': camera_colour(number), 'lw': 2.5})
