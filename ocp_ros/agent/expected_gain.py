@@ -34,7 +34,7 @@ class ExpectedGain(NamedTuple):
         :param cloud: (M, 3) float32, metres, map frame: the points seen so far.
         :param state: the cameras as they are.
         :param placement: (K + F, 6) metres and radians: the cameras after the moves.
-        :param max_range: of cameras that see all around, metres.
+        :param max_range: of omnidirectional cameras, metres.
         :raises SceneError: if the points are too few or too flat to be a room.
         """
         model = PartialMap(cloud, state.placement[:, :3], max_range, POINTS, ROWS, FINE)

@@ -64,7 +64,7 @@ class WorldTurn:
     :param positions: (K, 3) metres: where they are, or will be after the turn.
     :param moved: (K, 2) the last moves, in units of ``LONGEST``.
     :param time: turns played so far / turns of the whole episode.
-    :param sight: what cameras see and how they are turned; None if all see all around.
+    :param sight: what cameras see and how they are turned; None if all are omnidirectional.
     """
 
     def __init__(self, model: PartialMap, unseen: np.ndarray, space: FreePlane,
@@ -139,7 +139,7 @@ class WorldInputs:
     def __init__(self, max_range: float, wall_margin: float, clearance: float = CLEARANCE
                  ) -> None:
         self.max_range, self.wall_margin, self.clearance = max_range, wall_margin, clearance
-        #: What cameras see and how they are turned; None if all see all around.
+        #: What cameras see and how they are turned; None if all are omnidirectional.
         self.sight: RigState | None = None
         self.reset()
 

@@ -108,7 +108,7 @@ class PartialMap:
         Compute what a camera would see of what is known.
 
         :param camera: (3,) x, y, z in metres, or (6,) with yaw, pitch and roll in radians.
-        :param lens: of the camera; None for one that sees all around.
+        :param lens: of the camera; None for an omnidirectional one.
         """
         view = View(no_bits(len(self.visibility.order)), no_bits(len(self.cells)))
         self.visibility.look(Pose.of(camera), self._lens if lens is None else lens, *view)
@@ -143,7 +143,7 @@ class PartialMap:
         Return the numbers of the cells that cameras cover together; see :meth:`look`.
 
         :param cameras: (K, 3) or (K, 6).
-        :param lenses: one for each; None for cameras that see all around.
+        :param lenses: one for each; None for omnidirectional cameras.
         """
         lenses = [None] * len(cameras) if lenses is None else lenses
         bits = np.bitwise_or.reduce([

@@ -43,15 +43,15 @@ class RigState(NamedTuple):
         """
         Return the lens of each camera: K, then F.
 
-        Where the K cameras all see all around, theirs are None: planners take them to see as far
-        as they themselves have been told.
+        Where the K cameras are all omnidirectional, theirs are None: planners take them to see as
+        far as they themselves have been told.
         """
         lenses = [model.lens for model in self.models]
         return lenses if self.aimed else [None] * self.movable + lenses[self.movable:]
 
     @property
     def aimed(self) -> list[int]:
-        """Return the numbers of the cameras that may be moved and do not see all around."""
+        """Return the numbers of the cameras that may be moved and are not omnidirectional."""
         return [k for k in range(self.movable) if not self.models[k].omnidirectional]
 
     def headings(self, camera: int, yaws: int, pitches: int) -> np.ndarray:

@@ -21,7 +21,7 @@ from ocp_ros.cli.common import Commands, Found, PLAN
 from ocp_ros.util.resources import find_config
 from ocp_ros.util.settings import ConfigurationError, current_name
 
-#: What counting cameras goes by unless told otherwise.
+#: Defaults of counting cameras.
 COUNTING = {'target': 0.95, 'by': 'error', 'most': 12}
 
 

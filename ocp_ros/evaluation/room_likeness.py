@@ -28,7 +28,7 @@ CELL = 0.25
 HEIGHTS = (0.0, 0.1, 0.4, 0.7, 0.9, 1.0)
 #: Rows of the map of directions from the centre.
 ROWS = 32
-#: Metres above the floor: where cameras hang unless told otherwise.
+#: Metres above the floor: height of cameras by default.
 HEIGHT = RigConfig().height
 
 

@@ -119,7 +119,7 @@ class SurfelVisibility:
 
         :param pose: the camera's pose.
         :param lens: its model.
-        :param seen: packed bits of the points that a camera sees there that sees all around.
+        :param seen: packed bits of the points that an omnidirectional camera sees there.
         :param covered: packed bits of the places that it covers.
         :returns: the bits of both that are in the cone.
         """

@@ -24,7 +24,7 @@ EXCHANGES = 3000
 HOT, COLD = 0.04, 2e-4
 #: Share of its proposals that go anywhere; the others go to one of so many nearest candidates.
 ANYWHERE, NEIGHBOURS = 0.3, 12
-#: Yaws, and at most how many pitches, of cameras that do not see all around.
+#: Yaws, and at most how many pitches, of cameras that are not omnidirectional.
 YAWS, PITCHES = 8, 2
 #: The most candidates that are a place and a direction.
 SITES = 2000

@@ -64,7 +64,7 @@ def exact_plane(simulator: Simulator, space: FreePlane, candidates: int = 400,
                 seconds: float = 60.0, rows: int = 64, near: bool = True,
                 over: Callable[[], bool] = lambda: False) -> PlaneAnswer:
     """
-    Find the best placement of cameras that see all around, on a grid and then near it.
+    Find the best placement of omnidirectional cameras, on a grid and then near it.
 
     :param simulator: the engine in the room.
     :param space: where the cameras may be, and how many there are.
@@ -266,7 +266,7 @@ def search_exact(problem: Problem, pool: Pool, budget: Budget, seed: int,
     :param budget: how long to go on; where only evaluations are counted, they are those of the
         descent, and so many subproblems are looked into that the answer does not hang on the
         machine.
-    :param seed: of all chance.
+    :param seed: random seed.
     :param progress: called now and then.
     :raises ConfigurationError: if there is no placement, or several cameras have to see a place.
     """

@@ -5,9 +5,9 @@ Search on a lattice of places, finish between them.
 
 To look from a place is what costs time, and more of it the more points there are. So a planner
 searches most of its budget as if cameras stood at places of a lattice, each of which is looked
-from once. The best of what it finds is judged anew at the end and descends to places between. Of
-the best of these the one is taken that is best as the mean over cameras that are mounted a little
-off. A placement that owes its score to the cells of a map does not keep it.
+from once. The best of what it finds is evaluated again at the end and descends to places between.
+Of the best of these the one is taken that is best as the mean over cameras that are mounted a
+little off. A placement that owes its score to the cells of a map does not keep it.
 """
 
 from collections.abc import Callable, Sequence
@@ -88,7 +88,7 @@ def search_and_finish(planner: Planner, score: Score, evaluations: int,
     Run a planner on a lattice of places, and finish between them.
 
     :param planner: the method; one whose :attr:`~ocp_ros.planners.planner.Planner.descends` is
-        false is only judged anew.
+        false is only evaluated again.
     :param score: judges placements (n, 3).
     :param evaluations: the most placements to judge.
     :param clock: tells the seconds.

@@ -42,8 +42,8 @@ STEPS, FEWER_STEPS = 80, 16
 #: First and last temperature of the refinement, in multiples of the best plan's error, and the
 #: error from which these are taken at least, metres.
 WARM, COOL, LEAST = 0.1, 0.003, 1e-3
-#: Metres, and radians for cameras that do not see all around: standard deviation of its first and
-#: last steps.
+#: Metres, and radians for cameras that are not omnidirectional: standard deviation of its first
+#: and last steps.
 FAR, NEAR = 0.5, 0.02
 WIDE, NARROW = 0.5, 0.05
 #: Proposals that are looked from at once.
@@ -55,7 +55,7 @@ class MoveTrial(NamedTuple):
     A camera somewhere else.
 
     :ivar position: (3,) metres.
-    :ivar heading: (3,) yaw, pitch and roll in radians; None where all see all around.
+    :ivar heading: (3,) yaw, pitch and roll in radians; None where all are omnidirectional.
     """
 
     camera: int
@@ -75,7 +75,7 @@ class Lookahead(Online):
         self._memory = LookHistory()
         #: Where each camera goes: (K, 2) metres.
         self._plan: np.ndarray | None = None
-        #: How they are turned there: (K, 3) radians; None where all see all around.
+        #: How they are turned there: (K, 3) radians; None where all are omnidirectional.
         self._headings: np.ndarray | None = None
         self._candidates: Candidates | None = None
         self._chosen: list[int] = []
@@ -217,14 +217,14 @@ class Lookahead(Online):
         return self._headings
 
     def _planned_headings(self) -> np.ndarray | None:
-        """Return how the cameras are turned in the plan; None where all see all around."""
+        """Return how the cameras are turned in the plan; None where all are omnidirectional."""
         if not self.directional:
             return None
         known = self._headings is not None and self.sight.turns
         return self._headings if known else self._turned()
 
     def _wiggled(self, heading: np.ndarray, camera: int, most: float) -> np.ndarray:
-        """Turn a camera that does not see all around a little, within its limits: (3,)."""
+        """Turn a camera that is not omnidirectional a little, within its limits: (3,)."""
         if not self.sight.turns or camera not in self.sight.aimed:
             return heading
         turned = heading.copy()

@@ -87,7 +87,7 @@ class Online(ABC):
 
     @property
     def directional(self) -> bool:
-        """Return whether a camera is known not to see all around."""
+        """Return whether a camera is known not to be omnidirectional."""
         return self.sight is not None and bool(self.sight.aimed)
 
     def reset(self) -> None:  # noqa: B027

@@ -58,7 +58,7 @@ def find(name: str, problem: Problem, pool: Pool, budget: Budget, seed: int,
     :param problem: the rig in the room.
     :param pool: candidates of all its models.
     :param budget: how long to go on.
-    :param seed: of all chance.
+    :param seed: random seed.
     :param start: a placement that the answer is to be no worse than, where there is one.
     :param progress: called several times a second or after each placement or turn.
     :param model: weights of online planners that have learned: path or name.

@@ -89,7 +89,7 @@ def search_offline(name: str, problem: Problem, pool: Pool, budget: Budget, seed
     :param pool: candidates of all its models.
     :param budget: how long to go on; where it counts no evaluations, as many are planned for as
         there seems to be time for.
-    :param seed: of all chance.
+    :param seed: random seed.
     :param progress: called after each placement.
     :raises ConfigurationError: if there is no placement.
     """

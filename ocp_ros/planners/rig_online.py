@@ -33,7 +33,7 @@ def play_online(name: str, problem: Problem, pool: Pool, budget: Budget, seed: i
     :param pool: candidates of all its models.
     :param budget: a turn is an evaluation; more turns than an episode has are not played, and
         fewer only if it is stopped.
-    :param seed: of all chance.
+    :param seed: random seed.
     :param progress: called after each turn.
     :param model: weights of those that have learned: path or name.
     :raises ConfigurationError: if there is no placement.

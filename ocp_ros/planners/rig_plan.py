@@ -93,7 +93,7 @@ class RigPlanner:
     :param rig: a rig; others that are planned may differ in the number of cameras alone.
     :param engine: settings.
     :param budget: how long a search may take; that of the first plan pays for the candidates.
-    :param seed: of all chance.
+    :param seed: random seed.
     :param progress: called several times a second.
     :param planner: one of :func:`~ocp_ros.planners.rig_methods.planner_names`.
     :param model: weights of planners that have learned: path or name.

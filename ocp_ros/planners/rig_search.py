@@ -215,7 +215,7 @@ def poses_around(region: FeasibleRegion, pose: np.ndarray, model: CameraModel, f
 
     :param pose: (6,) metres, map frame, and radians.
     :param far: standard deviation of the place along each axis, metres.
-    :param turn: that of yaw and pitch, radians, where the camera does not see all around.
+    :param turn: that of yaw and pitch, radians, where the camera is not omnidirectional.
     :returns: (count, 6).
     """
     poses = np.repeat(pose[None], count, axis=0)
@@ -238,7 +238,7 @@ def search(problem: Problem, pool: Pool, budget: Budget, seed: int, start: Seque
     :param problem: the rig in the room.
     :param pool: candidates of all its models.
     :param budget: how long to go on.
-    :param seed: of all chance.
+    :param seed: random seed.
     :param start: a placement that the answer is to be no worse than, where there is one.
     :param progress: called several times a second.
     :raises ConfigurationError: if there is no placement.

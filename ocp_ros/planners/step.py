@@ -70,7 +70,7 @@ class OnlineStep:
         self.aim = self._make_aim()
 
     def _make_aim(self) -> HeadingPlanner | None:
-        """Build what chooses headings; None where all cameras see all around, as far as known."""
+        """Build what chooses headings; None where all cameras are known to be omnidirectional."""
         if self.rig is None:
             return None
         aim = HeadingPlanner(self.rig.models, len(self.rig.cameras), self.rig.pitch,
@@ -147,7 +147,7 @@ class OnlineStep:
 
     def _aim(self, cloud: np.ndarray, state: RigState, targets: np.ndarray, turn: int, turns: int
              ) -> dict[int, np.ndarray]:
-        """Choose headings (3,) in radians for the cameras that do not see all around."""
+        """Choose headings (3,) in radians for the cameras that are not omnidirectional."""
         if self.aim is None or not self.limits.max_turn:
             return {}
         try:

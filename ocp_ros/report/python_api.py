@@ -134,7 +134,7 @@ def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | Non
     :param planner: who searches, see docs/planners.md.
     :param seconds: of search; 60, or 15 for each number of cameras, unless evaluations are given.
     :param evaluations: judge so many placements; the same seed finds the same answer.
-    :param seed: of all chance.
+    :param seed: random seed.
     :param target: with ``'auto'``, the share of what can be reached at all.
     :param by: with ``'auto'``, share of what: ``error``, ``seen`` or ``coverage``.
     :param most: with ``'auto'``, the most cameras to try.

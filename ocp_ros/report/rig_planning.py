@@ -54,7 +54,7 @@ class PlanTask:
     :ivar seconds: of search for each number of cameras; 60, or 15 where cameras are counted,
         unless evaluations are given.
     :ivar evaluations: judge so many placements; the same seed finds the same answer.
-    :ivar seed: of all chance.
+    :ivar seed: random seed.
     :ivar counting: whether the search finds out how many cameras are needed, and by what.
     :raises ConfigurationError: if there is no such planner, or it compares no numbers of cameras.
     """

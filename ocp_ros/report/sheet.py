@@ -59,7 +59,7 @@ def draw(folder: Path, judged: Assessment) -> Iterator[Path]:
 
 
 def figures_of_pages(judged: Assessment) -> Iterator[Figure]:
-    """Draw the pages: the pictures with the table, which has a page of its own where it is long."""
+    """Draw the pages: pictures with the table; a long table has a page of its own."""
     with all_letters():
         pages = [_pictures(judged)]
         if len(judged.placement.cameras) > MOST:
@@ -168,8 +168,8 @@ def _axes(figure: Figure, left: float, bottom: float, width: float, height: floa
 def _title(figure: Figure, box: Box, text: str) -> None:
     """Write what a picture shows above its box, inches."""
     left, bottom, _, height = box
-    figure.text(left / WIDTH, (bottom + height + 0.14) / HEIGHT, text, fontsize=8, fontweight='bold', color=INK,
-                va='center')
+    figure.text(left / WIDTH, (bottom + height + 0.14) / HEIGHT, text, fontsize=8,
+                fontweight='bold', color=INK, va='center')
 
 
 def _few_ticks(most: float) -> np.ndarray:

@@ -228,7 +228,7 @@ def _line(points: np.ndarray, colour: str, label: str) -> go.Scatter3d:
 
 
 def _ball(centre: Sequence[float], radius: float, colour: str) -> go.Mesh3d:
-    """Draw the range of a camera that sees all around."""
+    """Draw the range of an omnidirectional camera."""
     azimuth, elevation = np.meshgrid(np.linspace(-np.pi, np.pi, 37),
                                      np.linspace(-np.pi / 2, np.pi / 2, 19))
     way = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),

@@ -170,7 +170,7 @@ class FeasibleRegion:
         Say what is wrong with a placement.
 
         :param poses: (K, 6) metres, map frame, and radians; (K, 3) where no camera has a heading.
-        :param cameras: which cameras of the rig the rows are; the first K unless told otherwise.
+        :param cameras: which cameras of the rig the rows are; the first K by default.
         :returns: one sentence for each broken constraint.
         :raises ValueError: for another shape, or more rows than cameras.
         """
@@ -200,7 +200,7 @@ class FeasibleRegion:
         shows there is much to be seen.
 
         :param poses: (M, 6) metres, map frame, and radians, or (M, 3).
-        :param model: the camera; one whose pitch matters unless told otherwise.
+        :param model: the camera; one whose pitch matters by default.
         :returns: (M,) bool.
         """
         poses = _checked(poses)
@@ -289,7 +289,7 @@ class FeasibleRegion:
                 'shows; mount it there'))
 
     def _pitch(self, poses: np.ndarray, models: Sequence[CameraModel | None]) -> Iterator[Check]:
-        """Check how far cameras look down that do not see all around."""
+        """Check how far cameras look down that are not omnidirectional."""
         if poses.shape[1] == 3:
             return
         low, high = self.rig.pitch

@@ -19,7 +19,7 @@ EDGE, BELOW = 0.2, 0.3
 #: points are few all that lies between them. The least is taken whose floor is worth such a share
 #: of that of the largest.
 RADII, LEAST_SHARE = (1, 2, 3, 5), 0.6
-#: Square metres: larger holes are no shadows, and the least floor that is believed.
+#: Square metres: larger holes are no shadows, and the smallest floor that counts.
 HOLE, LEAST = 10.0, 1.0
 #: Metres that cameras keep from every surface that has been scanned, unless a setting says
 #: otherwise: one inside a thin panel sees both sides of it.
@@ -79,7 +79,7 @@ class Floor:
         :param heights: (2,) metres, lowest and highest of the cameras.
         :param clearance: metres; all places of the cells that stay open are as far from all
             points.
-        :returns: the parts that are no smaller than the least floor that is believed, or the
+        :returns: the parts that are no smaller than the smallest floor that counts, or the
             largest one; None if nothing stays open.
         """
         cells = self.open.copy()
@@ -245,7 +245,7 @@ class FreePlane:
         return float(np.prod(self.size)) if self.floor is None else self.floor.area
 
     def random(self, rng: np.random.Generator, cameras: int | None = None) -> np.ndarray:
-        """Draw a placement, (cameras, 2), uniformly; K cameras unless told otherwise."""
+        """Draw a placement, (cameras, 2), uniformly; K cameras by default."""
         count = self.cameras if cameras is None else cameras
         drawn = rng.uniform(self.low, self.high, (count, 2))
         while not (good := self.contains(drawn)).all():

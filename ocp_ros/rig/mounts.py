@@ -112,7 +112,7 @@ def headings_of(rig: Rig, model: CameraModel) -> np.ndarray:
     """
     Return the ways a camera may be turned, relative to looking into the room.
 
-    :returns: (H, 3) yaw, pitch, roll in radians; one for a camera that sees all around.
+    :returns: (H, 3) yaw, pitch, roll in radians; one for an omnidirectional camera.
     """
     if model.omnidirectional:
         return np.zeros((1, 3))

@@ -141,7 +141,7 @@ class Rig:
         Return what an action changes of a camera that is to be placed.
 
         :returns: ``x`` and ``y``; ``z`` where the mount leaves a choice of height; ``yaw`` and
-            ``pitch`` where a camera does not see all around.
+            ``pitch`` where a camera is not omnidirectional.
         """
         heights = self.mount.heights
         upwards = ('z',) if heights is not None and heights[0] < heights[1] else ()

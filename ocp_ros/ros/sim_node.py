@@ -215,7 +215,7 @@ class SimNode(ManagedNode):
         """
         Return how a command turns the cameras: (K, 3) yaw, pitch, roll in radians.
 
-        How a camera that sees all around is turned makes no difference, and one whose quaternion
+        How an omnidirectional camera is turned makes no difference, and one whose quaternion
         is that of the turn stays as it is, to the last bit.
         """
         headings, (_, (_, sent), _) = self.episode.turn.headings.copy(), self._turn_messages

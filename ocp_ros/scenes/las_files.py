@@ -25,7 +25,7 @@ def read_las_points(path: Path) -> np.ndarray:
     """
     Read a LAS file, compressed or not.
 
-    Sizes that lie are found before anything is read; what else lies ends in a process of its own,
+    False sizes are found before anything is read; other errors end in a process of their own,
     since lazrs ends the process that it runs in when it is asked for more memory than there is.
 
     :returns: (N, 3) float64, in the file's unit.

@@ -40,7 +40,7 @@ class CameraPlacementEnv(gym.Env):
     ``Box(-1, 1, (K, 2))``: each camera's move in units of ``max_step``, shortened to the unit
     disc. Moves of cameras that an episode does not have are ignored. A rig file may ask for more
     columns (``axes`` names them): ``z``, where the mount leaves a choice of height, and ``yaw``
-    and ``pitch`` in units of ``max_turn``, where a camera does not see all around.
+    and ``pitch`` in units of ``max_turn``, where a camera is not omnidirectional.
 
     **Observation space**
     ==================== ====== ==========================================================
@@ -68,7 +68,7 @@ class CameraPlacementEnv(gym.Env):
     :param scenes: rooms to draw from; each is taken when its episode begins.
     :param config: rig, engine, episode and reward.
     :param observation_points: P.
-    :param fewest: episodes have from so many to K cameras; K unless told otherwise.
+    :param fewest: episodes have from so many to K cameras; K by default.
     :param rotations: degrees about the vertical axis.
     :raises ConfigurationError: if the rig file cannot be used, or not with these numbers of
         cameras and rotations.

@@ -42,7 +42,7 @@ class Episode:
 
     :param problem: the rig in the scene.
     :param rng: where the cameras start is drawn from it.
-    :param cameras: how many there are; those of the problem unless told otherwise.
+    :param cameras: how many there are; those of the problem by default.
     :ivar views: what each camera that is to be placed sees now.
     :ivar value: space coverage, cubic metres, and the error of rewards, metres, now; see
         :meth:`value_of`.

@@ -176,7 +176,7 @@ class Run:
             raise CheckpointError(
                 f'{error}; the best weights so far are lost: put them back from a copy, or remove '
                 'the file, and the run goes on from its last state') from error
-        # Where no line tells, as after a kill, they are judged anew.
+        # Where no line tells, as after a kill, they are evaluated again.
         self.best = (ratios[best.updates] if best.updates in ratios
                      else self.judge(best)['ratio'])
 

@@ -93,7 +93,7 @@ def _draw_dot(axes: Axes, place: np.ndarray, colour: str) -> None:
 def draw_headings(axes: Axes, placement: Placement, places: np.ndarray, frame: np.ndarray,
                   width: float) -> None:
     """
-    Draw an arrow for each camera that does not see all around, the way it looks.
+    Draw an arrow for each camera that is not omnidirectional, the way it looks.
 
     :param places: (K, 2) of the cameras.
     :param frame: (2, 2) from the map frame to that of the picture; its scale is the length of the

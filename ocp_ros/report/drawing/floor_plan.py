@@ -87,4 +87,3 @@ def _draw_distances(axes: Axes, judged: Assessment, places: np.ndarray, frame: n
         axes.text(at[0], at[1], wall.letter, fontsize=INNER, fontweight='bold', color=INK,
                   ha='center', va='center')
     return letters
-

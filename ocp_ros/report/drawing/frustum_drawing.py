@@ -71,7 +71,7 @@ def edges(model: CameraModel, pose: np.ndarray, length: float) -> np.ndarray:
     :param pose: (6,) metres, map frame, and radians.
     :param length: metres, from the camera to the rim.
     :returns: (M, 3) metres, map frame; a row of NaN between two lines; empty for a camera
-        that sees all around.
+        that is omnidirectional.
     """
     if model.lens.kind == OMNIDIRECTIONAL:
         return np.empty((0, 3))

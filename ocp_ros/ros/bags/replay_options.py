@@ -25,7 +25,7 @@ class ReplayOptions:
     :ivar rate: how many times as fast as it was recorded.
     :ivar loop: whether to begin anew at the end, without end.
     :ivar start: seconds of the recording to leave out.
-    :ivar duration: seconds of it to replay; all unless told otherwise.
+    :ivar duration: seconds of it to replay; all by default.
     :ivar frames: the frame of the clouds of a topic in place of the recorded one; that of ``''``
         is for all others.
     :ivar poses: (6,) each, x, y, z, yaw, pitch, roll of each camera, metres and radians.
