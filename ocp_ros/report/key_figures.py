@@ -10,7 +10,6 @@ from typing import NamedTuple
 from ocp_ros.report.assessment import Assessment
 from ocp_ros.util.shown_text import printable
 
-
 DISTANCES = 'distances are perpendicular to the walls, to the centre of the front of a camera'
 #: Folders before the name of a file, in a word of a command line.
 FOLDERS = re.compile(r'(?<![^=])[^=]*/(?=[^/])')

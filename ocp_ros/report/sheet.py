@@ -35,9 +35,8 @@ WIDE, WIDE_PLAN, WIDE_MAP = 1.6, 6.0, 2.85
 #: The pages; the second one where the table has more rows than the first one has room for.
 PAGES = ('report.png', 'report_2.png')
 DEPTH_ERROR = ('Depth error: how much deeper the room looks when only the points that the cameras '
-               'see are left; the sum over five viewpoints of the mean over all directions. 0 m is '
-               'perfect.')
-GOOD, BAD = '#00664d', '#b04a00'
+               'see are left; the sum over five viewpoints of the mean over all directions. '
+               '0 m is perfect.')
 #: Doubts about the room that there is space for.
 DOUBTS = 2
 #: Where the viewer stands: before the corners of two walls.

@@ -161,8 +161,8 @@ def _draw_walls(axes: Axes, judged: Assessment) -> np.ndarray:
     beside = np.array([judged.upright[:2, :2] @ (wall.at + 0.5 * away * wall.outward)
                        for wall in inner_walls]).reshape(-1, 2)
     for inner, at in zip(inner_walls, apart(beside, LETTER * unit_of(axes), np.array(letters))):
-        letters.append(tuple(at))
-        axes.text(*at, inner.letter, fontsize=7, fontweight='bold', color=INK,
+        letters.append((at[0], at[1]))
+        axes.text(at[0], at[1], inner.letter, fontsize=7, fontweight='bold', color=INK,
                   ha='center', va='center', zorder=5,
                   path_effects=[patheffects.withStroke(linewidth=2.0, foreground='white')])
     return np.array(letters)
