@@ -37,6 +37,7 @@ PAGES = ('report.png', 'report_2.png')
 DEPTH_ERROR = ('Depth error: how much deeper the room looks when only the points that the cameras '
                'see are left; the sum over five viewpoints of the mean over all directions. '
                '0 m is perfect.')
+GOOD, BAD = '#00664d', '#b04a00'
 #: Doubts about the room that there is space for.
 DOUBTS = 2
 #: Where the viewer stands: before the corners of two walls.
