@@ -7,11 +7,19 @@ Sampling and grouping only depend on the cloud, so their indices are stored with
 and never computed again at a gradient step.
 """
 
+from functools import lru_cache
+
 import numpy as np
 
 from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.sampling import ball_query, farthest_points
-from ocp_ros.geometry.clouds import fixed_size
+
+#: What is told of each other camera: the way to it, whether there is one, and whether it has
+#: chosen already. What is told of the turn: the share of the turns that is over, cameras / 4, and
+#: the share of the air that no camera has covered.
+OF_OTHERS, OF_TURN = 5, 3
+#: What is told of each point: whether the choosing camera sees it now, and how many others do.
+MARKS = 2
 
 
 def encode(cloud: np.ndarray, camera_positions: np.ndarray, bounds: np.ndarray,
@@ -29,7 +37,7 @@ def encode(cloud: np.ndarray, camera_positions: np.ndarray, bounds: np.ndarray,
         ``groups_2`` (K2, G2), all indices int16, ``cameras`` (K, 3) and ``half_size`` (3,).
     """
     centre, scale = bounds.mean(axis=0), config.length_scale
-    points = ((fixed_size(cloud, config.points) - centre) / scale).astype(np.float32)
+    points = ((chosen(cloud, config) - centre) / scale).astype(np.float32)
     keys_1 = farthest_points(points, config.keys_1)
     key_points = points[keys_1]
     keys_2 = farthest_points(key_points, config.keys_2)
@@ -44,3 +52,39 @@ def encode(cloud: np.ndarray, camera_positions: np.ndarray, bounds: np.ndarray,
         **{name: value.astype(np.int16) for name, value in indices.items()},
         'cameras': ((camera_positions - centre) / scale).astype(np.float32),
         'half_size': (0.5 * (bounds[1] - bounds[0]) / scale).astype(np.float32)}
+
+
+def chosen(rows: np.ndarray, config: AgentConfig) -> np.ndarray:
+    """
+    Take as many rows of a cloud (N, ...) as reach the first unit.
+
+    Marked clouds come in a spatial order, and a ball query takes the first points that it finds:
+    they are shuffled, always alike, so that it does not take those of one side.
+    """
+    taken = rows[np.arange(config.points) * len(rows) // config.points]
+    return taken[_shuffle(config.points)] if config.marks else taken
+
+
+@lru_cache(maxsize=4)
+def _shuffle(count: int) -> np.ndarray:
+    """Return the numbers below a count in an order that is always the same."""
+    return np.random.default_rng(0).permutation(count)
+
+
+def told_of_others(camera: int, positions: np.ndarray, has_chosen: np.ndarray,
+                   config: AgentConfig) -> np.ndarray:
+    """
+    Tell a camera of the others, the nearest first.
+
+    :param camera: its number.
+    :param positions: (K, 3) metres: where cameras are, or will be after the turn.
+    :param has_chosen: (K,) bool.
+    :param config: how many are told of at most, and the unit of length.
+    :returns: (others, ``OF_OTHERS``) float32, zeros where there are fewer.
+    """
+    told = np.zeros((config.others, OF_OTHERS), dtype=np.float32)
+    ways = (np.delete(positions, camera, axis=0) - positions[camera]) / config.length_scale
+    nearest = np.argsort(np.linalg.norm(ways, axis=1), kind='stable')[:config.others]
+    told[:len(nearest), :3], told[:len(nearest), 3] = ways[nearest], 1.0
+    told[:len(nearest), 4] = np.delete(has_chosen, camera)[nearest]
+    return told

@@ -96,19 +96,42 @@ class _QNetwork(torch.nn.Module):
 class SharedHeadCritic(ContinuousCritic):
     """SAC's critics with layers that all cameras share."""
 
-    def __init__(self, *args, hidden: int, **kwargs) -> None:
+    def __init__(self, *args, hidden: int, trains: bool, **kwargs) -> None:
         super().__init__(*args, **kwargs)
+        #: Whether their loss trains the features.
+        self.trains = trains
         self.q_networks = [_QNetwork(self.features_extractor, hidden) for _ in self.q_networks]
         for index, network in enumerate(self.q_networks):
             self.add_module(f'qf{index}', network)
 
+    def forward(self, obs, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Return (B, 1) of each critic."""
+        # What the actor does for more reward shall not change what is read.
+        with torch.set_grad_enabled(self.trains and torch.is_grad_enabled()
+                                    and not actions.requires_grad):
+            features = self.extract_features(obs, self.features_extractor)
+        read = torch.cat([features, actions], dim=1)
+        return tuple(network(read) for network in self.q_networks)
+
 
 class RigPolicy(MultiInputPolicy):
-    """stable-baselines3's SAC policy on the agent's extractor and shared heads."""
+    """
+    stable-baselines3's SAC policy on the agent's extractor and shared heads.
 
-    def __init__(self, *args, hidden: int, **kwargs) -> None:
-        self.hidden = hidden
+    :param hidden: width of the heads.
+    :param critics_train: whether the critics' loss trains features that they share.
+    """
+
+    def __init__(self, *args, hidden: int, critics_train: bool = False, **kwargs) -> None:
+        self.hidden, self.critics_train = hidden, critics_train
         super().__init__(*args, **kwargs)
+
+    def _build(self, lr_schedule) -> None:
+        """Build the networks and their optimizers."""
+        super()._build(lr_schedule)
+        if self.share_features_extractor and self.critics_train:
+            self.critic.optimizer = self.optimizer_class(
+                self.critic.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 
     def make_actor(self, features_extractor=None) -> SharedHeadActor:
         """Build the actor."""
@@ -118,7 +141,8 @@ class RigPolicy(MultiInputPolicy):
     def make_critic(self, features_extractor=None) -> SharedHeadCritic:
         """Build the critics."""
         arguments = self._update_features_extractor(self.critic_kwargs, features_extractor)
-        return SharedHeadCritic(**arguments, hidden=self.hidden).to(self.device)
+        trains = self.critics_train or not self.share_features_extractor
+        return SharedHeadCritic(**arguments, hidden=self.hidden, trains=trains).to(self.device)
 
 
 class RigSac(SAC):
@@ -184,7 +208,8 @@ def make_sac(sac: SacConfig, agent: AgentConfig, cameras: int, env=None, seed: i
         (MapPolicy, {'agent': agent}, MapReplayBuffer) if agent.map else
         (RigPolicy, {'features_extractor_class': SharedExtractor,
                      'features_extractor_kwargs': {'agent': agent}, 'hidden': agent.hidden,
-                     'share_features_extractor': sac.shared_extractor}, SymmetricReplayBuffer))
+                     'share_features_extractor': sac.shared_extractor,
+                     'critics_train': sac.critics_train}, SymmetricReplayBuffer))
     model = RigSac(
         policy, env, config=sac, agent=agent, learning_rate=sac.learning_rate,
         buffer_size=sac.buffer_size, learning_starts=sac.learning_starts,
@@ -197,6 +222,14 @@ def make_sac(sac: SacConfig, agent: AgentConfig, cameras: int, env=None, seed: i
         model.action_space, model.n_envs = action_space(cameras), environments
     model._setup_model()
     return model
+
+
+def start_critics(model: RigSac) -> None:
+    """Let the critics begin with the features that the actor has learned."""
+    if not model.agent.map:
+        learned = model.actor.features_extractor.state_dict()
+        for critic in (model.critic, model.critic_target):
+            critic.features_extractor.load_state_dict(learned)
 
 
 def _actor_parts(model: RigSac) -> dict[str, torch.nn.Module]:
