@@ -51,10 +51,13 @@ class SharedHeadActor(SacActor):
         super().__init__(*args, **kwargs)
         del self.latent_pi, self.mu, self.log_std
         self.head = head_of(self.features_extractor.agent, self.features_extractor.extractor)
+        #: Whether soft actor-critic trains the features by the actor's loss.
+        self.trains = True
 
-    def moves(self, observation: dict[str, torch.Tensor]):
+    def moves(self, observation: dict[str, torch.Tensor], trains: bool = True):
         """Return the distribution of moves and which cameras there are."""
-        features = self.extract_features(observation, self.features_extractor)
+        with torch.set_grad_enabled(trains and torch.is_grad_enabled()):
+            features = self.extract_features(observation, self.features_extractor)
         features, present = self.features_extractor.split(features)
         return self.head(features), present
 
@@ -69,7 +72,7 @@ class SharedHeadActor(SacActor):
 
         It is scaled to that of all cameras, so that one target of the entropy serves any number.
         """
-        moves, present = self.moves(obs)
+        moves, present = self.moves(obs, self.trains)
         drawn = moves.sample()
         count = present.sum(dim=1).clamp(min=1.0)
         density = (moves.log_prob(drawn) * present).sum(dim=1) * present.shape[1] / count
@@ -119,7 +122,7 @@ class RigPolicy(MultiInputPolicy):
     stable-baselines3's SAC policy on the agent's extractor and shared heads.
 
     :param hidden: width of the heads.
-    :param critics_train: whether the critics' loss trains features that they share.
+    :param critics_train: whether the critics' loss, not the actor's, trains features that they share.
     """
 
     def __init__(self, *args, hidden: int, critics_train: bool = False, **kwargs) -> None:
@@ -130,6 +133,7 @@ class RigPolicy(MultiInputPolicy):
         """Build the networks and their optimizers."""
         super()._build(lr_schedule)
         if self.share_features_extractor and self.critics_train:
+            self.actor.trains = False
             self.critic.optimizer = self.optimizer_class(
                 self.critic.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 

@@ -43,7 +43,7 @@ class SacConfig:
     shared_extractor: bool = setting(
         False, "whether the critics share the actor's features")
     critics_train: bool = setting(
-        False, 'whether the loss of the critics trains shared features too')
+        False, "whether the loss of the critics trains shared features, in place of the actor's")
     device: str = setting('auto', 'auto, cpu or cuda', choices=('auto', 'cpu', 'cuda'))
 
 
