@@ -42,6 +42,8 @@ class AgentConfig:
                'needs others')
     centred: bool = setting(
         False, 'whether the last unit groups around each camera, not around the cloud')
+    nearest: bool = setting(
+        False, 'whether groups take the nearest points of a ball, not the first')
     pooled: int = setting(0, 'channels of the last unit; 0: those of the others', 0, 4096)
     normed: bool = setting(False, 'whether the units normalise their features')
     choices: bool = setting(

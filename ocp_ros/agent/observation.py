@@ -7,12 +7,10 @@ Sampling and grouping only depend on the cloud, so their indices are stored with
 and never computed again at a gradient step.
 """
 
-from functools import lru_cache
-
 import numpy as np
 
 from ocp_ros.agent.agent_config import AgentConfig
-from ocp_ros.agent.sampling import ball_query, farthest_points
+from ocp_ros.agent.sampling import ball_query, farthest_points, nearest_in_ball
 
 #: What is told of each other camera: the way to it, whether there is one, and whether it has
 #: chosen already. What is told of the turn: the share of the turns that is over, cameras / 4, and
@@ -41,11 +39,12 @@ def encode(cloud: np.ndarray, camera_positions: np.ndarray, bounds: np.ndarray,
     keys_1 = farthest_points(points, config.keys_1)
     key_points = points[keys_1]
     keys_2 = farthest_points(key_points, config.keys_2)
+    grouped = nearest_in_ball if config.nearest else ball_query
     indices = {
         'keys_1': keys_1,
-        'groups_1': ball_query(points, keys_1, config.radius_1 / scale, config.group_1),
+        'groups_1': grouped(points, keys_1, config.radius_1 / scale, config.group_1),
         'keys_2': keys_2,
-        'groups_2': ball_query(key_points, keys_2, config.radius_2 / scale, config.group_2)}
+        'groups_2': grouped(key_points, keys_2, config.radius_2 / scale, config.group_2)}
     return {
         'points': points,
         # Half the memory where they are kept: there are never more than 32767 points.
@@ -55,20 +54,8 @@ def encode(cloud: np.ndarray, camera_positions: np.ndarray, bounds: np.ndarray,
 
 
 def chosen(rows: np.ndarray, config: AgentConfig) -> np.ndarray:
-    """
-    Take as many rows of a cloud (N, ...) as reach the first unit.
-
-    Marked clouds come in a spatial order, and a ball query takes the first points that it finds:
-    they are shuffled, always alike, so that it does not take those of one side.
-    """
-    taken = rows[np.arange(config.points) * len(rows) // config.points]
-    return taken[_shuffle(config.points)] if config.marks else taken
-
-
-@lru_cache(maxsize=4)
-def _shuffle(count: int) -> np.ndarray:
-    """Return the numbers below a count in an order that is always the same."""
-    return np.random.default_rng(0).permutation(count)
+    """Take as many rows of a cloud (N, ...) as reach the first unit, at even strides."""
+    return rows[np.arange(config.points) * len(rows) // config.points]
 
 
 def told_of_others(camera: int, positions: np.ndarray, has_chosen: np.ndarray,
