@@ -20,7 +20,7 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.scenes.scene_source import make_room
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
-from ocp_ros.training.augmentation import Symmetries, SYMMETRIES, turn_observation
+from ocp_ros.training.augmentation import SYMMETRIES, Symmetries, turn_observation
 from ocp_ros.training.demonstration_rounds import load_rounds, save_round
 from ocp_ros.training.demonstrations import demonstrate, fit, Imitation, tasks_of
 from ocp_ros.training.encoded_environment import encoded_space, padded
@@ -233,10 +233,9 @@ def test_the_critics_begin_with_the_features_of_the_actor_and_may_train_them():
                              model.actor.features_extractor.parameters())
 
 
-@pytest.mark.parametrize('trains', [False, True])
-def test_a_run_imitates_learns_and_goes_on(tmp_path, trains):
-    sac = replace(SAC, shared_extractor=trains, critics_train=trains)
-    config = replace(CONFIG, sac=sac)
+@pytest.mark.system
+def test_a_run_imitates_learns_and_goes_on(tmp_path):
+    config = replace(CONFIG, sac=replace(SAC, shared_extractor=True, critics_train=True))
     first = train(config, tmp_path / 'run')
     more = train(replace(config, interactions=48), tmp_path / 'run')
     lines = [json.loads(line) for line in

@@ -97,10 +97,10 @@ class WorldTurn:
         :returns: (N,) bool, whether the camera sees a point, and (N,) uint8, how many others do.
         """
         count = len(self.model.points)
-        others = self._views[:camera] + self._views[camera + 1:] + self._fixed
-        seen = [unpack(view.seen, count) for view in others]
-        return (unpack(self._views[camera].seen, count),
-                np.sum(seen, axis=0, dtype=np.uint8) if seen else np.zeros(count, np.uint8))
+        others = np.zeros(count, dtype=np.uint8)
+        for view in self._views[:camera] + self._views[camera + 1:] + self._fixed:
+            others += unpack(view.seen, count)
+        return unpack(self._views[camera].seen, count), others
 
     def inputs(self, camera: int) -> tuple[np.ndarray, np.ndarray]:
         """

@@ -122,7 +122,7 @@ class RigPolicy(MultiInputPolicy):
     stable-baselines3's SAC policy on the agent's extractor and shared heads.
 
     :param hidden: width of the heads.
-    :param critics_train: whether the critics' loss, not the actor's, trains features that they share.
+    :param critics_train: whether the critics' loss, not the actor's, trains shared features.
     """
 
     def __init__(self, *args, hidden: int, critics_train: bool = False, **kwargs) -> None:
@@ -134,8 +134,7 @@ class RigPolicy(MultiInputPolicy):
         super()._build(lr_schedule)
         if self.share_features_extractor and self.critics_train:
             self.actor.trains = False
-            self.critic.optimizer = self.optimizer_class(
-                self.critic.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
+            self.critic.optimizer.param_groups[0]['params'] = list(self.critic.parameters())
 
     def make_actor(self, features_extractor=None) -> SharedHeadActor:
         """Build the actor."""
