@@ -190,12 +190,6 @@ class TrainingConfig:
                 f'{self.agent.inputs!r}; expected 0: what is shown are moves of one camera after '
                 'the other; set agent.others with the cloud; the map actor learns dense values '
                 'first, see values')
-        if self.demonstrations.rounds and not self.agent.world and (
-                self.demonstrations.expert == 'greedy_step'):
-            raise ConfigurationError(
-                f'demonstrations.expert: found {self.demonstrations.expert!r} with agent.inputs '
-                f'{self.agent.inputs!r}; expected another planner, such as lookahead: the greedy '
-                'step reads what moves would change')
 
     def _read_rig(self) -> None:
         """Take the number of cameras from a rig file, and refuse what does not go with one."""
