@@ -7,7 +7,7 @@ from hypothesis import settings as budget
 from hypothesis import strategies as st
 import numpy as np
 
-from ocp_ros.agent.sampling import ball_query, farthest_points
+from ocp_ros.agent.sampling import ball_query, farthest_points, nearest_in_ball
 
 seeds = st.integers(0, 2 ** 32 - 1)
 
@@ -44,9 +44,25 @@ def test_ball_query_agrees_with_its_twin(seed, radius, size):
             assert group.tolist() == expected.tolist()
 
 
+@given(seed=seeds, radius=st.floats(0.1, 3.0), size=st.integers(1, 12))
+@budget(max_examples=40, deadline=None)
+def test_the_nearest_points_of_a_ball_agree_with_their_twin(seed, radius, size):
+    points = np.random.default_rng(seed).normal(size=(50, 3)).astype(np.float32)
+    keys = np.arange(0, 50, 7)
+    groups = nearest_in_ball(points, keys, radius, size)
+    for key, group in zip(keys, groups, strict=True):
+        away = np.linalg.norm((points - points[key]).astype(np.float64), axis=1)
+        near = [point for point in np.argsort(away) if away[point] <= radius][:size]
+        if not (np.abs(away - radius) < 1e-5).any():
+            assert group[0] == key
+            assert group.tolist() == near + [key] * (size - len(near))
+
+
 def test_sampling_and_grouping_count_beyond_sixteen_bits():
     points = np.zeros((40000, 3), dtype=np.float32)
     points[-2:, 0] = 7.0, 9.0
     keys = farthest_points(points, 3)
     assert keys.tolist() == [0, 39999, 39998]
     assert ball_query(points, keys, 1.0, 2).tolist() == [[0, 1], [39999] * 2, [39998] * 2]
+    assert nearest_in_ball(points, keys, 3.0, 2).tolist() == [
+        [0, 1], [39999, 39998], [39998, 39999]]

@@ -4,7 +4,7 @@
 
 from dataclasses import dataclass
 
-from ocp_ros.util.settings import setting
+from ocp_ros.util.settings import ConfigurationError, MOST_CAMERAS, setting
 
 #: Networks that answer with moves: soft actor-critic trains them.
 OF_MOVES = ('world', 'cloud', 'both')
@@ -34,6 +34,30 @@ class AgentConfig:
     channels: int = setting(32, "channels C' of each unit's perceptron", 1, 1024)
     hidden: int = setting(256, 'width of the heads', 1, 4096)
     length_scale: float = setting(4.0, 'length of one unit of the network, metres', 0.01, 100.0)
+    others: int = setting(
+        0, 'with the cloud: cameras choose one after the other, each told where so many others '
+           'are or will be; 0: the cloud tells of none that have chosen', 0, MOST_CAMERAS)
+    marks: bool = setting(
+        False, 'whether points are marked by what the choosing camera and the others see now; '
+               'needs others')
+    centred: bool = setting(
+        False, 'whether the last unit groups around each camera, not around the cloud')
+    nearest: bool = setting(
+        False, 'whether groups take the nearest points of a ball, not the first')
+    pooled: int = setting(0, 'channels of the last unit; 0: those of the others', 0, 4096)
+    normed: bool = setting(False, 'whether the units normalise their features')
+    choices: bool = setting(
+        False, 'whether the head for cloud inputs chooses among 25 moves; otherwise its answer is '
+               'a Gaussian')
+
+    def __post_init__(self) -> None:
+        """Refuse what is never read."""
+        if self.others and not self.cloud:
+            raise ConfigurationError(f'agent.others: found {self.others} with agent.inputs '
+                                     f'{self.inputs!r}; expected 0, or the inputs cloud or both')
+        if self.marks and not self.others:
+            raise ConfigurationError('agent.marks: found true with agent.others 0; expected '
+                                     'cameras that choose one after the other; set agent.others')
 
     @property
     def world(self) -> bool:
@@ -48,7 +72,7 @@ class AgentConfig:
     @property
     def one_by_one(self) -> bool:
         """Return whether one camera chooses after the other, each told of those before it."""
-        return self.world or self.map
+        return self.world or self.map or self.others > 0
 
     @property
     def map(self) -> bool:

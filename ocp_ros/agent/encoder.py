@@ -8,7 +8,7 @@ import numpy as np
 
 from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.move_effects import LONGEST, nothing_known, WorldInputs, WorldTurn
-from ocp_ros.agent.observation import encode
+from ocp_ros.agent.observation import chosen, encode, MARKS, told_of_others
 from ocp_ros.agent.rig_state import RigState
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.rig.free_plane import CLEARANCE
@@ -17,6 +17,8 @@ from ocp_ros.scenes.scene import SceneError
 
 #: Arrays that have a row for each camera.
 PER_CAMERA = ('cameras', 'directions', 'own')
+#: Points and rows of depth maps of the model in which points are marked by who sees them.
+MARKED_POINTS, MARKED_ROWS = 6000, 16
 
 
 class EncodedTurn:
@@ -31,13 +33,17 @@ class EncodedTurn:
     :param world: what moves would change; None where there is no room to be tried.
     :param positions: (K, 3) metres: where the cameras are.
     :param max_step: farthest a camera moves in one turn, metres.
+    :param time: turns played so far / turns of the whole episode.
     """
 
     def __init__(self, config: AgentConfig, cloud: np.ndarray, world: WorldTurn | None,
-                 positions: np.ndarray, max_step: float) -> None:
-        self._world, self._max_step = world, max_step
-        self.positions = positions.copy()
-        self._cloud = encode_cloud(cloud, positions, config) if config.cloud else {}
+                 positions: np.ndarray, max_step: float, time: float) -> None:
+        self._config, self._world, self._max_step = config, world, max_step
+        self.positions, self._time = positions.copy(), time
+        self._has_chosen = np.zeros(len(positions), dtype=bool)
+        # Points are marked in the model: those that it was made of are read.
+        known = world.model.points if config.marks and world is not None else cloud
+        self._cloud = encode_cloud(known, positions, config) if config.cloud else {}
 
     @property
     def known(self) -> bool:
@@ -49,10 +55,27 @@ class EncodedTurn:
         encoded = dict(self._cloud)
         if 'cameras' in encoded:
             encoded['cameras'] = encoded['cameras'][camera:camera + 1]
+        if self._config.others:
+            encoded |= self._told(camera)
+        if not self._config.world:
+            return encoded
         if self._world is None:
             return encoded | nothing_known(1)
         directions, own = self._world.inputs(camera)
         return encoded | {'directions': directions[None], 'own': own[None]}
+
+    def _told(self, camera: int) -> dict[str, np.ndarray]:
+        """Tell a camera of the others, of the turn, and who sees which points now."""
+        config, world = self._config, self._world
+        unseen = 1.0 if world is None else world.unseen_share
+        told = {'others': told_of_others(camera, self.positions, self._has_chosen, config),
+                'turn': np.array([self._time, len(self.positions) / 4.0, unseen], np.float32)}
+        if config.marks:
+            marks = np.zeros((config.points, MARKS), dtype=np.uint8)
+            if world is not None:
+                marks = chosen(np.stack(world.seen_now(camera), axis=1).astype(np.uint8), config)
+            told['marks'] = marks
+        return told
 
     def move(self, camera: int, action: np.ndarray) -> np.ndarray:
         """
@@ -67,7 +90,7 @@ class EncodedTurn:
         else:
             target = here + step
         step = (target - here)[0]
-        self.positions[camera, :2] = target[0]
+        self.positions[camera, :2], self._has_chosen[camera] = target[0], True
         if self._world is not None:
             self._world.place(camera, self.positions[camera])
         return step / self._max_step
@@ -97,7 +120,10 @@ class Encoder:
     def __init__(self, config: AgentConfig, max_range: float = 4.0, max_step: float = 0.5,
                  wall_margin: float = 0.1, clearance: float = CLEARANCE) -> None:
         self.config, self.max_step = config, max_step
-        self._world = WorldInputs(max_range, wall_margin, clearance) if config.world else None
+        self._world: WorldInputs | None = None
+        if config.one_by_one:
+            sizes = () if config.world else (MARKED_POINTS, MARKED_ROWS)
+            self._world = WorldInputs(max_range, wall_margin, clearance, *sizes)
 
     @property
     def unit(self) -> float:
@@ -127,7 +153,7 @@ class Encoder:
         if self._world is not None:
             with suppress(SceneError):
                 world = self._world.turn(cloud, positions, turn, turns)
-        return EncodedTurn(self.config, cloud, world, positions, self.max_step)
+        return EncodedTurn(self.config, cloud, world, positions, self.max_step, turn / turns)
 
     def __call__(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int
                  ) -> dict[str, np.ndarray]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ocp_ros.agent.partial_map import KeptModel, LookHistory, PartialMap
 from ocp_ros.agent.rig_state import clearance_of, fixed_views, remember, RigState, view_from
-from ocp_ros.geometry.packed_bits import count_bits
+from ocp_ros.geometry.packed_bits import count_bits, unpack
 from ocp_ros.geometry.visibility import FAST, FINE
 from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
 from ocp_ros.simulation.simulator import View
@@ -85,6 +85,23 @@ class WorldTurn:
         """Let a camera be at a position (3,), for those that are asked after it."""
         self.positions[camera], self._views[camera] = position, self._look(camera, position)
 
+    @property
+    def unseen_share(self) -> float:
+        """Return the share of the air that no camera has covered."""
+        return self._count / max(len(self.model.cells), 1)
+
+    def seen_now(self, camera: int) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Tell what is seen of the model's points, each camera being where it is or will be.
+
+        :returns: (N,) bool, whether the camera sees a point, and (N,) uint8, how many others do.
+        """
+        count = len(self.model.points)
+        others = np.zeros(count, dtype=np.uint8)
+        for view in self._views[:camera] + self._views[camera + 1:] + self._fixed:
+            others += unpack(view.seen, count)
+        return unpack(self._views[camera].seen, count), others
+
     def inputs(self, camera: int) -> tuple[np.ndarray, np.ndarray]:
         """
         Try a camera in all directions.
@@ -134,11 +151,14 @@ class WorldInputs:
     :param max_range: effective range of the omnidirectional cameras, metres.
     :param wall_margin: cameras stay this far inside the observed bounding box, metres.
     :param clearance: cameras stay this far from all points that were seen, metres.
+    :param most: points of the model.
+    :param rows: of its depth maps.
     """
 
-    def __init__(self, max_range: float, wall_margin: float, clearance: float = CLEARANCE
-                 ) -> None:
+    def __init__(self, max_range: float, wall_margin: float, clearance: float = CLEARANCE,
+                 most: int = POINTS, rows: int = ROWS) -> None:
         self.max_range, self.wall_margin, self.clearance = max_range, wall_margin, clearance
+        self._sizes = most, rows
         #: What cameras see and how they are turned; None if all are omnidirectional.
         self.sight: RigState | None = None
         self.reset()
@@ -147,7 +167,7 @@ class WorldInputs:
         """Forget the last episode."""
         self._memory = LookHistory()
         self._last: np.ndarray | None = None
-        self._kept = KeptModel(self.max_range, self.wall_margin, POINTS, ROWS)
+        self._kept = KeptModel(self.max_range, self.wall_margin, *self._sizes)
 
     def turn(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> WorldTurn:
         """

@@ -13,6 +13,7 @@ from torch import nn, Tensor
 from ocp_ros.agent import move_effects
 from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.distributions import Choices, Moves, SquashedGaussian
+from ocp_ros.agent.observation import MARKS, OF_OTHERS, OF_TURN
 from ocp_ros.agent.value_network import ValueMapNetwork
 
 LOG_STD_MIN, LOG_STD_MAX = -5.0, 2.0
@@ -45,11 +46,13 @@ class ExtractionUnit(nn.Module):
 
     :param features: channels of each input point besides its position.
     :param channels: channels C' of the three layers.
+    :param normed: whether the maximum over a group is normalised.
     """
 
-    def __init__(self, features: int, channels: int) -> None:
+    def __init__(self, features: int, channels: int, normed: bool = False) -> None:
         super().__init__()
         self.layers = perceptron(3 + features, channels, channels, channels)
+        self.norm = nn.LayerNorm(channels) if normed else nn.Identity()
 
     def forward(self, points: Tensor, features: Tensor | None, centres: Tensor,
                 groups: Tensor) -> Tensor:
@@ -66,32 +69,38 @@ class ExtractionUnit(nn.Module):
         if features is not None:
             grouped = torch.cat([grouped, gather(features, groups)], dim=-1)
         # The last ReLU and the maximum commute; in this order it has G times less to do.
-        return self.layers[-1](self.layers[:-1](grouped).amax(dim=2))
+        return self.layers[-1](self.norm(self.layers[:-1](grouped).amax(dim=2)))
 
 
 class PointFeatures(nn.Module):
-    """Features of a whole cloud: three extraction units, the last with one key point."""
+    """
+    Features of a whole cloud: three extraction units.
+
+    The last has a single key point: the mean of those before, or, centred, each camera.
+    """
 
     def __init__(self, config: AgentConfig) -> None:
         super().__init__()
-        channels = config.channels
-        self.unit_1 = ExtractionUnit(0, channels)
-        self.unit_2 = ExtractionUnit(channels, channels)
-        self.unit_3 = ExtractionUnit(channels, channels)
-        self.width = channels + 3
+        channels, normed = config.channels, config.normed
+        last = config.pooled or channels
+        self.unit_1 = ExtractionUnit(MARKS if config.marks else 0, channels, normed)
+        self.unit_2 = ExtractionUnit(channels, channels, normed)
+        self.unit_3 = ExtractionUnit(channels, last, normed)
+        self.centred, self.width = config.centred, last + 3
 
     def forward(self, observation: dict[str, Tensor]) -> Tensor:
-        """Return (B, C' + 3) from an encoded observation."""
+        """Return (B, 1, C' + 3) from an encoded observation; centred, (B, K, C' + 3)."""
         points = observation['points']
+        marks = observation['marks'].to(points.dtype) if 'marks' in observation else None
         centres_1 = gather(points, observation['keys_1'])
-        features_1 = self.unit_1(points, None, centres_1, observation['groups_1'])
+        features_1 = self.unit_1(points, marks, centres_1, observation['groups_1'])
         centres_2 = gather(centres_1, observation['keys_2'])
         features_2 = self.unit_2(centres_1, features_1, centres_2, observation['groups_2'])
-        centre = centres_2.mean(dim=1, keepdim=True)
+        centre = observation['cameras'] if self.centred else centres_2.mean(dim=1, keepdim=True)
         everything = torch.arange(centres_2.shape[1], device=points.device)
         features = self.unit_3(centres_2, features_2, centre,
-                               everything.expand(len(points), 1, -1))
-        return torch.cat([features, centre], dim=-1)[:, 0]
+                               everything.expand(*centre.shape[:2], -1))
+        return torch.cat([features, centre], dim=-1)
 
 
 class RigExtractor(nn.Module):
@@ -103,9 +112,11 @@ class RigExtractor(nn.Module):
 
     def __init__(self, config: AgentConfig) -> None:
         super().__init__()
-        self.cloud = PointFeatures(config)
-        self.others = perceptron(4, CAMERA_CHANNELS, CAMERA_CHANNELS)
-        self.width = self.cloud.width + OWN_FEATURES + 2 * CAMERA_CHANNELS
+        self.cloud, self.one_by_one = PointFeatures(config), config.others > 0
+        told = OF_OTHERS if self.one_by_one else 4
+        self.others = perceptron(told, CAMERA_CHANNELS, CAMERA_CHANNELS)
+        self.width = (self.cloud.width + OWN_FEATURES + 2 * CAMERA_CHANNELS
+                      + (OF_TURN if self.one_by_one else 0))
 
     def forward(self, observation: dict[str, Tensor]) -> Tensor:
         """Return (B, K, F) from an encoded observation with K cameras."""
@@ -114,7 +125,11 @@ class RigExtractor(nn.Module):
             cameras[..., :2] / half[..., :2].clamp(min=1e-3), cameras,
             half[..., :2] - cameras[..., :2], half[..., :2] + cameras[..., :2],
             half.expand_as(cameras)], dim=-1)
-        cloud = self.cloud(observation)[:, None].expand(-1, cameras.shape[1], -1)
+        cloud = self.cloud(observation).expand(-1, cameras.shape[1], -1)
+        if self.one_by_one:
+            told = observation['others']
+            others = pooled(self.others(told), told[..., 3])[:, None]
+            return torch.cat([cloud, own, others, observation['turn'][:, None]], dim=-1)
         others = self._from_others(cameras, present_of(observation))
         return torch.cat([cloud, own, others], dim=-1)
 
@@ -123,10 +138,14 @@ class RigExtractor(nn.Module):
         offsets = cameras[:, None, :, :] - cameras[:, :, None, :]
         offsets = torch.cat([offsets, offsets.norm(dim=-1, keepdim=True)], dim=-1)
         other = 1.0 - torch.eye(cameras.shape[1], device=cameras.device)[None]
-        other = (other * present[:, None])[..., None]
-        features = self.others(offsets) * other
-        count = other.sum(dim=2).clamp(min=1.0)
-        return torch.cat([features.sum(dim=2) / count, features.amax(dim=2)], dim=-1)
+        return pooled(self.others(offsets), other * present[:, None])
+
+
+def pooled(features: Tensor, present: Tensor) -> Tensor:
+    """Pool features (..., N, C), not below 0, of what there is (..., N): (..., 2 C)."""
+    features = features * present[..., None]
+    count = present.sum(dim=-1, keepdim=True).clamp(min=1.0)
+    return torch.cat([features.sum(dim=-2) / count, features.amax(dim=-2)], dim=-1)
 
 
 def present_of(observation: dict[str, Tensor]) -> Tensor:
@@ -176,6 +195,27 @@ class GaussianHead(nn.Module):
         return SquashedGaussian(mean, log_std.clamp(LOG_STD_MIN, LOG_STD_MAX))
 
 
+class CloudChoiceHead(nn.Module):
+    """How good each of a few moves is, in units of the longest step, from the features alone."""
+
+    def __init__(self, features: int, hidden: int) -> None:
+        super().__init__()
+        self.layers = perceptron(features, hidden, hidden)
+        self.out = nn.Linear(hidden, len(move_effects.CHOICES))
+        self.log_std = nn.Parameter(torch.full((1,), WIDTH_FIRST))
+        self.register_buffer('centres', move_centres(), persistent=False)
+
+    def forward(self, features: Tensor) -> Moves:
+        """Map (B, K, F) to a distribution of moves."""
+        return Choices(self.out(self.layers(features)),
+                       self.log_std.clamp(WIDTH_MIN, WIDTH_MAX), self.centres)
+
+
+def move_centres() -> Tensor:
+    """Return the moves that are chosen among, (C, 2), in units of the longest."""
+    return torch.tensor(move_effects.CHOICES / move_effects.LONGEST, dtype=torch.float32)
+
+
 class ChoiceHead(nn.Module):
     """
     How good each of a few moves is, by one perceptron that all directions share.
@@ -201,9 +241,7 @@ class ChoiceHead(nn.Module):
                              persistent=False)
         self.register_buffer('ways', torch.tensor(move_effects.WAYS, dtype=torch.float32),
                              persistent=False)
-        centres = move_effects.CHOICES / move_effects.LONGEST
-        self.register_buffer('centres', torch.tensor(centres, dtype=torch.float32),
-                             persistent=False)
+        self.register_buffer('centres', move_centres(), persistent=False)
 
     def forward(self, features: Tensor) -> Moves:
         """Map (B, K, F) to a distribution of moves."""
@@ -260,4 +298,4 @@ def head_of(config: AgentConfig, extractor: Extractor) -> nn.Module:
     """Return the actor's head: choices where moves are tried on the world model."""
     if config.world:
         return ChoiceHead(config, extractor)
-    return GaussianHead(extractor.width, config.hidden)
+    return (CloudChoiceHead if config.choices else GaussianHead)(extractor.width, config.hidden)

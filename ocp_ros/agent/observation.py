@@ -10,8 +10,14 @@ and never computed again at a gradient step.
 import numpy as np
 
 from ocp_ros.agent.agent_config import AgentConfig
-from ocp_ros.agent.sampling import ball_query, farthest_points
-from ocp_ros.geometry.clouds import fixed_size
+from ocp_ros.agent.sampling import ball_query, farthest_points, nearest_in_ball
+
+#: What is told of each other camera: the way to it, whether there is one, and whether it has
+#: chosen already. What is told of the turn: the share of the turns that is over, cameras / 4, and
+#: the share of the air that no camera has covered.
+OF_OTHERS, OF_TURN = 5, 3
+#: What is told of each point: whether the choosing camera sees it now, and how many others do.
+MARKS = 2
 
 
 def encode(cloud: np.ndarray, camera_positions: np.ndarray, bounds: np.ndarray,
@@ -29,18 +35,43 @@ def encode(cloud: np.ndarray, camera_positions: np.ndarray, bounds: np.ndarray,
         ``groups_2`` (K2, G2), all indices int16, ``cameras`` (K, 3) and ``half_size`` (3,).
     """
     centre, scale = bounds.mean(axis=0), config.length_scale
-    points = ((fixed_size(cloud, config.points) - centre) / scale).astype(np.float32)
+    points = ((chosen(cloud, config) - centre) / scale).astype(np.float32)
     keys_1 = farthest_points(points, config.keys_1)
     key_points = points[keys_1]
     keys_2 = farthest_points(key_points, config.keys_2)
+    grouped = nearest_in_ball if config.nearest else ball_query
     indices = {
         'keys_1': keys_1,
-        'groups_1': ball_query(points, keys_1, config.radius_1 / scale, config.group_1),
+        'groups_1': grouped(points, keys_1, config.radius_1 / scale, config.group_1),
         'keys_2': keys_2,
-        'groups_2': ball_query(key_points, keys_2, config.radius_2 / scale, config.group_2)}
+        'groups_2': grouped(key_points, keys_2, config.radius_2 / scale, config.group_2)}
     return {
         'points': points,
         # Half the memory where they are kept: there are never more than 32767 points.
         **{name: value.astype(np.int16) for name, value in indices.items()},
         'cameras': ((camera_positions - centre) / scale).astype(np.float32),
         'half_size': (0.5 * (bounds[1] - bounds[0]) / scale).astype(np.float32)}
+
+
+def chosen(rows: np.ndarray, config: AgentConfig) -> np.ndarray:
+    """Take as many rows of a cloud (N, ...) as reach the first unit, at even strides."""
+    return rows[np.arange(config.points) * len(rows) // config.points]
+
+
+def told_of_others(camera: int, positions: np.ndarray, has_chosen: np.ndarray,
+                   config: AgentConfig) -> np.ndarray:
+    """
+    Tell a camera of the others, the nearest first.
+
+    :param camera: its number.
+    :param positions: (K, 3) metres: where cameras are, or will be after the turn.
+    :param has_chosen: (K,) bool.
+    :param config: how many are told of at most, and the unit of length.
+    :returns: (others, ``OF_OTHERS``) float32, zeros where there are fewer.
+    """
+    told = np.zeros((config.others, OF_OTHERS), dtype=np.float32)
+    ways = (np.delete(positions, camera, axis=0) - positions[camera]) / config.length_scale
+    nearest = np.argsort(np.linalg.norm(ways, axis=1), kind='stable')[:config.others]
+    told[:len(nearest), :3], told[:len(nearest), 3] = ways[nearest], 1.0
+    told[:len(nearest), 4] = np.delete(has_chosen, camera)[nearest]
+    return told

@@ -46,7 +46,7 @@ class Policy:
         :param rng: draw the moves from the policy's distribution; None for the best ones.
         :returns: (K, 2) float32, in units of the longest step.
         """
-        if not self.checkpoint.config.world:
+        if not self.checkpoint.config.one_by_one:
             return self.choose(self.encoder(cloud, camera_positions, turn, turns), rng)
         moves = np.empty((len(camera_positions), 2), dtype=np.float32)
         encoded = self.encoder.turn(cloud, camera_positions, turn, turns)

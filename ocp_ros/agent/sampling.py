@@ -56,3 +56,38 @@ def ball_query(points, keys, radius, size):
         for i in range(found, size):
             groups[k, i] = groups[k, 0]
     return groups
+
+
+@njit(cache=True, nogil=True)
+def nearest_in_ball(points, keys, radius, size):
+    """
+    Group the nearest points within a radius of each key point, the key point first.
+
+    Between keys that are spread evenly, nearly every point is in some group, however dense points
+    are: a ball query takes the same first points of a dense cloud again and again.
+
+    :param points: (N, 3) float32.
+    :param keys: (K,) indices of the key points.
+    :param radius: in the points' unit.
+    :param size: points per group; a smaller group repeats its first point.
+    :returns: (K, size) int32 indices.
+    """
+    groups = np.empty((keys.shape[0], size), dtype=np.int32)
+    away = np.empty(size, dtype=np.float32)
+    for k in range(keys.shape[0]):
+        centre, found = points[keys[k]], 0
+        for i in range(points.shape[0]):
+            dx, dy = points[i, 0] - centre[0], points[i, 1] - centre[1]
+            dz = points[i, 2] - centre[2]
+            distance = dx * dx + dy * dy + dz * dz
+            if distance > radius * radius or (found == size and distance >= away[size - 1]):
+                continue
+            at = min(found, size - 1)
+            while at > 0 and away[at - 1] > distance:
+                away[at], groups[k, at] = away[at - 1], groups[k, at - 1]
+                at -= 1
+            away[at], groups[k, at] = distance, i
+            found = min(found + 1, size)
+        for i in range(found, size):
+            groups[k, i] = groups[k, 0]
+    return groups

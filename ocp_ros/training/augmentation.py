@@ -57,7 +57,7 @@ def turn(vectors: torch.Tensor, maps: torch.Tensor) -> torch.Tensor:
     """
     Apply one map per batch entry to the first two components.
 
-    :param vectors: (B, ..., 2 or 3).
+    :param vectors: (B, ..., 2 or more).
     :param maps: (B, 2, 2).
     """
     flat = vectors[..., :2].reshape(len(vectors), -1, 2) @ maps.transpose(1, 2)
@@ -73,7 +73,7 @@ def turn_observation(observation: dict[str, torch.Tensor], maps: Symmetries
     :param maps: B of them.
     """
     turned = dict(observation)
-    for name in ('points', 'cameras'):
+    for name in ('points', 'cameras', 'others'):
         if name in observation:
             turned[name] = turn(observation[name], maps.matrices)
     if 'half_size' in observation:

@@ -18,6 +18,7 @@ import numpy as np
 from stable_baselines3 import SAC
 import torch
 
+from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.move_effects import CHOICES, greedy
 from ocp_ros.planners.exact import exact_plane
 from ocp_ros.planners.online_planner import Online, shared_out
@@ -130,7 +131,7 @@ def demonstrate(task: DemonstrationTask) -> dict[str, np.ndarray]:
     observation, _ = env.reset(seed=int(rng.integers(1 << 31)), options={'cameras': cameras})
     episode = unwrapped(env).episode
     config = replace(simulation, rig=replace(simulation.rig, cameras=cameras))
-    expert = Expert(settings, episode.simulator, config, rng)
+    expert = Expert(settings, task.config.agent, episode.simulator, config, rng)
     policy: Any = policy_of(task.weights) if task.weights else None
     steps: list[tuple] = []
     truncated = False
@@ -166,15 +167,17 @@ class Expert:
     Who says what each camera should do.
 
     :param settings: who it is.
+    :param agent: what the policy reads.
     :param simulator: the engine for the room, of which only offline planners know.
     :param config: the episode's rig.
     :param rng: the only source of chance.
     """
 
-    def __init__(self, settings: DemonstrationsConfig, simulator: Simulator,
+    def __init__(self, settings: DemonstrationsConfig, agent: AgentConfig, simulator: Simulator,
                  config: SimulationConfig, rng: np.random.Generator) -> None:
         self._config, self._turn, self._moves = config, -1, np.empty((0, 2))
-        self._greedy = settings.expert == 'greedy_step'
+        # Where the policy reads what moves would change, nothing has to be tried again.
+        self._greedy = settings.expert == 'greedy_step' and agent.world
         if not self._greedy:
             self._planner = expert_of(settings.expert, simulator, config, settings.budget, rng,
                                       settings.seconds)

@@ -12,7 +12,9 @@ from ocp_ros.agent import move_effects
 from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.encoder import EncodedTurn, Encoder, order_of, PER_CAMERA
 from ocp_ros.agent.heading_planner import HeadingPlanner
-from ocp_ros.agent.observation_map import CELLS, NUMBERS, OF_OTHERS, OF_ROOM
+from ocp_ros.agent.observation import MARKS, OF_OTHERS, OF_TURN
+from ocp_ros.agent.observation_map import CELLS, NUMBERS, OF_ROOM
+from ocp_ros.agent.observation_map import OF_OTHERS as MAPS_OF_OTHERS
 from ocp_ros.planners.rollout import state_of
 from ocp_ros.rig.motion import bounded_moves, way_between
 from ocp_ros.simulation.environment import CameraPlacementEnv
@@ -53,7 +55,7 @@ def encoded_space(agent: AgentConfig, cameras: int) -> spaces.Dict:
 
     if agent.map:
         return spaces.Dict({'room': maps(OF_ROOM, CELLS, CELLS),
-                            'others': maps(OF_OTHERS, CELLS, CELLS),
+                            'others': maps(MAPS_OF_OTHERS, CELLS, CELLS),
                             'numbers': real(NUMBERS), 'choices': maps(CELLS, CELLS)})
     space = {'present': real(cameras)}
     if agent.cloud:
@@ -61,6 +63,10 @@ def encoded_space(agent: AgentConfig, cameras: int) -> spaces.Dict:
             'points': real(agent.points, 3), 'cameras': real(cameras, 3), 'half_size': real(3),
             'keys_1': index(agent.keys_1), 'groups_1': index(agent.keys_1, agent.group_1),
             'keys_2': index(agent.keys_2), 'groups_2': index(agent.keys_2, agent.group_2)}
+    if agent.others:
+        space |= {'others': real(agent.others, OF_OTHERS), 'turn': real(OF_TURN)}
+    if agent.marks:
+        space |= {'marks': spaces.Box(0, 255, (agent.points, MARKS), np.uint8)}
     if agent.world:
         space |= {'directions': real(cameras, move_effects.DIRECTIONS, move_effects.WIDTH),
                   'own': real(cameras, move_effects.OF_CAMERAS)}
@@ -119,10 +125,10 @@ def encoded(env: CameraPlacementEnv, agent: AgentConfig) -> gym.Env:
     """
     Return an environment as the networks read it, in which an action is a move on the plane.
 
-    :param agent: what the network reads; where moves are tried, cameras choose one by one.
+    :param agent: what the network reads; in which cameras choose one by one or all at once.
     """
     level = env if env.axes == PlaneProblem.axes else PlaneMoves(env)
-    return (CameraByCamera if agent.world else EncodedObservation)(level, agent)
+    return (CameraByCamera if agent.one_by_one else EncodedObservation)(level, agent)
 
 
 class PlaneMoves(gym.Wrapper):

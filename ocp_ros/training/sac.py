@@ -51,10 +51,13 @@ class SharedHeadActor(SacActor):
         super().__init__(*args, **kwargs)
         del self.latent_pi, self.mu, self.log_std
         self.head = head_of(self.features_extractor.agent, self.features_extractor.extractor)
+        #: Whether soft actor-critic trains the features by the actor's loss.
+        self.trains = True
 
-    def moves(self, observation: dict[str, torch.Tensor]):
+    def moves(self, observation: dict[str, torch.Tensor], trains: bool = True):
         """Return the distribution of moves and which cameras there are."""
-        features = self.extract_features(observation, self.features_extractor)
+        with torch.set_grad_enabled(trains and torch.is_grad_enabled()):
+            features = self.extract_features(observation, self.features_extractor)
         features, present = self.features_extractor.split(features)
         return self.head(features), present
 
@@ -69,7 +72,7 @@ class SharedHeadActor(SacActor):
 
         It is scaled to that of all cameras, so that one target of the entropy serves any number.
         """
-        moves, present = self.moves(obs)
+        moves, present = self.moves(obs, self.trains)
         drawn = moves.sample()
         count = present.sum(dim=1).clamp(min=1.0)
         density = (moves.log_prob(drawn) * present).sum(dim=1) * present.shape[1] / count
@@ -96,19 +99,42 @@ class _QNetwork(torch.nn.Module):
 class SharedHeadCritic(ContinuousCritic):
     """SAC's critics with layers that all cameras share."""
 
-    def __init__(self, *args, hidden: int, **kwargs) -> None:
+    def __init__(self, *args, hidden: int, trains: bool, **kwargs) -> None:
         super().__init__(*args, **kwargs)
+        #: Whether their loss trains the features.
+        self.trains = trains
         self.q_networks = [_QNetwork(self.features_extractor, hidden) for _ in self.q_networks]
         for index, network in enumerate(self.q_networks):
             self.add_module(f'qf{index}', network)
 
+    def forward(self, obs, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Return (B, 1) of each critic."""
+        # What the actor does for more reward shall not change what is read.
+        with torch.set_grad_enabled(self.trains and torch.is_grad_enabled()
+                                    and not actions.requires_grad):
+            features = self.extract_features(obs, self.features_extractor)
+        read = torch.cat([features, actions], dim=1)
+        return tuple(network(read) for network in self.q_networks)
+
 
 class RigPolicy(MultiInputPolicy):
-    """stable-baselines3's SAC policy on the agent's extractor and shared heads."""
+    """
+    stable-baselines3's SAC policy on the agent's extractor and shared heads.
 
-    def __init__(self, *args, hidden: int, **kwargs) -> None:
-        self.hidden = hidden
+    :param hidden: width of the heads.
+    :param critics_train: whether the critics' loss, not the actor's, trains shared features.
+    """
+
+    def __init__(self, *args, hidden: int, critics_train: bool = False, **kwargs) -> None:
+        self.hidden, self.critics_train = hidden, critics_train
         super().__init__(*args, **kwargs)
+
+    def _build(self, lr_schedule) -> None:
+        """Build the networks and their optimizers."""
+        super()._build(lr_schedule)
+        if self.share_features_extractor and self.critics_train:
+            self.actor.trains = False
+            self.critic.optimizer.param_groups[0]['params'] = list(self.critic.parameters())
 
     def make_actor(self, features_extractor=None) -> SharedHeadActor:
         """Build the actor."""
@@ -118,7 +144,8 @@ class RigPolicy(MultiInputPolicy):
     def make_critic(self, features_extractor=None) -> SharedHeadCritic:
         """Build the critics."""
         arguments = self._update_features_extractor(self.critic_kwargs, features_extractor)
-        return SharedHeadCritic(**arguments, hidden=self.hidden).to(self.device)
+        trains = self.critics_train or not self.share_features_extractor
+        return SharedHeadCritic(**arguments, hidden=self.hidden, trains=trains).to(self.device)
 
 
 class RigSac(SAC):
@@ -184,7 +211,8 @@ def make_sac(sac: SacConfig, agent: AgentConfig, cameras: int, env=None, seed: i
         (MapPolicy, {'agent': agent}, MapReplayBuffer) if agent.map else
         (RigPolicy, {'features_extractor_class': SharedExtractor,
                      'features_extractor_kwargs': {'agent': agent}, 'hidden': agent.hidden,
-                     'share_features_extractor': sac.shared_extractor}, SymmetricReplayBuffer))
+                     'share_features_extractor': sac.shared_extractor,
+                     'critics_train': sac.critics_train}, SymmetricReplayBuffer))
     model = RigSac(
         policy, env, config=sac, agent=agent, learning_rate=sac.learning_rate,
         buffer_size=sac.buffer_size, learning_starts=sac.learning_starts,
@@ -197,6 +225,14 @@ def make_sac(sac: SacConfig, agent: AgentConfig, cameras: int, env=None, seed: i
         model.action_space, model.n_envs = action_space(cameras), environments
     model._setup_model()
     return model
+
+
+def start_critics(model: RigSac) -> None:
+    """Let the critics begin with the features that the actor has learned."""
+    if not model.agent.map:
+        learned = model.actor.features_extractor.state_dict()
+        for critic in (model.critic, model.critic_target):
+            critic.features_extractor.load_state_dict(learned)
 
 
 def _actor_parts(model: RigSac) -> dict[str, torch.nn.Module]:

@@ -45,7 +45,7 @@ from ocp_ros.training.run_folder import (
     STATE,
     VALUES,
 )
-from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac, RigSac
+from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac, RigSac, start_critics
 from ocp_ros.training.sac_state import load_state, new_run, save_state
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import make, room_names, Rooms
@@ -295,6 +295,8 @@ def learn(run: Run) -> None:
         model.learning_starts += model.num_timesteps
     if shown is not None:
         demonstrations.fill(model, shown)
+        if model.num_timesteps == first:
+            start_critics(model)
         imitation = demonstrations.Imitation(shown, model.device)
         model.imitation_loss = lambda size: imitation.loss_of(model.actor, size)
     model.set_env(environments(config, run.rooms))

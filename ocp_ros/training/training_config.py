@@ -42,7 +42,9 @@ class SacConfig:
     imitation_fades: int = setting(10000, 'gradient steps until the imitation loss is '
                                           'zero', 1, 1 << 31)
     shared_extractor: bool = setting(
-        False, "whether the critics share the actor's features, which their loss does not train")
+        False, "whether the critics share the actor's features")
+    critics_train: bool = setting(
+        False, "whether the loss of the critics trains shared features, in place of the actor's")
     device: str = setting('auto', 'auto, cpu or cuda', choices=('auto', 'cpu', 'cuda'))
 
 
@@ -184,11 +186,12 @@ class TrainingConfig:
                 f'interactions: found 0 and no {"values.steps" if self.agent.map else ""}'
                 f'{"" if self.agent.map else "demonstrations.rounds"}; expected something to '
                 'learn from')
-        if self.demonstrations.rounds and not self.agent.world:
+        if self.demonstrations.rounds and (self.agent.map or not self.agent.one_by_one):
             raise ConfigurationError(
                 f'demonstrations.rounds: found {self.demonstrations.rounds} with agent.inputs '
-                f'{self.agent.inputs!r}; expected 0: who imitates reads world or both; the map '
-                'actor learns dense values first, see values')
+                f'{self.agent.inputs!r}; expected 0: what is shown are moves of one camera after '
+                'the other; set agent.others with the cloud; the map actor learns dense values '
+                'first, see values')
 
     def _read_rig(self) -> None:
         """Take the number of cameras from a rig file, and refuse what does not go with one."""
