@@ -23,7 +23,7 @@ LAYERS = {
     'geometry': 'what a camera sees of points: arrays in, arrays out',
     'scenes': 'rooms from files, generated rooms',
     'rig': 'cameras, mounts, constraints, their files',
-    'registration': 'live clouds to scans: where cameras hang',
+    'registration': 'live clouds to scans: where cameras are mounted',
     'simulation': 'a rig in a room: engine, objective, episode',
     'agent': 'what runs on the robot: partial map, network',
     'planners': 'every method that finds a placement',
@@ -59,11 +59,11 @@ def draw(path: Path) -> None:
     axes.set_axis_off()
     _title(axes, 0.3, 'Layers: each imports those below it')
     for number, (name, about) in enumerate(LAYERS.items()):
-        bottom = 0.3 + 0.39 * number
-        _box(axes, 0.3, bottom, 4.3, 0.33, FILLS[number % 2])
-        axes.text(0.45, bottom + 0.165, name, fontsize=9.0, fontweight='bold', color=INK,
+        bottom = 0.25 + 0.365 * number
+        _box(axes, 0.3, bottom, 4.3, 0.31, FILLS[number % 2])
+        axes.text(0.45, bottom + 0.155, name, fontsize=9.0, fontweight='bold', color=INK,
                   va='center', zorder=3)
-        axes.text(1.55, bottom + 0.165, about, fontsize=7.5, color=PALE_INK, va='center',
+        axes.text(1.55, bottom + 0.155, about, fontsize=7.5, color=PALE_INK, va='center',
                   zorder=3)
     _title(axes, 5.2, 'Nodes and topics')
     for name, (x, y) in NODES.items():
