@@ -38,7 +38,7 @@ def instructions(judged: Assessment, plan: str) -> str:
     sizes = ', '.join(f'{wall.letter} {wall.length:.2f} m' + (
         '' if wall.stands else ' (no wall stands there)') for wall in references.sides)
     inner = '' if not references.inner else (
-        f' {" ".join(wall.letter for wall in references.inner)} are walls inside of it.')
+        f' Walls inside it: {", ".join(wall.letter for wall in references.inner)}.')
     lines = [f'# How to mount the cameras: {in_markdown(judged.scene.name)}', '',
              f'![Plan]({plan})', '', *(f'**Check first:** {in_markdown(note)}.\n'
                                        for note in judged.found.get('notes', ())),

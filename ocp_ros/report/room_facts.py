@@ -23,6 +23,8 @@ PLACES, ROWS, CUBE = 9, 64, 0.75
 STEEP = 30.0
 #: The directions that openings are told apart by.
 SIDES = ('+x', '+y', '-x', '-y', 'above', 'below')
+#: Shares of a side that are not worth a word.
+LITTLE = 0.005
 #: Names of common units, by metres.
 UNITS = {1.0: 'metres', 0.001: 'millimetres', 0.01: 'centimetres', 0.0254: 'inches',
          0.3048: 'feet'}
@@ -93,12 +95,15 @@ def show_facts(console: Console, found: Mapping[str, Any]) -> None:
     table.add_row('size', ' x '.join(f'{edge:.2f}' for edge in found['size']) + ' m')
     table.add_row('bounds', ', '.join(f'{axis} {first:.2f} to {last:.2f}' for axis, first, last
                                       in zip('xyz', low, high)) + ' m')
-    table.add_row('floor', f'z = {found["floor"]:.2f} m, {found["floor_area"]:.1f} m²')
+    # Without the sign of a zero.
+    floor = round(found['floor'], 2) + 0.0
+    table.add_row('floor', f'z = {floor:.2f} m, {found["floor_area"]:.1f} m²')
     table.add_row('ceiling', 'not found' if ceiling is None else
                   f'z = {ceiling:.2f} m, {ceiling - found["floor"]:.2f} m above the floor')
     table.add_row('openings', 'no inside was found' if not openings else (
         f'{_percent(openings["all"])} of the view from inside meets no surface ('
-        + ', '.join(f'{side} {_percent(openings[side])}' for side in SIDES) + ')'))
+        + (', '.join(f'{side} {_percent(openings[side])}' for side in SIDES
+                     if openings[side] >= LITTLE) or 'no side is open') + ')'))
     table.add_row('file', f'unit: {unit}; up: {source["up"]}' + (
         f'; moved by {", ".join(f"{-value:.0f}" for value in source["shift"])} m'
         if any(source['shift']) else ''))
