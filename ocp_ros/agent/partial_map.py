@@ -97,7 +97,7 @@ class PartialMap:
         near = np.argsort(away, axis=1)[:, :LOOKING]
         for camera in np.unique(near):
             view = View(no_bits(len(self.visibility.order)), no_bits(len(places)))
-            self.visibility.look(Pose.of(positions[camera]), lens, *view)
+            self.visibility.look(Pose.of(positions[camera]), lens, view.seen, view.covered)
             seen = np.empty(len(places), dtype=bool)
             seen[places] = unpack(view.covered, len(places))
             found |= seen[-4:] & (near == camera).any(axis=1)
@@ -111,7 +111,8 @@ class PartialMap:
         :param lens: of the camera; None for an omnidirectional one.
         """
         view = View(no_bits(len(self.visibility.order)), no_bits(len(self.cells)))
-        self.visibility.look(Pose.of(camera), self._lens if lens is None else lens, *view)
+        self.visibility.look(Pose.of(camera), self._lens if lens is None else lens,
+                             view.seen, view.covered)
         return view
 
     def look_many(self, position: np.ndarray, headings: np.ndarray, lens: Frustum) -> list[View]:
@@ -126,7 +127,8 @@ class PartialMap:
         if lens.kind == OMNIDIRECTIONAL:
             return [around] * len(headings)
         poses = (Pose.of(np.concatenate([position, heading])) for heading in headings)
-        return [View(*self.visibility.narrowed(pose, lens, *around)) for pose in poses]
+        return [View(*self.visibility.narrowed(pose, lens, around.seen, around.covered))
+                for pose in poses]
 
     def follow(self, settings: SurfelSettings) -> None:
         """Look by these rules from now on; what was seen by others has to be looked at again."""

@@ -140,9 +140,12 @@ class Pool:
         No choice of the candidates and of what was added is worth more: it sees no point that
         these views do not hold as often.
         """
-        return [View(*(np.bitwise_or.reduce(parts) for parts in zip(
-            *self.kind(camera.model).views, *self._found[camera.model])))
-            for camera in rig.cameras]
+        found = []
+        for camera in rig.cameras:
+            views = [*self.kind(camera.model).views, *self._found[camera.model]]
+            found.append(View(np.bitwise_or.reduce([view.seen for view in views]),
+                              np.bitwise_or.reduce([view.covered for view in views])))
+        return found
 
     def site(self, model: CameraModel, number: int) -> Site:
         """Return a candidate of a model."""

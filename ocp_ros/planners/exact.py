@@ -231,6 +231,8 @@ def not_covered(objective: Objective) -> str | None:
     if objective.rig.seen_by > 1:
         return (f'found seen_by: {objective.rig.seen_by}; expected 1, for bounds are known where '
                 'one camera has to see a place')
+    if objective.rig.calibratable is not None:
+        return 'found calibratable; expected a rig without it, for bounds do not know of pairs'
     return None
 
 

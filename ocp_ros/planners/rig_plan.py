@@ -79,10 +79,10 @@ class RigPlan:
                 for name, (part, whole) in pairs.items()}
 
     def reaches(self, by: str, target: float) -> bool:
-        """Tell whether one of the shares is as large, and regions see what they must."""
+        """Tell whether one of the shares is as large, and all that the rig asks for is met."""
         met = all(share >= region.must_see
                   for region, share in zip(self.rig.regions, self.worth.regions))
-        return met and self.shares[by] >= target - ROUNDING
+        return met and self.worth.connected and self.shares[by] >= target - ROUNDING
 
 
 class RigPlanner:

@@ -72,8 +72,27 @@ def scores_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
         'regions': [{'name': region.name, 'seen': float(share), 'must_see': region.must_see,
                      'weight': region.weight, 'met': bool(share >= region.must_see)}
                     for region, share in zip(rig.regions, worth.regions)],
+        **_links_of(objective, views),
         'cameras': [{'name': camera.name, 'depth_error': added.depth_error, 'only': added.only}
                     for camera, added in zip(rig.all_cameras, objective.contributions(views))]}
+
+
+def _links_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
+    """Return which cameras can be calibrated to each other, where the rig asks for it."""
+    found, asked = objective.covisibility(views), objective.rig.calibratable
+    if found is None:
+        return {}
+    names, count = [camera.name for camera in objective.rig.all_cameras], len(found.shares)
+    movable = count - len(objective.fixed)
+    pairs = [(one, other) for one in range(min(movable, count)) for other in range(one + 1, count)]
+    tree = {tuple(sorted(link)) for link in found.tree}
+    return {'calibratable': {
+        'overlap': asked.overlap, 'angle': float(np.rad2deg(asked.angle)),
+        'groups': [[names[camera] for camera in group] for group in found.groups],
+        'pairs': [{'cameras': [names[one], names[other]],
+                   'overlap': float(found.shares[one, other]),
+                   'linked': found.linked(one, other)}
+                  for one, other in pairs if found.linked(one, other) or (one, other) in tree]}}
 
 
 def broken_by(region: FeasibleRegion, poses: np.ndarray, scores: dict[str, Any]) -> list[str]:
@@ -86,7 +105,23 @@ def broken_by(region: FeasibleRegion, poses: np.ndarray, scores: dict[str, Any])
     return region.broken(poses) + [
         f'{part["name"]}: found {100.0 * part["seen"]:.1f} % of its points seen; expected '
         f'{100.0 * part["must_see"]:.1f} % (must_see); turn or move a camera towards it'
-        for part in scores['regions'] if not part['met']]
+        for part in scores['regions'] if not part['met']] + _apart(scores)
+
+
+def _apart(scores: dict[str, Any]) -> list[str]:
+    """Say which cameras cannot be calibrated to the others."""
+    links = scores.get('calibratable', {'groups': []})
+    if len(links['groups']) < 2:
+        return []
+    lacking = [pair for pair in links['pairs'] if not pair['linked']]
+    nearest = max(lacking, key=lambda pair: pair['overlap'])
+    first, second = nearest['cameras']
+    groups = ' and '.join(f'({", ".join(group)})' for group in links['groups'])
+    return [f'calibratable: found {len(links["groups"])} groups of cameras, {groups}, between '
+            f'which no two share enough, at most {first} and {second} with '
+            f'{100.0 * nearest["overlap"]:.1f} % of their points; expected '
+            f'{100.0 * links["overlap"]:.0f} % under at most {links["angle"]:.0f} degrees; '
+            'let these two look at the same surfaces, or add a camera']
 
 
 def improvements(problem: Problem, poses: np.ndarray, views: Sequence[View]) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.camera_words import Words
 from ocp_ros.report.installer import frame_named
 from ocp_ros.report.key_figures import figures_of, percent
+from ocp_ros.report.verdict_tables import links_line
 
 
 def tables_of(judged: Assessment) -> Iterator[str]:
@@ -37,6 +38,8 @@ def tables_of(judged: Assessment) -> Iterator[str]:
         yield '<h2>Regions</h2>' + _table(('region', 'seen', 'required', 'satisfied'), [
             (region['name'], percent(region['seen']), percent(region['must_see']),
              'yes' if region['met'] else 'no') for region in found['scores']['regions']])
+    if 'calibratable' in found['scores']:
+        yield f'<p>{escape(links_line(found["scores"]["calibratable"]))}</p>'
     yield from (f'<p>{escape(line)}</p>' for line in figures.foot)
 
 

@@ -90,6 +90,11 @@ def _cards(judged: Assessment, scores: dict) -> list[tuple[str, str, str]]:
         worst = min(scores['regions'], key=lambda region: region['seen'] - region['must_see'])
         cards.append(('regions', f'{met} of {len(scores["regions"])} met',
                       f'{worst["name"]}: {percent(worst["seen"])} seen'))
+    if 'calibratable' in scores:
+        links = scores['calibratable']
+        groups = len(links['groups'])
+        cards.append(('overlap', 'connected' if groups == 1 else f'{groups} groups',
+                      f'pairs share {percent(links["overlap"])} or more'))
     known = judged.found.get('search', {}).get('certificate')
     if known and known['gap'] is not None:
         cards.append(('optimality gap', percent(known['gap']),

@@ -55,7 +55,17 @@ def show_verdict(console: Console, found: Mapping[str, Any]) -> None:
     for region in scores['regions']:
         must = f', {percent(region["must_see"])} required' if region['must_see'] else ''
         console.print(f'region {region["name"]}: {percent(region["seen"])} seen{must}')
+    if 'calibratable' in scores:
+        console.print(links_line(scores['calibratable']))
     _show_rest(console, found)
+
+
+def links_line(links: Mapping[str, Any]) -> str:
+    """Say which cameras can be calibrated to each other."""
+    pairs = ', '.join(f'{" and ".join(pair["cameras"])} {percent(pair["overlap"])}'
+                      for pair in links['pairs'] if pair['linked'])
+    return (f'calibratable: overlaps of {percent(links["overlap"])} or more under at most '
+            f'{links["angle"]:.0f} degrees: {pairs or "none"}')
 
 
 def _show_rest(console: Console, found: Mapping[str, Any]) -> None:

@@ -27,6 +27,8 @@ from ocp_ros.util.yaml_files import check, describe, Document, nearest, read_doc
 MUST_SEE = 0.95
 #: Metres between two cameras where a file does not say: the body of most.
 SPACING = 0.2
+#: Share of points and degrees that link two cameras where a file does not say.
+OVERLAP, ANGLE = 0.2, 60.0
 #: Metres above the floor where a file names none; on the ceiling it is the ceiling's own.
 HEIGHTS = {'plane': (1.9, 1.9), 'ceiling': None, 'walls': (1.5, 2.5), 'free': (1.5, 2.5)}
 
@@ -87,6 +89,18 @@ class Region(NamedTuple):
     where: str
 
 
+class Calibratable(NamedTuple):
+    """
+    What pairs of cameras share that can be calibrated to each other.
+
+    :ivar overlap: least share of the points that the camera which sees fewer sees, above 0.
+    :ivar angle: radians, the most between the lines of sight of both to a shared point.
+    """
+
+    overlap: float
+    angle: float
+
+
 @dataclass(frozen=True, eq=False)
 class Rig:
     """
@@ -101,6 +115,7 @@ class Rig:
     :ivar keep_out: where no camera may be.
     :ivar regions: what matters more than the rest.
     :ivar seen_by: how many cameras have to see a place.
+    :ivar calibratable: what pairs of cameras share that link all of them; None if not required.
     :ivar document: what the rig was read from.
     """
 
@@ -114,6 +129,7 @@ class Rig:
     keep_out: tuple[Zone, ...]
     regions: tuple[Region, ...]
     seen_by: int
+    calibratable: Calibratable | None
     document: Document
 
     @property
@@ -307,7 +323,7 @@ def rig_from(document: Document) -> Rig:
                float(data.get('keep_clear', 0.2)), float(data.get('spacing', SPACING)),
                tuple(zone_of(document, (key, k)) for key in ('keep_out', 'no_go')
                      for k in range(len(data.get(key, ())))),
-               regions, seen_by, document)
+               regions, seen_by, _calibratable(data), document)
 
 
 def _cameras(document: Document) -> tuple[tuple[Camera, ...], tuple[Fixed, ...]]:
@@ -382,6 +398,13 @@ def _range(document: Document, way: Way, value: Any) -> tuple[float, float]:
         raise document.error(way, describe(value), 'the lower number first',
                              f'write [{high:g}, {low:g}]')
     return float(low), float(high)
+
+
+def _calibratable(data: dict[str, Any]) -> Calibratable | None:
+    """Read what links cameras, where the file asks for it."""
+    asked = data.get('calibratable')
+    return None if asked is None else Calibratable(
+        float(asked.get('overlap', OVERLAP)), float(np.deg2rad(asked.get('angle', ANGLE))))
 
 
 def _regions(document: Document) -> Iterator[Region]:

@@ -129,7 +129,11 @@ RIG = mapping(
     regions=many('a list of regions', REGION,
                  [{'name': 'table', 'box': [[1, 1, 0.5], [2, 2, 1.2]]}], 0, 1000),
     seen_by={'description': 'a whole number of cameras, 1 or more', 'type': 'integer',
-             'minimum': 1, 'maximum': 64, 'examples': [2]})
+             'minimum': 1, 'maximum': 64, 'examples': [2]},
+    calibratable=mapping(
+        'a mapping with overlap, angle or neither', {'overlap': 0.2, 'angle': 60}, (),
+        overlap=number('a share above 0, at most 1', 0.2, exclusiveMinimum=0, maximum=1),
+        angle=number('degrees above 0, at most 180', 60.0, exclusiveMinimum=0, maximum=180)))
 
 PLACED = mapping(
     'a camera and its position', {'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2], 'yaw': 90},

@@ -3,6 +3,7 @@
 """What a placement of a rig is worth: the depth error, and what the rig's regions ask for."""
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from ocp_ros.geometry.coverage import space_coverage
 from ocp_ros.geometry.packed_bits import count_bits, no_bits, pack, seen_by, Subset, unpack
 from ocp_ros.rig.rig_file import Region, Rig
 from ocp_ros.rig.structure import floor_height
+from ocp_ros.simulation.covisibility import Covisibility, covisibility, ROUNDING
 from ocp_ros.simulation.simulator import Simulator, View
 from ocp_ros.util.settings import ConfigurationError
 
@@ -25,11 +27,13 @@ class RigEvaluation(NamedTuple):
     What a placement is worth; a place counts as seen where ``seen_by`` cameras see it.
 
     :ivar loss: what a search minimises: depth error / depth error of seeing nothing
-        + sum of weight x unseen share + 10 x what is missing of each share that must be seen.
+        + sum of weight x unseen share + 10 x what is missing of each share that must be seen
+        + 10 x what is missing of the overlaps that link all cameras, where the rig asks for it.
     :ivar depth_error: metres.
     :ivar space_coverage: cubic metres.
     :ivar regions: (R,) share of each region's points that are seen.
     :ivar seen: the points that are seen.
+    :ivar connected: whether all cameras are linked, or need not be.
     """
 
     loss: float
@@ -37,6 +41,7 @@ class RigEvaluation(NamedTuple):
     space_coverage: float
     regions: np.ndarray
     seen: Subset
+    connected: bool
 
 
 class Contribution(NamedTuple):
@@ -83,6 +88,11 @@ class Objective:
                 f'({low}) to ({high}); correct its corners, or weigh what the scan shows')
         return pack(inside[self._order])
 
+    @cached_property
+    def _points(self) -> np.ndarray:
+        """Return the points of the room in the engine's order: (N, 3) metres."""
+        return self.simulator.scene.points[self._order]
+
     @property
     def costs(self) -> np.ndarray:
         """Return what each point that is not seen costs by the regions it is in: (N,) loss."""
@@ -110,12 +120,14 @@ class Objective:
         seen = self._seen(views)
         covered = seen_by([view.covered for view in views], self.rig.seen_by)[-1]
         loss, error, shares = self._loss_of(seen)
-        return RigEvaluation(loss, error, space_coverage(covered, simulator.cell_volume), shares,
-                             Subset(seen, self._order))
+        missing = self._missing(views)
+        return RigEvaluation(loss + missing, error, space_coverage(covered, simulator.cell_volume),
+                             shares, Subset(seen, self._order), missing <= ROUNDING)
 
     def loss(self, views: Sequence[View]) -> float:
         """Return the loss alone, of views as for :meth:`judge`."""
-        return self._loss_of(self._seen(self._with_fixed(views)))[0]
+        views = self._with_fixed(views)
+        return self._loss_of(self._seen(views))[0] + self._missing(views)
 
     def promise(self, views: Sequence[View]) -> float:
         """
@@ -125,8 +137,9 @@ class Objective:
 
         :param views: as for :meth:`judge`.
         """
-        levels = self._levels(self._with_fixed(views))
-        return float(np.mean([self._loss_of(seen)[0] for seen in levels]))
+        views = self._with_fixed(views)
+        levels = [self._loss_of(seen)[0] for seen in self._levels(views)]
+        return float(np.mean(levels)) + self._missing(views)
 
     def _loss_of(self, seen: np.ndarray) -> tuple[float, float, np.ndarray]:
         """Return loss, depth error and shares of the regions where these points are seen."""
@@ -135,6 +148,28 @@ class Objective:
         loss = (error / self.simulator.depth_error.worst + self._weights @ (1.0 - shares)
                 + MUST * np.maximum(self._must - shares, 0.0).sum())
         return float(loss), error, shares
+
+    def covisibility(self, views: Sequence[View]) -> Covisibility | None:
+        """
+        Compare what cameras see, where the rig asks for cameras that can be calibrated.
+
+        :param views: as for :meth:`judge`.
+        :returns: of these cameras and those in place; None where the rig does not ask for it, or
+            where views are of several positions at once.
+        """
+        return self._compared(self._with_fixed(views))
+
+    def _compared(self, views: Sequence[View]) -> Covisibility | None:
+        """Compare cameras, those in place included."""
+        asked = self.rig.calibratable
+        if asked is None or any(view.position is None for view in views):
+            return None
+        return covisibility(self._points, views, asked, len(self.fixed))
+
+    def _missing(self, views: Sequence[View]) -> float:
+        """Return what it costs that cameras are not linked."""
+        found = self._compared(views)
+        return 0.0 if found is None else MUST * found.missing
 
     def evaluate(self, poses: np.ndarray) -> RigEvaluation:
         """Judge poses (K, 6), metres, map frame, and radians."""

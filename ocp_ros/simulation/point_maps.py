@@ -43,7 +43,7 @@ def maps_of(simulator: Simulator, poses: Sequence[Pose]) -> PointMaps:
         lens = models[camera if len(models) > 1 else 0].lens
         # How an omnidirectional camera is turned makes no difference.
         turned = Pose(pose.position, LEVEL) if lens.kind == OMNIDIRECTIONAL else pose
-        visibility.look(turned, lens, *view)
+        visibility.look(turned, lens, view.seen, view.covered)
         counted += unpack(view.seen, len(counted))
         seen |= view.seen
     count, error = np.empty_like(counted), np.empty(len(counted))

@@ -32,10 +32,12 @@ class View(NamedTuple):
 
     :ivar seen: (W,) uint64, points.
     :ivar covered: (V,) uint64, cells of the coverage grid.
+    :ivar position: (3,) of the camera, metres, map frame; None for several at once.
     """
 
     seen: np.ndarray
     covered: np.ndarray
+    position: np.ndarray | None = None
 
 
 class Evaluation(NamedTuple):
@@ -125,7 +127,7 @@ class Simulator:
         """Return the packed bits (W,) of all points in sight of a position, however far."""
         view = View(no_bits(len(self.scene)), no_bits(len(self.grid)))
         lens = CameraModel(max_range=2.0 * float(np.linalg.norm(self.scene.size))).lens
-        self.visibility.look(Pose.of(position), lens, *view)
+        self.visibility.look(Pose.of(position), lens, view.seen, view.covered)
         return view.seen
 
     @property
@@ -155,11 +157,12 @@ class Simulator:
         :param pose: a row of a placement.
         :param camera: which camera of the rig; all see alike where the rig has one kind.
         """
-        view = View(no_bits(len(self.scene)), no_bits(len(self.grid)))
+        view = View(no_bits(len(self.scene)), no_bits(len(self.grid)),
+                    np.asarray(pose[:3], dtype=np.float64))
         lens = self._lenses[self.kind(camera)]
         # How an omnidirectional camera is turned makes no difference.
         turned = pose[:3] if lens.kind == OMNIDIRECTIONAL else pose
-        self.visibility.look(Pose.of(turned), lens, *view)
+        self.visibility.look(Pose.of(turned), lens, view.seen, view.covered)
         return view
 
     def judge(self, views: Sequence[View]) -> Evaluation:

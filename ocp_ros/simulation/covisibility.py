@@ -1,0 +1,127 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Which cameras see the same surfaces, so that they can be calibrated to each other.
+
+Two cameras are linked if they share enough points under a small enough angle. All cameras can be
+brought into one frame if the graph of these links is connected. Cameras in place have known poses
+and count as linked.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from numba import njit
+import numpy as np
+
+from ocp_ros.geometry.packed_bits import unpack
+from ocp_ros.rig.rig_file import Calibratable
+from ocp_ros.simulation.simulator import View
+
+#: Points of a room that are compared, at most.
+COMPARED = 8192
+#: Shares that fall short by less are reached.
+ROUNDING = 1e-9
+
+
+class Covisibility(NamedTuple):
+    """
+    What pairs of cameras share.
+
+    :ivar shares: (C, C) points that both see under a small enough angle, as a share of those that
+        the camera which sees fewer sees; 1 between cameras in place.
+    :ivar tree: the C - 1 links (camera, camera) that connect all cameras by the largest shares.
+    :ivar required: the share that links two cameras.
+    """
+
+    shares: np.ndarray
+    tree: list[tuple[int, int]]
+    required: float
+
+    @property
+    def missing(self) -> float:
+        """Return how much the links of the tree lack, 0 if it connects all cameras, at most 1."""
+        lacks = [1.0 - min(self.shares[link] / self.required, 1.0) for link in self.tree]
+        return float(np.mean(lacks)) if lacks else 0.0
+
+    def linked(self, one: int, other: int) -> bool:
+        """Tell whether two cameras share enough."""
+        return bool(self.shares[one, other] >= self.required - ROUNDING)
+
+    @property
+    def groups(self) -> list[list[int]]:
+        """Return the cameras in groups that are connected by links, the largest group first."""
+        of = list(range(len(self.shares)))
+        for one, other in self.tree:
+            if self.linked(one, other):
+                of = [of[one] if group == of[other] else group for group in of]
+        return sorted(([camera for camera, own in enumerate(of) if own == group]
+                       for group in dict.fromkeys(of)), key=len, reverse=True)
+
+
+def covisibility(points: np.ndarray, views: Sequence[View], asked: Calibratable, fixed: int = 0
+                 ) -> Covisibility:
+    """
+    Compare what cameras see.
+
+    :param points: (N, 3) of the room in the engine's order, metres, map frame.
+    :param views: of C cameras, C >= 1, each from one position.
+    :param asked: what links two cameras.
+    :param fixed: how many of them, the last ones, are in place.
+    """
+    step = -(-len(points) // COMPARED)
+    seen = np.stack([unpack(view.seen, len(points))[::step] for view in views])
+    positions = np.stack([view.position for view in views])
+    shared = _shared(np.ascontiguousarray(points[::step], dtype=np.float64), seen, positions,
+                     float(np.cos(asked.angle)))
+    own = shared.diagonal()
+    shares = shared / np.maximum(np.minimum(own[:, None], own[None]), 1)
+    movable = len(views) - fixed
+    shares[movable:, movable:] = 1.0
+    return Covisibility(shares, _spanning(shares), asked.overlap)
+
+
+def _spanning(shares: np.ndarray) -> list[tuple[int, int]]:
+    """Return the links of a maximum spanning tree (Prim's method), the last camera first."""
+    count = len(shares)
+    outside = np.ones(count, dtype=bool)
+    outside[-1] = False
+    best, nearest = shares[-1].copy(), np.full(count, count - 1)
+    tree = []
+    for _ in range(count - 1):
+        added = int(np.argmax(np.where(outside, best, -1.0)))
+        tree.append((int(nearest[added]), added))
+        outside[added] = False
+        closer = shares[added] > best
+        best, nearest = np.where(closer, shares[added], best), np.where(closer, added, nearest)
+    return tree
+
+
+@njit(cache=True, nogil=True)
+def _shared(points, seen, positions, cosine):
+    """
+    Count the points that pairs of cameras see under a small enough angle.
+
+    :param points: (S, 3) metres.
+    :param seen: (C, S) bool.
+    :param positions: (C, 3) metres.
+    :param cosine: of the largest angle between two lines of sight.
+    :returns: (C, C) int64; on the diagonal what each sees.
+    """
+    count = len(seen)
+    found = np.zeros((count, count), dtype=np.int64)
+    for one in range(count):
+        for other in range(one, count):
+            total = 0
+            for k in range(len(points)):
+                if seen[one, k] and seen[other, k]:
+                    dot, square, other_square = 0.0, 0.0, 0.0
+                    for axis in range(3):
+                        a = points[k, axis] - positions[one, axis]
+                        b = points[k, axis] - positions[other, axis]
+                        dot, square, other_square = dot + a * b, square + a * a, \
+                            other_square + b * b
+                    if one == other or dot >= cosine * np.sqrt(square * other_square):
+                        total += 1
+            found[one, other] = found[other, one] = total
+    return found

@@ -1,0 +1,129 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Cameras that share enough of what they see to be calibrated to each other."""
+
+import numpy as np
+import pytest
+
+from ocp_ros.geometry.packed_bits import pack
+from ocp_ros.planners.budget import Budget
+from ocp_ros.planners.rig_plan import RigPlanner
+from ocp_ros.report.findings import verdict
+from ocp_ros.rig.rig_file import Calibratable, rig_of
+from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.simulation.covisibility import covisibility
+from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulator import View
+from ocp_ros.util.settings import ConfigurationError
+
+#: Points along a line two metres in front of cameras that stand on another line.
+POINTS = np.column_stack([np.linspace(0.0, 9.9, 100), np.full(100, 2.0), np.zeros(100)])
+
+
+def view(x: float, first: int, last: int) -> View:
+    """Return what a camera at x sees: the points from one to before another."""
+    seen = np.zeros(100, dtype=bool)
+    seen[first:last] = True
+    return View(pack(seen), pack(np.zeros(1, dtype=bool)), np.array([x, 0.0, 0.0]))
+
+
+@pytest.fixture(scope='module')
+def room():
+    """Return a room."""
+    return generate_room(7, 8000)
+
+
+def test_the_share_is_of_the_camera_that_sees_fewer():
+    found = covisibility(POINTS, [view(2.0, 0, 50), view(3.0, 40, 60)], Calibratable(0.4, np.pi))
+    assert found.shares[0, 1] == pytest.approx(10 / 20) and found.linked(0, 1)
+    assert found.missing == 0.0 and found.groups == [[0, 1]]
+
+
+def test_what_is_seen_under_a_wide_angle_is_not_shared():
+    """Two cameras opposite each other see one strip between them, from two sides."""
+    views = [view(0.0, 0, 100), view(9.9, 0, 100)]
+    wide, narrow = (covisibility(POINTS, views, Calibratable(0.2, np.deg2rad(angle)))
+                    for angle in (180.0, 60.0))
+    assert wide.shares[0, 1] == 1.0 and narrow.shares[0, 1] == 0.0
+    lines = POINTS[:, None] - np.array([views[0].position, views[1].position])
+    lines /= np.linalg.norm(lines, axis=2, keepdims=True)
+    some = covisibility(POINTS, views, Calibratable(0.2, np.deg2rad(120.0)))
+    expected = np.mean((lines[:, 0] * lines[:, 1]).sum(axis=1) >= np.cos(np.deg2rad(120.0)))
+    assert 0.0 < expected < 1.0 and some.shares[0, 1] == pytest.approx(expected)
+
+
+def test_a_chain_connects_and_a_gap_says_how_much_is_missing():
+    chain = [view(1.0, 0, 40), view(3.0, 30, 70), view(5.0, 60, 100)]
+    asked = Calibratable(0.25, np.pi)
+    found = covisibility(POINTS, chain, asked)
+    assert found.missing == 0.0 and not found.linked(0, 2) and len(found.groups) == 1
+    apart = covisibility(POINTS, [*chain[:2], view(5.0, 65, 100)], asked)
+    assert apart.missing == pytest.approx(0.5 * (1.0 - 5 / 35 / 0.25))
+    assert apart.groups == [[0, 1], [2]]
+
+
+def test_cameras_in_place_are_linked_and_one_camera_needs_no_other():
+    views = [view(1.0, 0, 40), view(2.0, 20, 40), view(5.0, 60, 100)]
+    asked = Calibratable(0.3, 3.0)
+    assert covisibility(POINTS, views, asked).groups == [[0, 1], [2]]
+    assert covisibility(POINTS, views, asked, fixed=2).missing == 0.0
+    assert covisibility(POINTS, views[:1], asked).missing == 0.0
+
+
+def test_a_plan_connects_its_cameras_and_says_so(room):
+    """Three narrow cameras in a room: without the key they spread, with it they are linked."""
+    settings, engine = {'mount': {'on': 'walls'}, 'pitch': [0, 60]}, SimulationConfig().engine
+    free, linked = (rig_of(3, 'd455', **settings, **more)
+                    for more in ({}, {'calibratable': {'overlap': 0.5, 'angle': 45}}))
+    found = {}
+    for rig in (free, linked):
+        plan = RigPlanner(room, rig, engine, Budget(None, 1200)).plan(rig)
+        problem = Problem.of(room, linked)
+        found[rig] = verdict(problem, plan.answer.poses), plan
+    spread, near = found[free], found[linked]
+    assert len(spread[0]['scores']['calibratable']['groups']) > 1
+    sentence, = [line for line in spread[0]['broken'] if line.startswith('calibratable')]
+    assert 'groups of cameras' in sentence and 'expected 50 %' in sentence
+    assert near[0]['broken'] == [] and near[1].worth.connected
+    assert spread[1].worth.depth_error <= near[1].worth.depth_error + 1e-3
+    links = near[0]['scores']['calibratable']
+    assert len(links['groups']) == 1 and sum(pair['linked'] for pair in links['pairs']) >= 2
+    assert all(pair['overlap'] >= 0.5 for pair in links['pairs'] if pair['linked'])
+
+
+def test_the_loss_counts_what_is_missing(room):
+    rig = rig_of(2, 'd455', calibratable={'overlap': 0.2})
+    problem = Problem.of(room, rig)
+    poses = problem.region.candidates(rig.cameras[0].model, 400)
+    rng = np.random.default_rng(0)
+    missing = []
+    for _ in range(20):
+        pair = poses[rng.choice(len(poses), 2, replace=False)]
+        views = problem.objective.look(pair)
+        lacking = problem.objective.covisibility(views).missing
+        plain = Problem.of(room, rig_of(2, 'd455')).objective.judge(views)
+        judged = problem.objective.judge(views)
+        assert judged.loss == pytest.approx(plain.loss + 10.0 * lacking)
+        assert problem.objective.loss(views) == pytest.approx(judged.loss)
+        assert judged.connected == (lacking == 0.0)
+        missing.append(lacking)
+    assert min(missing) < 1.0 and max(missing) > 0.0
+
+
+def test_no_proof_is_claimed(room):
+    rig = rig_of(2, 'd455', calibratable={})
+    planner = RigPlanner(room, rig, SimulationConfig().engine, Budget(None, 200))
+    plan = planner.certified(planner.plan(rig), Budget(1.0))
+    assert plan.certificate is None and 'calibratable' in plan.uncertain
+    with pytest.raises(ConfigurationError, match='calibratable'):
+        RigPlanner(room, rig, SimulationConfig().engine, Budget(None, 200),
+                   planner='exact').plan(rig)
+
+
+@pytest.mark.parametrize('value, words', [
+    ({'overlap': 0}, 'above 0'), ({'overlap': 1.5}, 'at most 1'), ({'angle': 200}, 'at most 180'),
+    ({'share': 0.3}, 'overlap'), (True, 'a mapping')])
+def test_bad_values_are_refused(value, words):
+    with pytest.raises(ConfigurationError, match=words):
+        rig_of(2, 'd455', calibratable=value)
