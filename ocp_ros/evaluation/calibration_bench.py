@@ -223,12 +223,18 @@ def measured_in(room: BenchRoom) -> Iterator[dict]:
 
 
 def shares(rows: list[dict]) -> dict[str, float]:
-    """Return the shares of cameras, 0 to 1, that are given a right pose, a wrong one, and none."""
+    """
+    Return shares of cameras, 0 to 1.
+
+    :returns: of those that are given a right pose, a wrong one, and none; of the right ones among
+        those that are given one; and of those whose best pose is right, refused or not.
+    """
     given = [row for row in rows if not row['refused']]
     right = sum(row['right'] for row in given)
     return {'within_1cm_05deg': right / len(rows), 'wrong': (len(given) - right) / len(rows),
             'refused': 1.0 - len(given) / len(rows),
-            'right_of_given': right / max(len(given), 1)}
+            'right_of_given': right / max(len(given), 1),
+            'best_is_right': sum(row['right'] for row in rows) / len(rows)}
 
 
 def figures_of(rows: list[dict]) -> dict[str, float]:

@@ -18,7 +18,7 @@ from ocp_ros.registration.alignment import Matches
 BLOCK, SCAN_DEVIATION, WHOLE = 1.0, 0.006, 8.0
 #: By how much a doubted deviation grows where the scan explains nothing; chosen on validation
 #: rooms.
-DOUBT = 8.0
+DOUBT = 4.0
 #: Share of the variance within a block that is common to the block.
 UNEVEN = 0.2
 #: Metres and radians at most, where nothing holds a camera at all.
