@@ -180,6 +180,15 @@ def test_the_placement_as_built_is_written_and_scored(files, capsys):
     assert 'as planned: depth error' in capsys.readouterr().out
 
 
+def test_scores_of_the_plan_are_not_taken_for_those_of_what_was_built(files, capsys):
+    assert main(['score', 'room.ply', 'placement.yaml', '--out', 'planned']) == 0
+    assert main(['calibrate', 'room.ply', 'planned/placement.yaml', '--clouds', 'door.npy']) == 0
+    capsys.readouterr()
+    assert main(['score', 'room.ply', 'out/built/placement.yaml']) == 0
+    out = capsys.readouterr().out
+    assert 'as planned' in out and 'the file has the objective value' not in out
+
+
 def test_where_no_camera_is_found_the_command_fails(files, capsys):
     assert main(['calibrate', 'room.ply', 'placement.yaml', '--clouds', 'door=other.npy']) == 2
     out, err = capsys.readouterr()

@@ -85,7 +85,10 @@ def as_built(placement: Placement, found: Mapping[str, Registration], command: s
         placed for placed in cameras if placed.mount == FIXED])
     created = {**created_by(command, placement.created.get('planner', '')),
                'calibrated': ', '.join(name for name, one in found.items() if not one.refused)}
-    return replace(placement, cameras=cameras, rig=rig, created=created, document=None, ways=())
+    # Scores of the plan are not those of what was built.
+    scores = {} if any(placed.planned for placed in cameras) else placement.scores
+    return replace(placement, cameras=cameras, rig=rig, scores=scores, created=created,
+                   document=None, ways=())
 
 
 def answer_of(placed: Placed, found: Registration) -> dict[str, Any]:
