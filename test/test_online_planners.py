@@ -14,13 +14,14 @@ from ocp_ros.agent.partial_map import cells_of_the_air, LookHistory, NO_CELL, Pa
 from ocp_ros.agent.policy import Policy
 from ocp_ros.geometry.packed_bits import unpack
 from ocp_ros.geometry.visibility import FINE
-from ocp_ros.planners.lookahead import Lookahead
+from ocp_ros.planners.lookahead import AHEAD, KEPT, Lookahead
 from ocp_ros.planners.online_planner import (
     FIRST,
     GreedyStep,
     HANDOVER,
     Learned,
     Online,
+    REFINING,
     ThenLookahead,
 )
 from ocp_ros.planners.rollout import play
@@ -106,6 +107,61 @@ def test_an_episode_is_played_to_its_end_by_the_rules(name, outcomes, engine):
     np.testing.assert_allclose(outcome.trajectory[..., 2], engine.height)
     for at in (0, -1):
         assert engine.evaluate(outcome.trajectory[at]).depth_error == outcome.depth_error[at]
+
+
+def thinking(planner, episode, turns, reflects):
+    """Yield moves, and how often plans were made to answer, of a planner that reflects or not."""
+    made, plan = [0], planner._think
+
+    def counted(*what):
+        made[0] += 1
+        plan(*what)
+
+    planner._think = counted
+    for turn in range(turns):
+        positions = episode.turn.positions
+        made[0] = 0
+        moves = planner.move(episode.observed_cloud, positions, turn, turns)
+        yield moves, made[0]
+        episode.move(moves)
+        if reflects:
+            planner.reflect()
+
+
+def test_in_many_turns_plans_are_made_while_the_cameras_move(engine):
+    """Who lets the planner reflect gets the same moves, without plans that are waited for."""
+    config = replace(CONFIG, episode=EpisodeConfig(turns=AHEAD, max_step=MAX_STEP))
+    prompt, late = (list(thinking(
+        Lookahead(*settings()),
+        Episode(PlaneProblem(Simulator(engine.scene, config)), np.random.default_rng(7)),
+        AHEAD, reflects)) for reflects in (True, False))
+    for (one, _), (other, _) in zip(prompt, late):
+        np.testing.assert_array_equal(one, other)
+    # Candidates are listed on what is new, and again after some turns.
+    waited = [turn for turn, (_, made) in enumerate(prompt) if made]
+    assert waited == list(range(0, int(np.ceil(REFINING * AHEAD)), KEPT))
+    assert all(made for _, made in late)
+
+
+def test_in_few_turns_plans_are_made_of_the_newest_cloud(engine):
+    episode = Episode(PlaneProblem(engine), np.random.default_rng(7))
+    assert all(made for _, made in thinking(
+        Lookahead(*settings()), episode, CONFIG.episode.turns, True))
+    assert CONFIG.episode.turns < AHEAD
+
+
+def test_who_plays_first_and_then_looks_ahead_reflects(engine):
+    planner = then_lookahead()
+    episode = Episode(PlaneProblem(engine), np.random.default_rng(7))
+    for turn in range(AHEAD):
+        if episode.turn.truncated:
+            break
+        episode.move(planner.move(episode.observed_cloud, episode.turn.positions, turn, AHEAD))
+        if planner.lookahead._next is not None:
+            planner.reflect()
+            assert planner.lookahead._next is None
+            return
+    raise AssertionError('lookahead had nothing to reflect on')
 
 
 @pytest.mark.parametrize('name', ['wanderer', 'greedy step', 'lookahead', 'then lookahead'])

@@ -10,6 +10,10 @@ computed once for some turns, by annealing on unions of packed bits; one-camera 
 end in worse plans. In the last turns the best plan is annealed once more among all candidates and
 then in small steps, on a model at full resolution and among places that the cameras can still
 reach: a model of thinned points promises what the room does not keep.
+
+In an episode of many turns plans are annealed and refined while the cameras move, on what was seen
+before they did, so that the next clouds are answered at once. Only to list candidates the newest
+clouds are waited for: where these were a turn old as well, some parts of rooms were never found.
 """
 
 from typing import NamedTuple
@@ -18,7 +22,14 @@ import numpy as np
 
 from ocp_ros.agent.move_effects import cell_weight
 from ocp_ros.agent.partial_map import KeptModel, LookHistory, PartialMap
-from ocp_ros.agent.rig_state import AROUND, clearance_of, fixed_views, remember, view_from
+from ocp_ros.agent.rig_state import (
+    AROUND,
+    clearance_of,
+    fixed_views,
+    remember,
+    RigState,
+    view_from,
+)
 from ocp_ros.geometry.visibility import FINE
 from ocp_ros.planners.annealing import accepted, between
 from ocp_ros.planners.candidate_sites import Candidates, most_places, Sites
@@ -48,6 +59,9 @@ FAR, NEAR = 0.5, 0.02
 WIDE, NARROW = 0.5, 0.05
 #: Proposals that are looked from at once.
 TOGETHER = 4
+#: Turns of an episode from which on plans are refined while the cameras move, on what was seen
+#: before they did: a turn of many is cheap, one of few is not.
+AHEAD = 20
 
 
 class MoveTrial(NamedTuple):
@@ -61,6 +75,23 @@ class MoveTrial(NamedTuple):
     camera: int
     position: np.ndarray
     heading: np.ndarray | None
+
+
+class PlannedTurn(NamedTuple):
+    """
+    A turn to plan for.
+
+    :ivar cloud: (M, 3) float32, metres: the points seen so far.
+    :ivar positions: (K, 3) metres, where the cameras will be.
+    :ivar turn: turns played by then, of so many ``turns``.
+    :ivar sight: how the cameras stood when the cloud was seen.
+    """
+
+    cloud: np.ndarray
+    positions: np.ndarray
+    turn: int
+    turns: int
+    sight: RigState | None
 
 
 class Lookahead(Online):
@@ -83,6 +114,8 @@ class Lookahead(Online):
                                folds=REFINING_FOLDS)
         #: Turn of the last model or of the last candidates.
         self._made = 0
+        #: The turn that is to be planned for while the cameras move.
+        self._next: PlannedTurn | None = None
 
     def take_over(self, other: Online) -> None:
         """Go on with where another planner would have gone, if it says so."""
@@ -90,18 +123,52 @@ class Lookahead(Online):
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`Online.move`."""
+        self.reflect()
         remember(self._memory, positions, self.sight)
         try:
-            if turn >= REFINING * turns:
-                self._refine(cloud, positions, turn, turns)
-            elif self._candidates is None or turn - self._made >= KEPT:
-                self._look_around(cloud, positions, turn, turns)
-            else:
-                self._chosen = self._candidates.anneal(self._chosen, self.rng)
-                self._settle(positions)
+            if self._fresh(turn, turns):
+                self._think(cloud, positions, turn, turns)
         except SceneError:
             return self.wander(cloud, positions)
-        return self.towards(positions, self._plan) - positions[:, :2]
+        goals = self.towards(positions, self._plan)
+        if turn + 1 < turns and not self._fresh(turn + 1, turns):
+            ahead = np.column_stack([goals, positions[:, 2]])
+            self._next = PlannedTurn(cloud.copy(), ahead, turn + 1, turns, self.sight)
+        return goals - positions[:, :2]
+
+    def _fresh(self, turn: int, turns: int) -> bool:
+        """Tell whether the plan for a turn needs the clouds of that turn."""
+        if turns < AHEAD or self._plan is None:
+            return True
+        return turn < REFINING * turns and self._listed_long_ago(turn)
+
+    def _listed_long_ago(self, turn: int) -> bool:
+        """Tell whether candidates have to be listed, or listed again."""
+        return self._candidates is None or turn - self._made >= KEPT
+
+    def reflect(self) -> None:
+        """Make the next plan, where a turn has been left to it; see :meth:`Online.reflect`."""
+        if self._next is None:
+            return
+        (cloud, positions, turn, turns, sight), now = self._next, self.sight
+        self._next, self.sight = None, sight
+        try:
+            self._think(cloud, positions, turn, turns)
+        except SceneError:
+            # The plan so far holds; a cloud that is no room yet will grow.
+            pass
+        finally:
+            self.sight = now
+
+    def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
+        """Plan for a turn; see :meth:`move`."""
+        if turn >= REFINING * turns:
+            self._refine(cloud, positions, turn, turns)
+        elif self._listed_long_ago(turn):
+            self._look_around(cloud, positions, turn, turns)
+        else:
+            self._chosen = self._candidates.anneal(self._chosen, self.rng)
+            self._settle(positions)
 
     def _look_around(self, cloud: np.ndarray, positions: np.ndarray, turn: int,
                      turns: int) -> None:

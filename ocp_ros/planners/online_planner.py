@@ -105,6 +105,13 @@ class Online(ABC):
         :returns: (K, 2) metres on the plane, none longer than ``max_step``.
         """
 
+    def reflect(self) -> None:  # noqa: B027
+        """
+        Think about the next turn while the cameras move; most planners only answer.
+
+        Who does not call it gets the same answers: :meth:`move` makes up for it.
+        """
+
     def space(self, cloud: np.ndarray, positions: np.ndarray) -> FreePlane:
         """Return where the cameras may be as far as is known; the cloud is not empty."""
         return FreePlane.around(cloud, positions, self.wall_margin,
@@ -230,3 +237,7 @@ class ThenLookahead(Online):
             self.lookahead.take_over(self.first)
         self._playing = planner
         return planner.move(cloud, positions, turn, turns)
+
+    def reflect(self) -> None:
+        """Let the one that plays think; see :meth:`Online.reflect`."""
+        self._playing.reflect()

@@ -123,6 +123,13 @@ class OnlineStep:
             return np.zeros((state.movable, 2))
         return moves
 
+    def reflect(self) -> None:
+        """Let the planner think about the next turn while the cameras move."""
+        try:
+            self.planner.reflect()
+        except Exception as error:
+            self._fail('planner', error, 'where they are')
+
     def _constrain(self, cloud: np.ndarray, state: RigState, moves: np.ndarray
                    ) -> tuple[np.ndarray, list[str]]:
         """Bring moves to where cameras may be: targets (K, 3) metres, and who stays and why."""

@@ -98,10 +98,11 @@ class PolicyNode(ManagedNode):
         if self.config.clouds:
             self._live = LiveTurns(
                 self, self.config, self._commands, self._play, lambda: self._settled,
-                self._refuse, self._waits, self._decider.expected)
+                self._refuse, self._waits, self._decider.expected, self._decider.reflect)
         else:
             self._turns = SimulatedTurns(
-                self, self._commands, self._play, self._tell, self._refuse, self._waits)
+                self, self._commands, self._play, self._tell, self._refuse, self._waits,
+                self._decider.reflect)
         if self._live is not None and self.config.scan:
             from ocp_ros.ros.policy.calibrator import Calibrator
             self._calibrator = Calibrator(self, self.config, self._decider, self._live.sighted,

@@ -3,8 +3,9 @@
 """
 Measure the nodes: how long a policy takes to answer, and how fast training over ROS is.
 
-A turn is answered within one callback, from the cloud received to the command published; what it
-takes of the processor is told beside the wall, since other programs make the latter longer.
+A turn is answered within one callback, from the cloud received to the command published; what a
+planner thinks afterwards, while cameras would move, is told apart. What both take of the processor
+is told beside the wall, since other programs make the latter longer.
 Training over ROS is measured in turn with the same training in one process.
 """
 
@@ -82,11 +83,20 @@ class Answers:
 
     def __init__(self, watch: Watch, planner: str, model: str) -> None:
         self.watch, self.wall, self.cpu, self.points = watch, [], [], []
+        #: Seconds that were thought after the command, while cameras would move.
+        self.thought: list[float] = []
         self.profile: cProfile.Profile | None = None
         self.node = PolicyNode(context=watch.context, parameter_overrides=[
             Parameter('planner', value=planner), Parameter('model', value=model),
             Parameter('turns', value=TURNS),
             Parameter('convergence_distance', value=0.0)])
+        self._published = 0.0
+        self.node._turns._reflect = self._reflect
+
+    def _reflect(self) -> None:
+        """Think as the node does, and remember when that began."""
+        self._published = time.perf_counter()
+        self.node._decider.reflect()
 
     def play(self, room: int, points: int) -> None:
         """Play an episode in a room of so many points."""
@@ -106,7 +116,8 @@ class Answers:
             else:
                 self.node._turns.on_cloud(cloud)
             self.cpu.append(time.process_time() - cpu)
-            self.wall.append(time.perf_counter() - wall)
+            self.wall.append(self._published - wall)
+            self.thought.append(time.perf_counter() - self._published)
             self.points.append(cloud.width)
             target = msg_to_positions(self.node._turns.answer)
             episode.move((target - episode.turn.positions)[:, :2])
@@ -128,7 +139,7 @@ def latency(watch: Watch, planner: str, model: str, points: int, rooms: int) -> 
     try:
         # What is compiled or built once is not measured.
         answers.play(FIRST_ROOM - 1, 5000)
-        answers.wall, answers.cpu, answers.points = [], [], []
+        answers.wall, answers.cpu, answers.points, answers.thought = [], [], [], []
         for room in range(FIRST_ROOM, FIRST_ROOM + rooms):
             answers.play(room, points)
         wall, cpu = 1e3 * np.array(answers.wall), 1e3 * np.array(answers.cpu)
@@ -137,7 +148,8 @@ def latency(watch: Watch, planner: str, model: str, points: int, rooms: int) -> 
         return {'planner': planner, 'model': model, 'points': points, 'turns': len(wall),
                 'points_seen_in_the_end': int(max(answers.points)),
                 **{f'{name}_{kind}': float(np.percentile(values, level))
-                   for kind, values in (('ms', wall), ('cpu_ms', cpu))
+                   for kind, values in (('ms', wall), ('cpu_ms', cpu),
+                                        ('thought_ms', 1e3 * np.array(answers.thought)))
                    for name, level in (('p50', 50), ('p99', 99), ('max', 100))},
                 'profile': _hottest(answers.profile)}
     finally:

@@ -156,6 +156,10 @@ class Decider:
                            for camera, heading in headings.items()), default=0.0)
         return moved_to(poses, command.placement[:len(poses.poses), :3], headings)
 
+    def reflect(self) -> None:
+        """Let the planner think about the next turn while the cameras move."""
+        self.step.reflect()
+
     def expected(self, cloud: np.ndarray, poses: PoseArray, command: PoseArray) -> str:
         """Say what a command is expected to bring; nothing where too little has been seen."""
         try:

@@ -75,14 +75,16 @@ class LiveTurns:
     :param waits: tells whether nothing may be commanded now.
     :param expect: says what a command is expected to bring, for a person: the fused cloud, where
         the cameras are and the command give a sentence.
+    :param reflect: is called after each command, to think while the cameras move.
     :raises ConfigurationError: if there can be no such topic.
     """
 
     def __init__(self, node: Node, config: PolicyNodeConfig, commands: Publisher,
                  answer: Callable[[np.ndarray, PoseArray], PoseArray], final: Callable[[], bool],
                  refuse: Callable[[ValueError], None], waits: Callable[[], bool],
-                 expect: Callable[[np.ndarray, PoseArray, PoseArray], str]) -> None:
-        self._waits, self._expect = waits, expect
+                 expect: Callable[[np.ndarray, PoseArray, PoseArray], str],
+                 reflect: Callable[[], None]) -> None:
+        self._waits, self._expect, self._reflect = waits, expect, reflect
         self._node, self._config, self._commands = node, config, commands
         self._answer, self._final, self._refuse = answer, final, refuse
         self._fused = FusedCloud(config.voxel_size, config.most_points)
@@ -252,6 +254,7 @@ class LiveTurns:
         self._sent = targets, turned
         if self._final():
             self._turns.change(*self._patience())
+        self._reflect()
 
     def _settled(self, header: Header) -> PoseArray:
         """

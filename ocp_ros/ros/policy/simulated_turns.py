@@ -59,14 +59,15 @@ class SimulatedTurns:
     :param told: is told once per turn which one it is.
     :param refuse: takes note of a message that cannot be used.
     :param waits: tells whether nothing may be commanded now.
+    :param reflect: is called after each command, to think while the cameras move.
     """
 
     def __init__(self, node: Node, commands: Publisher,
                  answer: Callable[[np.ndarray, PoseArray], PoseArray],
                  told: Callable[[TurnInfo], None], refuse: Callable[[ValueError], None],
-                 waits: Callable[[], bool]) -> None:
+                 waits: Callable[[], bool], reflect: Callable[[], None]) -> None:
         self._commands, self._answer_turn, self._tell = commands, answer, told
-        self._refuse, self._waits = refuse, waits
+        self._refuse, self._waits, self._reflect = refuse, waits, reflect
         self.cloud: PointCloud2 | None = None
         #: The latest poses by their stamps in nanoseconds, none older than the turn answered last.
         self.poses: dict[int, PoseArray] = {}
@@ -138,6 +139,7 @@ class SimulatedTurns:
                 self._refuse(error)
                 return
         self._commands.publish(self.answer)
+        self._reflect()
 
     def _untold(self, stamp: int) -> bool:
         """Tell whether the reward of a turn may still come, as that of the turn before did."""
