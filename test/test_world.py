@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
+from ocp_ros.agent import partial_map
 from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.encoder import Encoder
 from ocp_ros.agent.move_effects import (
@@ -26,6 +27,7 @@ from ocp_ros.agent.move_effects import (
     WorldInputs,
 )
 from ocp_ros.agent.partial_map import KeptModel, LookHistory, PartialMap, smallest_rectangle
+from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.geometry.visibility import FAST, FINE
 from ocp_ros.rig.free_plane import FreePlane
@@ -168,6 +170,22 @@ def test_a_model_is_kept_while_little_is_added(room):
         assert fresh is not larger
         assert kept(others, where, FAST)[0] is fresh
         larger = fresh
+
+
+def test_a_model_looks_from_a_pose_once_and_forgets_what_it_saw_by_other_rules(room, monkeypatch):
+    positions = room.bounds.mean(axis=0)[None]
+    model = PartialMap(room.points, positions, MAX_RANGE, 2000, 16)
+    views = [model.look(positions[0]) for _ in range(2)]
+    assert views[0] is views[1]
+    lens = CameraModel(max_range=1.0).lens
+    assert (model.look(positions[0], lens).seen != views[0].seen).any()
+    model.follow(FINE)
+    fresh = PartialMap(room.points, positions, MAX_RANGE, 2000, 16, FINE).look(positions[0])
+    np.testing.assert_array_equal(model.look(positions[0]).seen, fresh.seen)
+    monkeypatch.setattr(partial_map, 'MOST_VIEWS', 2)
+    for step in range(5):
+        model.look(positions[0] + 0.01 * step)
+    assert len(model._views) <= 2
 
 
 def test_a_kept_model_follows_other_rules_and_sees_as_one_made_by_them(room):

@@ -34,6 +34,9 @@ NO_CELL = -1
 DENSE = 4
 #: By what share the cloud grows before a model that is kept is made anew.
 GROWTH = 0.01
+#: Views of a model that are remembered: a camera that weighs the same places turn after turn looks
+#: from each once.
+MOST_VIEWS = 4096
 #: Metres: how far one looks for a corner of the room, and how many cameras do.
 FAR, LOOKING = 100.0, 2
 
@@ -86,6 +89,7 @@ class PartialMap:
         order, places = self.visibility.order, self.visibility.place_order
         self.points = scene.points[order]
         self.cells = np.append(np.where(inside, numbers, NO_CELL), [NO_CELL] * 4)[places]
+        self._views: dict[tuple[bytes, Frustum | None], View] = {}
         self.depth_error = DepthError(self.points, scene.spacing[order], bounds,
                                       rows, ERROR_CUBE, folds=folds)
 
@@ -105,14 +109,20 @@ class PartialMap:
 
     def look(self, camera: np.ndarray, lens: Frustum | None = None) -> View:
         """
-        Compute what a camera would see of what is known.
+        Compute what a camera would see of what is known; the view is shared, not to be changed.
 
         :param camera: (3,) x, y, z in metres, or (6,) with yaw, pitch and roll in radians.
         :param lens: of the camera; None for an omnidirectional one.
         """
+        key = np.asarray(camera, dtype=np.float64).tobytes(), lens
+        if key in self._views:
+            return self._views[key]
         view = View(no_bits(len(self.visibility.order)), no_bits(len(self.cells)))
         self.visibility.look(Pose.of(camera), self._lens if lens is None else lens,
                              view.seen, view.covered)
+        if len(self._views) >= MOST_VIEWS:
+            self._views = {}
+        self._views[key] = view
         return view
 
     def look_many(self, position: np.ndarray, headings: np.ndarray, lens: Frustum) -> list[View]:
@@ -133,7 +143,7 @@ class PartialMap:
     def follow(self, settings: SurfelSettings) -> None:
         """Look by these rules from now on; what was seen by others has to be looked at again."""
         if self.visibility.settings != settings:
-            self.visibility = self.visibility.by(settings)
+            self.visibility, self._views = self.visibility.by(settings), {}
 
     def error(self, views: list[View]) -> float:
         """Return the depth error of some views together, metres."""
