@@ -14,6 +14,7 @@ from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.scenes.scene_source import make_room
 from ocp_ros.scenes.splits import FRESH, SEEDS, TEST, TRAINING, VALIDATION
 from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.training import training_rooms
 from ocp_ros.training.demonstrations import _room
 from ocp_ros.training.train import _replay, trials_of
 from ocp_ros.training.training_config import RoomsConfig, TrainingConfig
@@ -108,6 +109,15 @@ def test_scans_in_other_units_are_read_alike_by_all_who_play_in_them(tmp_path):
     for points in (Rooms([name], config.rooms)[0].points, _room(config.rooms, name).points,
                    scene.points, rebuild._points(0)[0]):
         np.testing.assert_allclose(np.ptp(points, axis=0), expected.size, atol=1e-3)
+
+
+def test_rooms_are_made_once_and_kept_while_there_is_memory(monkeypatch):
+    made = []
+    monkeypatch.setattr(training_rooms, 'make', lambda config, name: made.append(name) or name)
+    monkeypatch.setattr(training_rooms, 'KEPT_POINTS', 2000)
+    rooms = Rooms(['a', 'b', 'c'], RoomsConfig(points=1000))
+    assert [rooms[index] for index in (0, 1, 2, 0, 1, 2)] == ['a', 'b', 'c'] * 2
+    assert made == ['a', 'b', 'c', 'c']
 
 
 def test_another_name_moves_no_scan_to_another_set(tmp_path):

@@ -21,6 +21,9 @@ from ocp_ros.training.training_config import RoomsConfig
 from ocp_ros.util.settings import ConfigurationError
 
 PARTS = ('training', 'validation', 'test')
+#: Points, in all rooms together, that are kept once they are made: to make a room takes as long as
+#: to play a hundred turns in it.
+KEPT_POINTS = 4_000_000
 #: Areas of S3DIS that are learned from, and the one of them that the best weights are chosen by.
 AREAS, VALIDATION_AREA = (1, 2, 3, 4, 5), 5
 
@@ -62,7 +65,7 @@ def make(config: RoomsConfig, name: str, rotation: float = 0.0) -> Scene:
 
 class Rooms(Sequence):
     """
-    Rooms that are made when they are needed.
+    Rooms that are made when they are needed, and kept as far as memory allows.
 
     :param names: of the rooms.
     :param config: how they are made.
@@ -70,14 +73,20 @@ class Rooms(Sequence):
 
     def __init__(self, names: Sequence[str], config: RoomsConfig) -> None:
         self._names, self._config = list(names), config
+        self._kept: dict[int, Scene] = {}
 
     def __len__(self) -> int:
         """Return the number of rooms."""
         return len(self._names)
 
     def __getitem__(self, index: int) -> Scene:
-        """Make a room."""
-        return make(self._config, self._names[index])
+        """Return a room, made when it is first asked for: not to be changed."""
+        if index in self._kept:
+            return self._kept[index]
+        scene = make(self._config, self._names[index])
+        if (len(self._kept) + 1) * self._config.points <= KEPT_POINTS:
+            self._kept[index] = scene
+        return scene
 
 
 def _of_s3dis(part: str) -> list[str]:
