@@ -265,3 +265,40 @@ def test_the_greedy_step_shows_a_cloud_the_same_as_what_moves_change():
         shown.append(demonstrate(tasks_of(config, ['1000'], 0, b'')[0]))
     np.testing.assert_allclose(shown[0][ENDS], shown[1][ENDS], rtol=0.02)
     assert (np.linalg.norm(shown[0][MOVES] - shown[1][MOVES], axis=-1) < 0.01).mean() > 0.9
+
+
+JOINT = replace(AgentConfig(), inputs='cloud', joint=2, points=128, keys_1=16, keys_2=8, hidden=32)
+
+
+def test_a_joint_head_tells_cameras_in_one_place_apart(cloud):
+    """Two cameras that read the same get moves of their own; the shared head cannot do this."""
+    torch.manual_seed(0)
+    together = np.array([[1.0, 0.5, 1.9]] * 2)
+    moves = {}
+    for joint in (0, 2):
+        agent = replace(JOINT, joint=joint)
+        policy = Policy(Checkpoint(agent, Actor(agent).state_dict()))
+        moves[joint] = policy.act(cloud, together)
+    np.testing.assert_array_equal(moves[0][0], moves[0][1])
+    assert np.abs(moves[2][0] - moves[2][1]).max() > 1e-3
+
+
+def test_a_joint_head_serves_one_number_of_cameras(cloud):
+    policy = Policy(Checkpoint(JOINT, Actor(JOINT).state_dict()))
+    with pytest.raises(ConfigurationError, match='found weights for 2 cameras, and 3 cameras'):
+        policy.act(cloud, np.zeros((3, 3)))
+    with pytest.raises(ConfigurationError, match='found weights for 2 cameras, and 4 cameras'):
+        replace(CONFIG, agent=JOINT, fewest_cameras=2, simulation=SimulationConfig(),
+                demonstrations=DemonstrationsConfig())
+    for wrong in ({'inputs': 'world'}, {'others': 1}, {'choices': True}):
+        with pytest.raises(ConfigurationError, match='agent.joint'):
+            replace(JOINT, **wrong)
+
+
+def test_soft_actor_critic_trains_a_joint_head(tmp_path):
+    config = replace(CONFIG, agent=JOINT, demonstrations=DemonstrationsConfig(),
+                     evaluate_every=24, sac=replace(SAC, learning_starts=4))
+    trained = train(config, tmp_path)
+    first = actor_checkpoint(make_sac(SAC, JOINT, 2, seed=1), '', {})
+    assert trained.updates > 0
+    assert not torch.equal(first.weights['head.out.weight'], trained.weights['head.out.weight'])

@@ -49,6 +49,10 @@ class AgentConfig:
     choices: bool = setting(
         False, 'whether the head for cloud inputs chooses among 25 moves; otherwise its answer is '
                'a Gaussian')
+    joint: int = setting(
+        0, 'with the cloud: number of cameras whose moves one head chooses together, as in '
+           'stable-baselines3; 0: each camera has the same head, and there may be any number', 0,
+        MOST_CAMERAS)
 
     def __post_init__(self) -> None:
         """Refuse what is never read."""
@@ -58,6 +62,11 @@ class AgentConfig:
         if self.marks and not self.others:
             raise ConfigurationError('agent.marks: found true with agent.others 0; expected '
                                      'cameras that choose one after the other; set agent.others')
+        if self.joint and (self.one_by_one or self.choices):
+            raise ConfigurationError(
+                f'agent.joint: found {self.joint} with agent.inputs {self.inputs!r}, agent.others '
+                f'{self.others} and agent.choices {str(self.choices).lower()}; expected 0, or the '
+                'inputs cloud with others 0 and choices false: one head answers for all cameras')
 
     @property
     def world(self) -> bool:
@@ -73,6 +82,18 @@ class AgentConfig:
     def one_by_one(self) -> bool:
         """Return whether one camera chooses after the other, each told of those before it."""
         return self.world or self.map or self.others > 0
+
+    def check_cameras(self, cameras: int) -> None:
+        """
+        Refuse another number of cameras than that of a joint head.
+
+        :raises ConfigurationError: if it is another.
+        """
+        if self.joint not in (0, cameras):
+            raise ConfigurationError(
+                f'agent.joint: found weights for {self.joint} cameras, and {cameras} cameras; '
+                'expected as many; use weights of a head that cameras share (agent.joint: 0), or '
+                f'a rig of {self.joint}')
 
     @property
     def map(self) -> bool:

@@ -181,16 +181,27 @@ class Extractor(nn.Module):
 
 
 class GaussianHead(nn.Module):
-    """Mean and log standard deviation of each camera's move before the hyperbolic tangent."""
+    """
+    Mean and log standard deviation of each camera's move before the hyperbolic tangent.
 
-    def __init__(self, features: int, hidden: int) -> None:
+    :param features: F, of each camera.
+    :param hidden: width of the layers.
+    :param joint: number of cameras K that one perceptron answers for together, as that of
+        stable-baselines3 does; 0: each camera asks the same perceptron.
+    """
+
+    def __init__(self, features: int, hidden: int, joint: int = 0) -> None:
         super().__init__()
-        self.layers = perceptron(features, hidden, hidden)
-        self.out = nn.Linear(hidden, 4)
+        self.joint = joint
+        self.layers = perceptron(max(joint, 1) * features, hidden, hidden)
+        self.out = nn.Linear(hidden, 4 * max(joint, 1))
 
     def forward(self, features: Tensor) -> Moves:
         """Map (B, K, F) to a distribution of moves."""
-        mean, log_std = self.out(self.layers(features)).chunk(2, dim=-1)
+        answers = self.out(self.layers(features.flatten(1) if self.joint else features))
+        if self.joint:
+            answers = answers.unflatten(1, (self.joint, 4))
+        mean, log_std = answers.chunk(2, dim=-1)
         mean = MEAN_MAX * torch.tanh(mean / MEAN_MAX)
         return SquashedGaussian(mean, log_std.clamp(LOG_STD_MIN, LOG_STD_MAX))
 
@@ -261,17 +272,25 @@ class ChoiceHead(nn.Module):
 
 
 class CriticHead(nn.Module):
-    """Value of all cameras' moves together: shared layers, mean over cameras, more layers."""
+    """
+    Value of all cameras' moves together: shared layers, mean over cameras, more layers.
 
-    def __init__(self, features: int, hidden: int) -> None:
+    :param joint: as in :class:`GaussianHead`; not 0: one perceptron for all cameras together.
+    """
+
+    def __init__(self, features: int, hidden: int, joint: int = 0) -> None:
         super().__init__()
-        self.each = perceptron(features + 2, hidden, hidden)
-        self.all = perceptron(hidden, hidden)
+        self.joint = joint
+        self.each = perceptron(max(joint, 1) * (features + 2), hidden, hidden)
+        self.all = nn.Identity() if joint else perceptron(hidden, hidden)
         self.out = nn.Linear(hidden, 1)
 
     def forward(self, features: Tensor, actions: Tensor, present: Tensor) -> Tensor:
         """Map (B, K, F), (B, K, 2) and (B, K) to (B, 1)."""
-        each = self.each(torch.cat([features, actions], dim=-1)) * present[..., None]
+        read = torch.cat([features, actions], dim=-1)
+        if self.joint:
+            return self.out(self.each(read.flatten(1)))
+        each = self.each(read) * present[..., None]
         count = present.sum(dim=1, keepdim=True).clamp(min=1.0)
         return self.out(self.all(each.sum(dim=1) / count))
 
@@ -298,4 +317,6 @@ def head_of(config: AgentConfig, extractor: Extractor) -> nn.Module:
     """Return the actor's head: choices where moves are tried on the world model."""
     if config.world:
         return ChoiceHead(config, extractor)
-    return (CloudChoiceHead if config.choices else GaussianHead)(extractor.width, config.hidden)
+    if config.choices:
+        return CloudChoiceHead(extractor.width, config.hidden)
+    return GaussianHead(extractor.width, config.hidden, config.joint)

@@ -45,7 +45,9 @@ class Policy:
         :param turns: turns of the whole episode.
         :param rng: draw the moves from the policy's distribution; None for the best ones.
         :returns: (K, 2) float32, in units of the longest step.
+        :raises ConfigurationError: if the weights serve another number of cameras alone.
         """
+        self.checkpoint.config.check_cameras(len(camera_positions))
         if not self.checkpoint.config.one_by_one:
             return self.choose(self.encoder(cloud, camera_positions, turn, turns), rng)
         moves = np.empty((len(camera_positions), 2), dtype=np.float32)

@@ -86,7 +86,7 @@ class _QNetwork(torch.nn.Module):
         super().__init__()
         # Not a part of this network: a list hides it from PyTorch.
         self._extractor = [extractor]
-        self.head = CriticHead(extractor.extractor.width, hidden)
+        self.head = CriticHead(extractor.extractor.width, hidden, extractor.agent.joint)
 
     def forward(self, features_and_actions: torch.Tensor) -> torch.Tensor:
         """Return (B, 1)."""
@@ -207,6 +207,7 @@ def make_sac(sac: SacConfig, agent: AgentConfig, cameras: int, env=None, seed: i
     :param environments: how many there will be where ``env`` is None.
     :param kwargs: passed on to ``stable_baselines3.SAC``.
     """
+    agent.check_cameras(cameras)
     policy, arguments, replay = (
         (MapPolicy, {'agent': agent}, MapReplayBuffer) if agent.map else
         (RigPolicy, {'features_extractor_class': SharedExtractor,

@@ -180,6 +180,8 @@ class TrainingConfig:
                 f'simulation.episode.max_step: found {longest} with agent.inputs '
                 f'{self.agent.inputs!r}; expected {LONGEST}, the longest of the moves that these '
                 'try; leave it out, or read the cloud alone')
+        for count in (self.fewest_cameras, self.simulation.rig.cameras):
+            self.agent.check_cameras(count)
         shown = self.values.steps if self.agent.map else self.demonstrations.rounds
         if not (shown or self.interactions):
             raise ConfigurationError(
