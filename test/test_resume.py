@@ -9,6 +9,7 @@ from shutil import copytree
 from conftest import Here, observation, rows_for
 import numpy as np
 import pytest
+import safetensors.numpy
 import safetensors.torch
 from stable_baselines3.common.vec_env import DummyVecEnv
 from test_demonstrations import SHOWN
@@ -18,6 +19,7 @@ from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.evaluation import task_runner
 from ocp_ros.evaluation.protocol import Protocol
 from ocp_ros.training import train as training
+from ocp_ros.training.replay_file import _rings, _written, load_replay
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.transition_log import TransitionLog
 from ocp_ros.training.transitions import Transition
@@ -29,7 +31,7 @@ SETTINGS = {**SHOWN, 'interactions': 24, 'demonstrations': {**SHOWN['demonstrati
                                                             'rounds': 1}}
 CONFIG, ROOMS, PROGRESS = 'config.yaml', 'rooms.json', 'progress.jsonl'
 BEST, STATE, ROUND = 'best.safetensors', 'state.safetensors', 'demonstrations/0000.npz'
-FITTED = 'demonstrations/0000.fitted'
+FITTED, REPLAY = 'demonstrations/0000.fitted', 'replay.safetensors'
 #: What may befall any file.
 DAMAGES = {
     'empty': lambda content: b'',
@@ -165,6 +167,17 @@ CASES = [
     (STATE, 'another type', tensors(lambda found: {
         name: value.to(torch.float64) for name, value in found.items()}), 'is torch.float64'),
     (STATE, 'gone', None, 'put it back from a copy, or begin in another folder'),
+    *((REPLAY, name, damage, 'remove the file: the run goes on') for name, damage in
+      DAMAGES.items()),
+    (REPLAY, 'missing', without('rewards'), 'rewards is missing'),
+    (REPLAY, 'an odd key', tensors(lambda found: found.update(odd=torch.zeros(1))), 'is unknown'),
+    (REPLAY, 'another type', tensors(lambda found: found.update(
+        rewards=found['rewards'].to(torch.float64))), 'rewards is float64'),
+    (REPLAY, 'fewer moves', tensors(lambda found: found.update(
+        rewards=found['rewards'][:-1].clone())), 'rewards is float32'),
+    (REPLAY, 'huge', filled('rewards', float('inf')), 'rewards has inf'),
+    (REPLAY, 'filled too far', filled('ring.pos', 1 << 40), 'how far it is filled'),
+    (REPLAY, 'gone', None, ''),
     *((ROUND, name, damage, 'remove the file, and the round is played again')
       for name, damage in DAMAGES.items()),
     (ROUND, 'NaN', put('rewards', lambda value: value * np.nan), 'rewards has numbers'),
@@ -230,6 +243,53 @@ def test_a_damaged_run_goes_on_or_says_what_is_lost_and_what_to_do(
     assert words in sentence and 'found' in sentence and 'expected' in sentence, sentence
     assert '\n' not in sentence and str(tmp_path / 'run') in sentence
     assert all(one.read_bytes() == content for one, content in before.items())
+
+
+def rings_of(buffer):
+    """Return copies of all that a replay buffer holds, by name, and how far it is filled."""
+    return {name: ring[:_written(buffer)].copy() for name, ring in _rings(buffer).items()}, (
+        np.array(buffer.pos).tolist(), np.array(buffer.full).tolist())
+
+
+def test_a_run_that_goes_on_has_the_moves_that_it_had(begun, tmp_path, monkeypatch):
+    """None is lost, and those of the demonstrations are not there twice."""
+    folder, _ = begun
+    copytree(folder, tmp_path / 'run')
+    buffers, starts = [], []
+
+    def learn(model, *arguments, **settings):
+        buffers.append(rings_of(model.replay_buffer))
+        starts.append(model.learning_starts)
+
+    monkeypatch.setattr(training.RigSac, 'learn', learn)
+    for damage in (lambda path: None, lambda path: path.unlink()):
+        damage(tmp_path / 'run' / REPLAY)
+        training.train(from_nested(TrainingConfig, {**SETTINGS, 'interactions': 48}),
+                       tmp_path / 'run')
+    saved = safetensors.numpy.load_file(folder / REPLAY)
+    kept, (position, full) = buffers[0]
+    assert position == saved['ring.position'][0] and not full
+    for name, ring in kept.items():
+        np.testing.assert_array_equal(ring, saved[name])
+    # Without the file, only the demonstrations are there, and some moves are played first. A run
+    # is saved before the moves of its last step are stored.
+    assert buffers[1][1][0] == position - (24 // SETTINGS['environments'] - 1)
+    assert starts[1] > starts[0]
+
+
+def test_clouds_are_replayed_by_a_run_that_goes_on(here, tmp_path, monkeypatch):
+    """Each environment has a ring of its own, and scenes may have more words than expected."""
+    settings = {**SETTINGS, 'agent': {'inputs': 'cloud', 'points': 64}, 'environments': 2,
+                'fewest_cameras': SETTINGS['simulation']['rig']['cameras'],
+                'demonstrations': {'rounds': 0}}
+    training.train(from_nested(TrainingConfig, settings), tmp_path)
+    model = training._model(from_nested(TrainingConfig, settings), tmp_path, None)
+    model.replay_buffer.words, model.replay_buffer.observed = 1, np.zeros(
+        (model.replay_buffer.slots, 2, 1), dtype=np.uint64)
+    load_replay(model.replay_buffer, tmp_path / REPLAY)
+    assert model.replay_buffer.size() == 24 - 2 and not model.replay_buffer.waiting.any()
+    batch = model.replay_buffer.sample(8)
+    assert torch.isfinite(batch.rewards).all() and batch.observations['points'].abs().max() > 0
 
 
 def test_best_weights_that_no_line_tells_of_are_judged_anew(begun, tmp_path):

@@ -247,8 +247,7 @@ class TurnReplay(DictReplayBuffer):
         """Write a turn, which begins no transition yet, to the next slot."""
         slot = int(self.pos[env])
         at = slot, env
-        if len(known.observed) > self.words:
-            self._widen(len(known.observed))
+        self.make_room_for(len(known.observed))
         self.cache.drop(at)
         self.starts[at] = False
         self.scenes[at], self.counts[at] = known.scene, len(known.observed)
@@ -259,8 +258,10 @@ class TurnReplay(DictReplayBuffer):
         self.pos[env] = (slot + 1) % self.slots
         self.full[env] |= self.pos[env] == 0
 
-    def _widen(self, words: int) -> None:
-        """Make room for scenes of more points."""
+    def make_room_for(self, words: int) -> None:
+        """Make room for scenes of so many words of bits, if there is none yet."""
+        if words <= self.words:
+            return
         written = self.slots if self.full.any() else int(self.pos.max())
         wider = np.zeros((*self.observed.shape[:2], words), dtype=np.uint64)
         wider[:written, :, :self.words] = self.observed[:written]

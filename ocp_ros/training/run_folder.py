@@ -20,6 +20,8 @@ from ocp_ros.util.yaml_files import read_plain
 
 CONFIG, ROOMS, PROGRESS = 'config.yaml', 'rooms.json', 'progress.jsonl'
 BEST, STATE, SHOWN = 'best.safetensors', 'state.safetensors', 'demonstrations'
+#: The moves that soft actor-critic learns from.
+REPLAY = 'replay.safetensors'
 #: The state of dense values, which come before soft actor-critic, and what lines of them say.
 VALUES_STATE, VALUES = 'values_state.safetensors', 'values'
 #: Settings with which a run may go on though it was begun with others.
@@ -97,7 +99,7 @@ def _write_settings(path: Path, config: TrainingConfig) -> None:
 
 def _refuse_strangers(folder: Path) -> None:
     """Refuse a folder that is no run's and has files that a run would replace."""
-    found = [name for name in (BEST, 'best.json', STATE, PROGRESS, SHOWN)
+    found = [name for name in (BEST, 'best.json', STATE, REPLAY, PROGRESS, SHOWN)
              if (folder / name).exists()]
     if found:
         raise ConfigurationError(

@@ -39,7 +39,7 @@ def save_state(model: SAC, path: Path, run: str) -> None:
     """
     Write networks, optimisers, entropy coefficient and counters; the file is whole or absent.
 
-    The replay buffer is not part of it: it fills again.
+    The replay buffer is not part of it; see :mod:`ocp_ros.training.replay_file`.
 
     :param model: from :func:`ocp_ros.training.sac.make_sac`.
     :param path: where to.

@@ -6,8 +6,8 @@ Train a policy: read from top to bottom, this is the whole run.
 First the policy imitates an expert, then it learns by itself with soft actor-critic; either part
 may be left out. A run's folder holds ``config.yaml`` (the effective settings), ``rooms.json``
 (which rooms are in each set), ``progress.jsonl`` (one line per evaluation), ``best.safetensors``
-with its card, ``state.safetensors`` to resume from, ``demonstrations/`` with the episodes of each
-round, and TensorBoard's files.
+with its card, ``state.safetensors`` and ``replay.safetensors`` to resume from, ``demonstrations/``
+with the episodes of each round, and TensorBoard's files.
 """
 
 from collections.abc import Sequence
@@ -36,11 +36,13 @@ from ocp_ros.training import demonstrations
 from ocp_ros.training.demonstration_rounds import ENDS, LAST, load_rounds, save_round
 from ocp_ros.training.map_environment import playable
 from ocp_ros.training.replay_buffer import Rebuild, TurnReplay
+from ocp_ros.training.replay_file import load_replay, save_replay
 from ocp_ros.training.run_folder import (
     add_record,
     BEST,
     claim,
     records,
+    REPLAY,
     SHOWN,
     STATE,
     VALUES,
@@ -94,6 +96,11 @@ class Run:
     def state(self) -> Path:
         """Return the file to resume from."""
         return self.folder / STATE
+
+    @property
+    def replay(self) -> Path:
+        """Return the file of the moves to learn from."""
+        return self.folder / REPLAY
 
     @property
     def device(self) -> torch.device:
@@ -150,6 +157,8 @@ class Run:
             (self.folder / SHOWN).glob('*.fitted'))
         if self.state.exists():
             self.name = load_state(self.model, self.state)
+            if self.replay.exists():
+                load_replay(self.model.replay_buffer, self.replay)
         elif begun:
             raise CheckpointError(
                 f'{self.state}: found no file though the run had begun; expected the state to go '
@@ -182,6 +191,9 @@ class Run:
 
     def save(self) -> None:
         """Write what is needed to resume."""
+        # In this order: moves that the state does not count yet do no harm.
+        if self.model.replay_buffer.size():
+            save_replay(self.model.replay_buffer, self.replay)
         save_state(self.model, self.state, self.name)
 
 
@@ -290,11 +302,13 @@ def learn(run: Run) -> None:
         return
     model.warm = (shown is not None or bool(config.model) or config.agent.map
                   or model.num_timesteps > 0)
-    # Moves are not kept when a run is interrupted: play some before learning from them.
-    if shown is None or model.num_timesteps > first:
+    remembers = model.replay_buffer.size() > 0
+    # Where the moves so far are lost, some are played before learning from them.
+    if not remembers and (shown is None or model.num_timesteps > first):
         model.learning_starts += model.num_timesteps
     if shown is not None:
-        demonstrations.fill(model, shown)
+        if not remembers:
+            demonstrations.fill(model, shown)
         if model.num_timesteps == first:
             start_critics(model)
         imitation = demonstrations.Imitation(shown, model.device)
