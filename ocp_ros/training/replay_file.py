@@ -1,6 +1,6 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The replay buffer of a run as one file, so that an interrupted run learns from its past moves."""
+"""The replay buffer of a run as one file: an interrupted run goes on with its past moves."""
 
 import os
 from pathlib import Path
