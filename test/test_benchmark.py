@@ -259,8 +259,8 @@ def test_the_page_says_who_agrees_who_is_better_and_how_long_it_takes():
     online = rows_of({'lookahead': {('a', 0): [1.0], ('b', 0): [2.0]}}, 0)
     rows += [row for row in online if row['planner'] not in YARDSTICKS]
     text = page({**summarise(rows), **MADE})
-    assert 'With 1,000 evaluations, TDSA, CMA-ES are within 10 %' in text
-    assert 'the others, as multiples of it: BPSO 1.50.' in text
+    assert 'deliver a sum within 10 % of the smallest one: TDSA, CMA-ES.' in text
+    assert 'The others, as multiples of the smallest sum: BPSO 1.50.' in text
     # 3 / 6, better in both; 3 / 4, better in one of two.
     assert '| BPSO | 1,000 | 0.50 (2) |' in text and '| TDSA | 1,000 | 0.75 (1) |' in text
     # Two rooms, 1 s each at the most evaluations, in whatever order they ran.

@@ -274,7 +274,8 @@ def test_the_page_of_certificates(tmp_path, monkeypatch):
     path = tmp_path / 'certificates.md'
     assert write_certificates(['--out', str(path), '--seeds', '8', '--cases', 'four']) == 0
     text = path.read_text()
-    assert 'Proved in 1 of 1 rooms within 60 s; the largest gap is 0.0 %.' in text
+    assert 'In 1 of 1 rooms the best choice is proved within 60 s.' in text
+    assert 'The largest gap is 0.0 %.' in text
 
 
 def test_choices_that_exclude_each_other_are_never_branched_into(plane):

@@ -31,20 +31,22 @@ class AgentConfig:
     keys_2: int = setting(8, 'key points of the second unit', 1, 1024)
     group_2: int = setting(8, 'points per group of the second unit', 1, 256)
     radius_2: float = setting(2.0, 'ball query radius of the second unit, metres', 0.01, 50.0)
-    channels: int = setting(32, "channels C' of each unit's perceptron", 1, 1024)
+    channels: int = setting(32, "output channels of each unit's perceptron", 1, 1024)
     hidden: int = setting(256, 'width of the heads', 1, 4096)
     length_scale: float = setting(4.0, 'length of one unit of the network, metres', 0.01, 100.0)
     others: int = setting(
-        0, 'with the cloud: cameras choose one after the other, each told where so many others '
-           'are or will be; 0: the cloud tells of none that have chosen', 0, MOST_CAMERAS)
+        0, 'with inputs cloud or both: cameras choose one after the other, and the network reads '
+           'the positions of at most so many other cameras; 0: it does not read them',
+        0, MOST_CAMERAS)
     marks: bool = setting(
-        False, 'whether points are marked by what the choosing camera and the others see now; '
-               'needs others')
+        False, 'whether the network reads for each point if the choosing camera sees it now, '
+               'and how many other cameras do; needs others')
     centred: bool = setting(
-        False, 'whether the last unit groups around each camera, not around the cloud')
+        False, 'whether the centre of the last unit is the camera, not the middle of the cloud')
     nearest: bool = setting(
-        False, 'whether groups take the nearest points of a ball, not the first')
-    pooled: int = setting(0, 'channels of the last unit; 0: those of the others', 0, 4096)
+        False, 'whether groups take the nearest points within the radius, not the first ones')
+    pooled: int = setting(
+        0, 'output channels of the last unit; 0: as many as the other units have', 0, 4096)
     normed: bool = setting(False, 'whether the units normalise their features')
     choices: bool = setting(
         False, 'whether the head for cloud inputs chooses among 25 moves; otherwise its answer is '

@@ -22,6 +22,17 @@ from ocp_ros.evaluation.fused_bench import measure_fused, TOLERANCE
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.own_files import note_own
 
+#: What the figures of speed are.
+MEANING = {
+    'speedup_vs_hpr': 'time of hidden point removal / time of `fast`',
+    'speedup_vs_hpr_fine': 'time of hidden point removal / time of `fine`',
+    'speedup_vs_embree_fine': 'time of `embree` / time of `fine`',
+    'numpy_twin_speedup': 'time of the NumPy twin / time of `fast`',
+    'env_steps_per_s': 'steps of the Gymnasium environment per second',
+    'evaluations_per_s': 'evaluated placements per second',
+    'evaluations_per_s_one_moved': 'the same if only one camera has moved since the last one',
+    'scaling_2_threads': 'time with one thread / time with two threads'}
+
 
 def bench(arguments: argparse.Namespace) -> dict[str, Any]:
     """
@@ -65,36 +76,49 @@ def page(result: dict[str, Any]) -> str:
         f'| {row["density"]:,} | {row["method"].replace("_", " ")} | {row["precision"]:.3f} | '
         f'{row["recall"]:.3f} | {row["f1"]:.3f} | {row["ms"]:.2f} | '
         f'{row["ns_per_point_camera"]:.1f} |' for row in result['visibility'])
-    figures = '\n'.join(f'| `{name}` | {result[name]:,.1f} |' for name in FIGURES)
+    figures = '\n'.join(f'| `{name}` | {result[name]:,.1f} | {MEANING[name]} |'
+                        for name in FIGURES)
     scales = '\n'.join(
         f'| {row["points"]:,} | {row["ns_per_point_camera"]:.1f} | {row["bytes_per_point"]:.0f} | '
         f'{row["seconds_to_build"]:.1f} |' for row in result['scale'])
     return f"""# The engine, measured
 
-Made by `{result["command"]}` on {result["date"]}.
-It uses {result["rooms"]} generated rooms with {result["positions"]} camera positions each, at
-least {CLEARANCE} m from all surfaces, and a range of {result["range"]:.0f} m. Ray casting of the
-rooms' meshes is the reference. Every method computes the same cameras in the same process on one
-core. Hidden point removal is that of Open3D, with the best of {len(RADII)} radii (in the table,
-metres). Embree casts one ray per point at the true mesh, which a user with a point cloud does not
-have.
+The engine computes which points of a room a camera sees ([how it works](explanation/engine.md)).
+This page compares it with ray casting and with other methods. `{result["command"]}` wrote
+it on {result["date"]}.
+
+## Scans of tripods
+The rooms are {result["rooms"]} generated rooms with {result["positions"]} camera positions each.
+The cameras are at least {CLEARANCE} m from all surfaces and have a range of
+{result["range"]:.0f} m. Ray casting at the meshes of the rooms says which points are visible. A
+method predicts which points are visible. Precision is the share of the predicted points that are
+visible, recall the share of the visible points that are predicted, and F1 the harmonic mean of
+both. All methods run with the same cameras, in the same process, on one core.
+
+| method | what it is |
+|---|---|
+| `fine`, `fast`, `paper` | presets of the engine |
+| `embree` | one ray per point at the true mesh; a user who has only a point cloud cannot do this |
+| `numpy twin of fast` | the rules of `fast` in plain NumPy |
+| `hidden point removal` | that of Open3D, with the best of {len(RADII)} radii, in metres |
 
 | points | method | precision | recall | F1 | ms per camera | ns per point |
 |---|---|---|---|---|---|---|
 {rows}
 
 {_fused(result)}\
-Speedups are at {MIDDLE:,} points. The other figures are for the preset `fast`, 4 cameras and a
-room of {result["points"]:,} points, in two threads: environment steps, evaluated placements, and
-evaluated placements of which one camera has moved. The twin has the same rules in plain NumPy.
+## Speed
+Speedups are ratios of times for one camera at {MIDDLE:,} points. The other figures are for the
+preset `fast`, 4 cameras, a room of {result["points"]:,} points and two threads.
 
-| figure | value |
-|---|---|
+| figure | value | meaning |
+|---|---|---|
 {figures}
 
-The next table has time per camera and memory per scene for larger rooms, with `fast` on one core.
-Memory includes points, normals, coverage grid and lists of the depth error. Each thread needs 8
-more bytes per point as workspace.
+## Large rooms
+Time per camera and memory per scene, with `fast` on one core. Memory includes points, normals,
+coverage grid and the point lists of the depth error. Each thread needs 8 more bytes per point as
+workspace.
 
 | points | ns per point and camera | bytes per point | seconds to build |
 |---|---|---|---|
@@ -110,12 +134,15 @@ def _fused(result: dict[str, Any]) -> str:
         f'| {row["density"]:,} | {row["method"].replace("_", " ")} | {row["precision"]:.3f} | '
         f'{row["recall"]:.3f} | {row["f1"]:.3f} |' for row in result['fused'])
     return f"""\
-Scans of depth cameras are noisier. A simulated hand-held camera scans {result["fused_rooms"]} of
-the rooms. Up to {result["fused_frames"]} frames with the noise of a Kinect are fused, and the
-surface is thinned to the number of points in the table. These points predict the visible points of
-{result["fused_views"]} frames of another walk. A point counts if it is in the frame. It is visible
-if no mesh surface lies more than {100 * TOLERANCE:.0f} cm in front of it. `mesh` casts rays at the
-fused mesh.
+## Scans of a hand-held camera
+Scans of depth cameras are noisier than those of tripods. A simulated hand-held camera scans
+{result["fused_rooms"]} of the rooms. Up to {result["fused_frames"]} frames with the noise of a
+Kinect are fused into a mesh. The mesh is thinned to the number of points in the table. Then the
+camera walks through each room again and takes new frames, {result["fused_views"]} in all. From the
+thinned points each method predicts which of them are visible in a new frame. Only points inside
+the field of view and the range of the frame are compared. A point is visible if no true surface
+lies more than {100 * TOLERANCE:.0f} cm in front of it. The method `mesh` casts rays at the fused
+mesh.
 
 | points at most | method | precision | recall | F1 |
 |---|---|---|---|---|

@@ -91,17 +91,28 @@ def page(command: str, rows: dict[str, list[tuple[int, Certificate]]], load: flo
     :param load: of the machine, when it ended.
     """
     lines = ['# Certificates in the test rooms', '',
-             f'Rooms of {POINTS:,} points, preset `fine`, depth maps of {ROWS} rows. Seconds '
-             'include the visibility of all candidates. Measured on',
-             f'{date.today().isoformat()}, at a load of {load:.1f} on {os.cpu_count()} processors '
-             'by', '', f'    {command}', '',
-             '[How good a plan is](explanation/certificate.md) explains how to read them.']
+             'The planner `exact` chooses the poses of the cameras among candidate poses. A '
+             'certificate says how much better any', 'other choice among the same candidates can '
+             'be: [how good a plan is](explanation/certificate.md).', '',
+             f'The rooms have {POINTS:,} points, and visibility is that of the preset `fine`. '
+             f'This command measured the', f'tables on {date.today().isoformat()}, on '
+             f'{os.cpu_count()} processors with a load of {load:.1f}:',
+             '', f'    {command}', '',
+             '| column | meaning |', '|---|---|',
+             '| room | seed of the generated room |',
+             '| candidates | number of candidate poses |',
+             '| rows | rows of the depth maps that the depth error is computed with |',
+             '| found | depth error of the best choice that was found |',
+             '| bound | no choice among the candidates has a smaller depth error |',
+             '| gap | (found - bound) / found; 0 means that the choice is proved to be the best |',
+             '| subproblems | number of subproblems that the proof solved |',
+             '| s | seconds, with those for the visibility of all candidates |']
     for name, found in rows.items():
         done = sum(certificate.proved for _, certificate in found)
         most = max(certificate.gap for _, certificate in found)
         lines += ['', f'## {CASES[name].name}', '',
-                  f'Proved in {done} of {len(found)} rooms within {CASES[name].seconds:g} s; the '
-                  f'largest gap is {100.0 * most:.1f} %.', '',
+                  f'In {done} of {len(found)} rooms the best choice is proved within '
+                  f'{CASES[name].seconds:g} s. The largest gap is {100.0 * most:.1f} %.', '',
                   '| room | candidates | rows | found (m) | bound (m) | gap (%) | subproblems '
                   '| s |', '|---|---|---|---|---|---|---|---|']
         lines += [f'| {seed} | {one.candidates} | {one.rows} | {one.found:.4f} | {one.bound:.4f} '

@@ -125,10 +125,10 @@ OFFLINE: dict[str, Callable[[FreePlane, np.random.Generator, int], Planner]] = {
 
 #: What planners know of a room; what is not named here knows the scores of its placements.
 KNOWS = {
-    **dict.fromkeys(('greedy_coverage', 'greedy_error'), 'scores of places on a grid'),
-    'greedy_swap': 'scores, at first of places on a grid',
-    'tdsa': 'scores, also of fewer cameras',
-    'bpso': 'scores of places on a grid',
+    **dict.fromkeys(('greedy_coverage', 'greedy_error'), 'scores of positions on a grid'),
+    'greedy_swap': 'scores, first of positions on a grid',
+    'tdsa': 'scores, also with fewer cameras',
+    'bpso': 'scores of positions on a grid',
     'learned_cma_es': 'scores, and what its placements see',
 }
 

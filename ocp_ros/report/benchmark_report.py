@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 import numpy as np
 
 from ocp_ros.evaluation.judging import MOUNTING, MOUNTINGS
+from ocp_ros.evaluation.protocol import CONTROLS, POOL
 from ocp_ros.planners.registry import KNOWS, OFFLINE, ONLINE
 from ocp_ros.planners.rig_methods import planner_names
 from ocp_ros.report.drawing.figure_files import save_figure
@@ -87,7 +88,7 @@ def draw_rooms(path: Path, summary: dict[str, Any]) -> None:
     for k, room in enumerate(rooms):
         known = summary['rooms'][room]['best_known']
         axes.plot([k - 0.45, k + 0.45], [known, known], color=INK, linewidth=1.2,
-                  label='best by truth' if k == 0 else None)
+                  label='reference' if k == 0 else None)
     axes.set_xticks(range(len(rooms)), [printable(Path(room).stem) for room in rooms],
                     parse_math=False)
     axes.set_ylabel('depth error (m)', color=PALE_INK)
@@ -143,6 +144,11 @@ def spaced(name: str) -> str:
     return TITLES.get(name, name.replace('_', ' '))
 
 
+def capital(words: str) -> str:
+    """Write words as a sentence begins."""
+    return words[:1].upper() + words[1:]
+
+
 def shown(number: float | None, digits: int) -> str:
     """Write a number, or a dash where there is none."""
     return '-' if number is None else f'{number:.{digits}f}'
@@ -157,25 +163,37 @@ def page(summary: dict[str, Any]) -> str:
     """Write the comparison as Markdown."""
     lines = [
         '# Planners compared', '',
-        f'Made on {summary["date"]} by', '', f'    {printable(summary["command"])}', '',
-        f'{len(summary["rooms"])} rooms, {summary["rotations"]} rotations of each, '
-        f'{_placed(summary)}. Planners search with the preset `fine` on {summary["points"]:,} '
-        'points of a room. Sums are over rooms; each room is the mean over rotations and seeds.',
-        '', '| figure | meaning |', '|---|---|',
-        '| delivered | depth error of the placement by ray casting of the generated mesh, on '
-        f'another scan of {summary["judged_points"]:,} points that no search saw, as the mean '
-        f'over {MOUNTINGS} ways of mounting the cameras {100 * MOUNTING:.0f} cm off; in scans '
-        'without a mesh, by the engine on points that were held out |',
-        '| 95 % | bootstrap interval of the sum over rooms |',
-        '| promised | depth error of the placement by the engine that planners search with |',
-        '| worst promise | promised / delivered in the room where this ratio is farthest from 1 |',
-        '| promised / bound | the bound is the least depth error that the exact method proves for '
-        'all placements on its candidates |',
-        '| regret | delivered / the best that a search with the truth (ray casting) delivered, '
-        'of the sums over rooms; *geometric*: the geometric mean over rooms |',
-        '| gap closed | (random - planner) / (random - best by truth); random is one placement '
-        'drawn at random |',
-        '| wins | rooms in which no other planner of the same budget was better |', '',
+        'This page compares planners for camera placement. The following command made it on '
+        f'{summary["date"]}:', '',
+        f'    {printable(summary["command"])}', '',
+        f'Each planner places {_placed(summary)}. There are {_rooms(summary)}. Planners with a '
+        f'scan search with the preset `fine` of the engine on {summary["points"]:,} points of a '
+        'room. The figure of a room is the mean over rotations and seeds. A *judge* computes the '
+        'error of each final placement. The judge is independent of the search. In a generated '
+        'room it casts rays at the mesh (the *truth*), on another scan of '
+        f'{summary["judged_points"]:,} points. In a scan without a mesh it uses the engine on '
+        'points that no search has.',
+        '', '| column | meaning |', '|---|---|',
+        '| knows | what the planner knows of the room |',
+        '| delivered | depth error that the judge computes, summed over the rooms. The judge '
+        f'moves each camera by {100 * MOUNTING:.0f} cm in a random direction, {MOUNTINGS} times, '
+        'and takes the mean |',
+        '| 95 % | bootstrap interval of delivered over the rooms |',
+        '| promised | depth error that the engine computes on the points of the search, summed '
+        'over the rooms |',
+        '| promised / delivered | mean of this ratio over the rooms |',
+        '| worst promise | this ratio in the room where it is farthest from 1 |',
+        '| promised / bound | ratio of the sums over the rooms. The bound is the smallest depth '
+        'error that is possible on the candidates of the planner `exact`, by proof |',
+        '| regret | delivered / delivered error of the *reference*. The reference is the best '
+        'placement in each room among those of searches that evaluate with ray casting |',
+        '| regret, geometric | geometric mean of this ratio over the rooms |',
+        '| gap closed | (random - planner) / (random - reference), of the sums over the rooms. '
+        f'*random* is the mean of {CONTROLS} placements that are drawn at random |',
+        '| wins | number of rooms in which no other planner of the same table is better |',
+        '| rank | mean over the rooms of the rank of the planner; 1 is the best |',
+        '| p | p-value of a signed-rank test (Wilcoxon) against the planner with the best rank, '
+        'corrected for the number of tests (Holm) |', '',
         compared(summary), '', *(f'**Note:** {note}.\n' for note in summary.get('notes', ()))]
     for budget in budgets_of(summary):
         heading = f'{int(budget):,} evaluations' if int(budget) else \
@@ -189,18 +207,17 @@ def page(summary: dict[str, Any]) -> str:
                 lines += [f'{spaced(name)}: {1e3 * run["seconds_per_turn"]:.0f} ms '
                           f'per turn (median), {1e3 * run["seconds_at_most"]:.0f} ms at most.', '']
         friedman = test['friedman_p']
-        lines += [f"Rank is the mean over rooms; p is Wilcoxon's signed-rank test against "
-                  f'{spaced(test["leader"])}, corrected after Holm'
-                  + ('.' if friedman is None else
-                     f'. Friedman test of equal planners: p = {friedman:.2g}.'), '']
+        lines += [f'{capital(spaced(test["leader"]))} has the best rank.' + (
+            '' if friedman is None else ' A Friedman test of the hypothesis that all planners of '
+            f'this table are equal gives p = {friedman:.2g}.'), '']
     lines += _agreement(summary) + _duels(summary) + _times(summary)
     lines += ['![Depth error of every planner in every room](rooms.png)', '']
     if 'rig' not in summary:
         lines += ['![Depth error during the search](anytime.png)', '',
                   '![Where the best planners put the cameras](placements.png)', '']
     lines += ['## Rooms', '',
-              '| room | best by truth (m) | random placement (m) | share | from everywhere (m) | '
-              'bound of what is promised (m) |', '|---|---|---|---|---|---|']
+              '| room | reference (m) | random (m) | reference / random | cameras everywhere (m) '
+              '| bound (m) |', '|---|---|---|---|---|---|']
     bounds = summary.get('exact', {}).get('bounds', {})
     for room, known in summary['rooms'].items():
         lines.append(
@@ -209,9 +226,11 @@ def page(summary: dict[str, Any]) -> str:
             f'{shown(known["share"], 3)} | '
             f'{known["lower_bound"]:.3f} | {shown(bounds.get(room), 3)} |')
     rig = 'rig' in summary
-    everywhere = 'candidate poses' if rig else 'places of the plane'
-    lines += ['', f'*From everywhere* is the depth error of cameras at all {everywhere} together: '
-              f'no placement {"of these " if rig else ""}is better.', '',
+    everywhere = 'all candidate poses' if rig else f'{POOL} positions of a grid'
+    lines += ['', '*Reference*, *random* and *bound* are explained above. *Cameras everywhere* is '
+              f'the depth error with a camera at each of {everywhere} at the same time. A '
+              f'placement {"on these poses cannot" if rig else "can hardly"} have a smaller '
+              'error.', '',
               'Versions: ' + ', '.join(
                   f'{name} {version}' for name, version in summary['versions'].items()) + '.', '']
     return '\n'.join(lines)
@@ -221,8 +240,8 @@ def _table(summary: dict[str, Any], budget: str) -> list[str]:
     """Compare all planners of a budget, and below them the search with the truth."""
     test = summary['rank_tests'][budget]
     lines = ['| planner | knows | delivered (m) | 95 % | promised (m) | promised / delivered | '
-             'worst promise | promised / bound | regret | geometric | gap closed | wins | rank | '
-             'p |', '|---|---|---|---|---|---|---|---|---|---|---|---|---|---|']
+             'worst promise | promised / bound | regret | regret, geometric | gap closed | wins | '
+             'rank | p |', '|---|---|---|---|---|---|---|---|---|---|---|---|---|---|']
     runs = {name: runs[budget] for name, runs in summary['planners'].items() if budget in runs}
     for name, run in sorted(runs.items(), key=lambda item: item[1]['sum']):
         p = test['against_leader'].get(name)
@@ -239,9 +258,9 @@ def _table(summary: dict[str, Any], budget: str) -> list[str]:
 def _yardsticks(summary: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Yield what planners are compared with: its title, what it knows and its figures."""
     if 'exact' in summary:
-        yield (f'exact on {summary["exact"]["candidates"]} candidates, then near them',
-               'scores and visible points', summary['exact'])
-    yield 'search with the truth', 'the truth', summary['truth']
+        yield (f'`exact` with {summary["exact"]["candidates"]} candidates, then improved near '
+               'them', 'scores and visible points', summary['exact'])
+    yield 'reference searches, mean', 'the mesh, if there is one', summary['truth']
 
 
 def _promise(run: dict[str, Any]) -> str:
@@ -256,17 +275,25 @@ def _placed(summary: dict[str, Any]) -> str:
     """Say which cameras were placed."""
     if 'rig' in summary:
         return (f'{summary["cameras"]} cameras of the rig file `{as_code(summary["rig"])}` under '
-                'all its constraints, with positions and headings; an error is the objective '
-                'value of the rig in units of the depth error without cameras')
-    return f'{summary["cameras"]} cameras on a plane'
+                'all its constraints, with positions and headings. *Depth error* on this page is '
+                'the objective value of the rig file, multiplied by the depth error without '
+                'cameras')
+    return f'{summary["cameras"]} omnidirectional cameras on a horizontal plane'
+
+
+def _rooms(summary: dict[str, Any]) -> str:
+    """Say how many rooms there are, and in how many rotations."""
+    rotations = summary['rotations']
+    each = 'one rotation' if rotations == 1 else f'{rotations} rotations'
+    return f'{len(summary["rooms"])} rooms, each in {each}'
 
 
 def compared(summary: dict[str, Any]) -> str:
     """Say how many of all planners are compared, and which are not."""
     known = planner_names() if 'rig' in summary else (*OFFLINE, *ONLINE)
     left_out = [spaced(name) for name in known if name not in summary['planners']]
-    text = f'Compared are {len(summary["planners"])} of {len(known)} planners'
-    return text + (f'; left out: {"; ".join(left_out)}.' if left_out else '.')
+    text = f'The comparison has {len(summary["planners"])} of {len(known)} planners.'
+    return text + (f' It leaves out: {"; ".join(left_out)}.' if left_out else '')
 
 
 def _agreement(summary: dict[str, Any]) -> list[str]:
@@ -279,11 +306,11 @@ def _agreement(summary: dict[str, Any]) -> list[str]:
     ratios = {name: total / min(sums.values()) for name, total in sums.items()}
     near = [name for name, ratio in ratios.items() if ratio <= ALIKE]
     far = [f'{spaced(name)} {ratio:.2f}' for name, ratio in ratios.items() if ratio > ALIKE]
-    text = f'With {int(last):,} evaluations, {", ".join(map(spaced, near))} are within ' \
-        f'{100 * (ALIKE - 1):.0f} % of the least sum among the searches'
+    text = f'With {int(last):,} evaluations these searches deliver a sum within ' \
+        f'{100 * (ALIKE - 1):.0f} % of the smallest one: {", ".join(map(spaced, near))}.'
     if far:
-        text += f'; the others, as multiples of it: {", ".join(far)}'
-    return ['## Do the searches agree?', '', text + '.', '']
+        text += f' The others, as multiples of the smallest sum: {", ".join(far)}.'
+    return ['## Agreement of the searches', '', text, '']
 
 
 def _duels(summary: dict[str, Any]) -> list[str]:
@@ -295,9 +322,10 @@ def _duels(summary: dict[str, Any]) -> list[str]:
     if not online or not offline:
         return []
     lines = ['## Online against offline', '',
-             "The online planner's sum / the offline planner's sum, and in how many of the "
+             'A cell has the ratio of two sums of delivered errors over the rooms: online planner '
+             '/ offline planner. The number in parentheses says in how many of the '
              f'{len(summary["rooms"])} rooms the online planner is better.', '',
-             '| against | evaluations | ' + ' | '.join(map(spaced, online)) + ' |',
+             '| offline planner | evaluations | ' + ' | '.join(map(spaced, online)) + ' |',
              '|---|---|' + '---|' * len(online)]
     for name, budget in offline:
         rival = planners[name][budget]
@@ -314,14 +342,16 @@ def _duels(summary: dict[str, Any]) -> list[str]:
 def _times(summary: dict[str, Any]) -> list[str]:
     """Tell how long each planner takes on one core."""
     budgets = budgets_of(summary)
-    lines = ['## Time', '', 'Seconds for one placement on one core. The last column is one run in '
-             'all rooms and rotations with the largest budget. It does not include training of '
-             'the policy'
+    lines = ['## Time', '', 'The table has the seconds for one placement on one core, by the '
+             'number of evaluations. Online planners have turns in place of evaluations. The last '
+             'column is the time for one placement in each room and rotation, with the largest '
+             'number of evaluations. The time for training the policy is not included'
              + ('.' if 'rig' in summary else
-                ': [its card](../reference/models.md) says how long that took.'), '',
+                ': see [models](../reference/models.md).'), '',
              '| planner | ' + ' | '.join(
-                 f'{int(budget):,}' if int(budget) else 'turns' for budget in budgets)
-             + ' | all |', '|---|' + '---|' * (len(budgets) + 1)]
+                 f'{int(budget):,} evaluations (s)' if int(budget) else 'turns (s)'
+                 for budget in budgets)
+             + ' | all rooms (s) |', '|---|' + '---|' * (len(budgets) + 1)]
     places = len(summary['rooms']) * summary['rotations']
     for name, runs in summary['planners'].items():
         cells = [f'{runs[budget]["seconds"]:.2f}' if budget in runs else '' for budget in budgets]

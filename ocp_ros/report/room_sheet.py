@@ -15,6 +15,7 @@ import numpy as np
 
 from ocp_ros.evaluation.benchmark_rooms import rooms_in, rooms_of_s3dis
 from ocp_ros.evaluation.room_likeness import (
+    CELL,
     generated,
     likeness,
     S3DIS_FLOOR,
@@ -115,23 +116,31 @@ def page(rooms: dict[str, Any]) -> str:
         '    ocp rooms list --count 20           # kinds and sizes',
         '    ocp rooms preview 5 17 scan.ply --out out/rooms.png',
         '    ocp rooms make 5 17 --out rooms     # scans and meshes as PLY', '',
-        '![Twelve generated rooms](rooms.png)', '', '## Are they like real ones?', '',
-        f'Measured on {rooms["date"]} by', '', f'    {printable(rooms["command"])}', '',
-        f'Seeds {MEASURED[0]} to {MEASURED[-1]}, {POINTS:,} points each, and real scans. '
-        'Generated rooms have the 10th percentile, the',
-        '**median** and the 90th percentile. *Floor* is the area above which a camera may be.', '',
+        '![Twelve generated rooms](rooms.png)', '', '## Comparison with real rooms', '',
+        f'The first table compares the generated rooms of the seeds {MEASURED[0]} to '
+        f'{MEASURED[-1]} with real scans. Each room has', f'{POINTS:,} points. The column '
+        '*generated* has the 10th percentile, the **median** and the 90th percentile. The other',
+        f'columns are one scan each. This command measured the values on {rooms["date"]}:', '',
+        f'    {printable(rooms["command"])}', '',
+        '- *Floor* is the area above which a camera may be.',
+        f'- *Occupied cells* is the share of the cells of {CELL} m in the bounding box that '
+        'contain points.',
+        '- *Directions that hit something* is the share of the directions from the centre of the '
+        'room in which there are points.', '',
         '| figure | generated | ' + ' | '.join(map(in_markdown, real)) + ' |',
         '|---|---|' + '---|' * len(real)]
     for figure, (low, middle, high) in rooms['generated'].items():
         cells = [f'{figures[figure]:.1f}' for figures in real.values()]
         lines.append(f'| {figure} | {low:.1f}, **{middle:.1f}**, {high:.1f} | '
                      + ' | '.join(cells) + ' |')
-    lines += ['', f'S3DIS has {S3DIS_ROOMS} rooms with over {S3DIS_FLOOR:,.0f} m² of floor, '
-              f'{S3DIS_FLOOR / S3DIS_ROOMS:.0f} m² each. Most are small offices that one or two '
-              'cameras', 'cover. Generated rooms are larger, as are the rooms of the paper. '
-              'The table has the share of points by class in', 'per cent. The shares of S3DIS are '
-              'the class weights of Open3D-ML.',
-              '', '| class | S3DIS | generated |', '|---|---|---|']
+    lines += ['', 'The second table compares generated rooms with S3DIS, a public data set of '
+              f'scanned offices. S3DIS has {S3DIS_ROOMS} rooms with',
+              f'over {S3DIS_FLOOR:,.0f} m² of floor, {S3DIS_FLOOR / S3DIS_ROOMS:.0f} m² per room. '
+              'Most are small offices that one or two cameras cover. Generated rooms are',
+              'larger, as are the rooms of the '
+              'paper ([arXiv 2110.11106](https://arxiv.org/abs/2110.11106)). The shares of',
+              'S3DIS come from the class weights of Open3D-ML.',
+              '', '| class | S3DIS (% of points) | generated (% of points) |', '|---|---|---|']
     published = 100.0 * np.array(S3DIS_POINTS) / sum(S3DIS_POINTS)
     lines += [f'| {kind} | {theirs:.1f} | {ours:.1f} |'
               for (kind, ours), theirs in zip(rooms['kinds'].items(), published)]

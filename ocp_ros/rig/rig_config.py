@@ -21,8 +21,8 @@ class RigConfig:
 
     cameras: int = setting(4, 'number of cameras', 1, MOST_CAMERAS)
     sensors: str = setting(
-        OMNIDIRECTIONAL, 'omnidirectional or the preset of a sensor, one for all cameras or one '
-        'for each with commas between')
+        OMNIDIRECTIONAL, 'omnidirectional, or the preset of a sensor: one for all cameras, or one '
+        'for each camera, separated by commas')
     min_range: float = setting(
         0.0, 'minimum range of an omnidirectional camera, metres', 0.0, 10.0)
     max_range: float = setting(

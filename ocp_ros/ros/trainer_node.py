@@ -44,10 +44,10 @@ class TrainerNodeConfig(LearnerConfig):
     """Parameters of ``trainer_node``."""
 
     sources: str = setting(
-        '', 'namespaces to learn from, with commas between; empty: its own and every one in which '
-            'a policy explores')
+        '', 'namespaces to learn from, separated by commas; empty: its own namespace and every '
+            'namespace in which a policy explores')
     most_behind: int = setting(
-        100, 'number of due gradient steps at which policies wait', 1, 1 << 31)
+        100, 'policies wait while more gradient steps than this are due', 1, 1 << 31)
     agent: AgentConfig = group(AgentConfig)
     sac: SacConfig = group(SacConfig)
 

@@ -37,10 +37,13 @@ class RewardConfig:
 
     kind: str = setting('potential', 'reward: potential or paper', choices=('potential', 'paper'),
                         running=True)
-    coverage: float = setting(0.02, 'paper: K_SC, per cubic metre', 0.0, 1000.0, running=True)
-    depth_error: float = setting(1.0, 'paper: K_DOE, per metre', 0.0, 1000.0, running=True)
-    penalty: float = setting(-1.0, 'K_P, for a command out of the room', -1000.0, 0.0,
-                             running=True)
+    coverage: float = setting(
+        0.02, 'paper: weight K_SC of space coverage, per cubic metre', 0.0, 1000.0, running=True)
+    depth_error: float = setting(
+        1.0, 'paper: weight K_DOE of the depth error, per metre', 0.0, 1000.0, running=True)
+    penalty: float = setting(
+        -1.0, 'penalty K_P for a command that moves a camera out of the bounding box', -1000.0,
+        0.0, running=True)
 
 
 @dataclass(frozen=True)

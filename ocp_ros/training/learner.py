@@ -39,8 +39,8 @@ class LearnerConfig:
     updates_per_turn: float = setting(1.0, 'gradient steps per transition', 0.0, 100.0)
     publish_every: int = setting(50, 'gradient steps between two sets of weights', 1, 1 << 31)
     save_every: int = setting(
-        200, 'gradient steps between two checkpoints, and transitions between two files of them',
-        1, 1 << 31)
+        200, 'gradient steps between two checkpoints, and number of transitions in each file of '
+             'transitions', 1, 1 << 31)
     folder: str = setting('out/trainer', 'folder of checkpoints and TensorBoard files')
     model: str = setting('', 'first weights: path or name; empty: random')
     seed: int = setting(0, 'seed of networks and batches', 0, LARGEST_SEED)

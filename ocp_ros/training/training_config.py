@@ -44,7 +44,8 @@ class SacConfig:
     shared_extractor: bool = setting(
         False, "whether the critics share the actor's features")
     critics_train: bool = setting(
-        False, "whether the loss of the critics trains shared features, in place of the actor's")
+        False, 'whether the loss of the critics trains the shared features; otherwise the loss of '
+               'the actor does')
     device: str = setting('auto', 'auto, cpu or cuda', choices=('auto', 'cpu', 'cuda'))
 
 

@@ -25,13 +25,13 @@ class PolicyNodeConfig:
     model: str = setting(
         DEFAULT_MODEL, 'weights: a path, or the name of a shipped model; lookahead ignores it')
     turns: int = setting(
-        30, 'turns until the placement is final; 5 with manual', 1, 100000, running=True)
+        30, 'turns until the placement is final; default 5 with manual', 1, 100000, running=True)
     max_step: float = setting(
-        0.5, 'longest move of a camera in one turn, metres; 2 with manual', 0.001, 10.0,
+        0.5, 'longest move of a camera in one turn, metres; default 2 with manual', 0.001, 10.0,
         running=True)
     max_turn: float = setting(
         0.5, 'largest rotation in one turn of a camera of a rig file with a limited field of '
-             'view, radians; 1.6 with manual; 0: do not turn cameras', 0.0, 3.1416,
+             'view, radians; default 1.6 with manual; 0: do not turn cameras', 0.0, 3.1416,
         running=True)
     max_range: float = setting(
         4.0, 'maximum range of the cameras, metres', 0.1, 100.0, running=True)
@@ -45,11 +45,11 @@ class PolicyNodeConfig:
     convergence_distance: float = setting(
         0.02, 'moves shorter than this count as standing still, metres', 0.0, 1.0, running=True)
     convergence_turns: int = setting(
-        3, 'with planner: learned, turns of standstill after which the placement is final; '
-           'lookahead always uses all turns', 1, 1000, running=True)
+        3, 'only with planner: learned: the placement is final after so many turns without a '
+           'longer move; other planners use all turns', 1, 1000, running=True)
     explore: bool = setting(
-        False, "draw moves from the policy's distribution, with every planner, and never finish: "
-               'for training')
+        False, 'for training: draw moves at random from the distribution of the policy, whatever '
+               'the planner is; the placement never becomes final')
     seed: int = setting(0, 'seed of exploration and lookahead', 0, 1 << 31)
     threads: int = setting(
         0, 'number of threads that evaluate positions; 0: one per core', 0, 1024)
@@ -65,8 +65,7 @@ class PolicyNodeConfig:
         0.0, 'live: time between two checks of a final placement against the scan, seconds; '
         '0: never', 0.0, 86400.0, running=True)
     cloud_topics: str = setting(
-        '', 'live: topics of the clouds with commas between; empty: answer the turns of a '
-            'simulation')
+        '', 'live: topics of the clouds, separated by commas; empty: work with a simulation')
     voxel_size: float = setting(
         0.05, 'live: edge of the voxels of the fused cloud, metres', 0.001, 1.0)
     most_points: int = setting(
