@@ -53,7 +53,7 @@ class HeadingPlanner:
     :param movable: K.
     :param pitch: radians, the least and the most that cameras look down.
     :param wall_margin: cameras stay this far inside the observed bounding box, metres.
-    :ivar aimed: the cameras that look one way, by their number: the others stay as they are.
+    :ivar aimed: the cameras that are not omnidirectional, by number: the others stay as they are.
     """
 
     def __init__(self, models: Sequence[CameraModel], movable: int, pitch: tuple[float, float],

@@ -57,7 +57,7 @@ class PartialMap:
     :param rows: rows of the depth maps of the error.
     :param settings: rules of visibility.
     :param around: cells that are no farther from a camera count as well, seen from above, metres:
-        cameras that look one way know of no air behind them.
+        cameras that are not omnidirectional know of no air behind them.
     :param folds: of the points, see :class:`~ocp_ros.geometry.depth_error.DepthError`.
     :ivar points: (N, 3) float32, metres, in the order of the bits of a view.
     :ivar cells: (C,) int64, the number of each cell, in the order of the bits of a view.

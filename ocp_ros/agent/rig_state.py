@@ -12,7 +12,7 @@ from ocp_ros.geometry.cameras import CameraModel, Frustum
 from ocp_ros.simulation.simulator import View
 
 #: Metres around a camera in which there is air to look into, whatever has been seen of it: those
-#: that look one way know nothing of what is behind them.
+#: that are not omnidirectional know nothing of what is behind them.
 AROUND = 2.0
 #: How much of the pitches that are allowed one of them stands for, radians.
 PITCH_STEP = np.deg2rad(30.0)

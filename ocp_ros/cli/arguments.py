@@ -154,7 +154,7 @@ def add_points(command: argparse.ArgumentParser) -> None:
     """Add how many points of a room are kept."""
     command.add_argument('--points', type=room_points, metavar='N',
                          help='number of points of a generated room; a larger scan is thinned to '
-                              'this number; default: 60000, or the number in the placement')
+                              'this number; default: 60000; with a placement: its number')
 
 
 def add_reading(command: argparse.ArgumentParser) -> None:

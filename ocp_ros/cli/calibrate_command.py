@@ -125,8 +125,8 @@ def _write(paths: Sequence[Path], built: Placement, answer: Found, prefix: str) 
 def show(found: Found) -> None:
     """Print what was found of each camera."""
     console = Console(width=100)
-    table = Table('camera', 'place (m)', 'yaw, pitch, roll', 'moved', 'expected off', 'residual',
-                  'overlap', title='As built')
+    table = Table('camera', 'position (m)', 'yaw, pitch, roll', 'moved', 'standard deviation',
+                  'residual', 'overlap', title='As built')
     for row in found['cameras']:
         if not row['refused']:
             slide, turn = row['deviations'][0], row['deviations'][3]

@@ -33,16 +33,16 @@ def add_calibrate(commands: Commands) -> None:
                       help='planned or measured poses of the cameras: docs/reference/placement.md')
     seen = made.add_mutually_exclusive_group(required=True)
     seen.add_argument('--clouds', nargs='+', metavar='[CAMERA=]FILE',
-                      help='a live cloud of each camera in metres; unless named, the file is '
-                      'called as the camera is')
+                      help='one live cloud of each camera, in metres; without CAMERA=, the name of '
+                      'the file is the name of the camera')
     seen.add_argument('--bag', type=Path, help='a ROS bag with a topic of clouds for each camera')
     made.add_argument('--topics', nargs='+', default=(), metavar='CAMERA=TOPIC',
-                      help='of the bag; unless named, those with the names of cameras in them, or '
-                      'all in their order')
+                      help='topics of the bag; default: the topics whose names contain the names '
+                      'of the cameras, otherwise all topics in their order')
     made.add_argument('--cloud-frame', choices=('optical', 'body'),
-                      help='of the clouds: optical (z forward, x right, y down) or body (x '
-                      'forward, y left, z up); unless named, optical for files, and by the name '
-                      'of the frame for bags')
+                      help='frame of the clouds: optical (z forward, x right, y down) or body (x '
+                      'forward, y left, z up); default: optical for files, and the frame that '
+                      'a bag names')
     made.add_argument('--rig', type=find_config,
                       help='constraints, instead of those in the placement: docs/reference/rig.md')
     made.add_argument('--out', type=Path, default=Path('out/built'), metavar='DIR',

@@ -162,7 +162,7 @@ class Candidates:
 
 class Sites(Candidates):
     """
-    Places where cameras might be, each with directions: for rigs some of which look one way.
+    Places where cameras might be, each with directions: for rigs that are not all omnidirectional.
 
     A choice of them is a list of indices, one per camera in the order of the rig; each stands for
     a site of the camera's kind.

@@ -131,7 +131,7 @@ def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | Non
     :param sensor: of all cameras where no rig is given, or a part of its name such as ``d455``.
     :param mount: of all cameras where no rig is given: ``walls`` (the default), ``ceiling``,
         ``plane`` or ``free``.
-    :param planner: who searches, see docs/planners.md.
+    :param planner: who searches, see docs/reference/planners.md.
     :param seconds: of search; 60, or 15 for each number of cameras, unless evaluations are given.
     :param evaluations: judge so many placements; the same seed finds the same answer.
     :param seed: random seed.

@@ -173,8 +173,8 @@ class TrainingConfig:
                 self.simulation.rig.models[0].omnidirectional):
             raise ConfigurationError(
                 f'simulation.rig.sensors: found {self.simulation.rig.sensors!r}; expected '
-                'omnidirectional: a policy learns where cameras are, and policy_node turns those '
-                'that look one way')
+                'omnidirectional: a policy learns positions, and policy_node chooses the headings '
+                'of all other cameras')
         longest = self.simulation.episode.max_step
         if self.agent.world and longest != LONGEST:
             raise ConfigurationError(
