@@ -30,7 +30,7 @@ from ocp_ros.training.augmentation import turned_batch
 from ocp_ros.training.encoded_environment import encoded_space
 from ocp_ros.training.experience import Choice, Experience, ExperienceError, from_bytes, to_bytes
 from ocp_ros.training.map_environment import playable
-from ocp_ros.training.map_networks import IN_REWARDS
+from ocp_ros.training.map_networks import IN_REWARDS, NearValueMap
 from ocp_ros.training.run_folder import records
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
 from ocp_ros.training.train import train
@@ -199,6 +199,29 @@ def test_what_is_rewarded_is_learned(model):
     before = paid()
     model.train(60, 16)
     assert paid() > before + 0.2 and paid() > 0.75
+
+
+def test_a_policy_is_drawn_back_to_the_value_map_it_began_with():
+    first = network()
+    near = NearValueMap(AGENT, first.state_dict(), torch.device('cpu'))
+    model = make_sac(SAC, AGENT, 1, seed=0)
+    load_actor(model, Checkpoint(AGENT, first.state_dict()))
+    seen = {name: torch.from_numpy(value)[None] for name, value in made_up(3).items()}
+    assert near.loss_of(model.actor, seen).item() == pytest.approx(0.0, abs=1e-6)
+    load_actor(model, Checkpoint(AGENT, network(1).state_dict()))
+    before = near.loss_of(model.actor, seen)
+    # The divergence by its definition.
+    shares = [CellChoices(valued(one, seen), seen['choices']).shares.clamp(min=1e-30)
+              for one in (first, model.actor.network)]
+    expected = (shares[0] * (shares[0] / shares[1]).log()).sum()
+    assert before.item() == pytest.approx(expected.item(), rel=1e-4) and before > 0.01
+    for _ in range(20):
+        model.actor.optimizer.zero_grad()
+        near.loss_of(model.actor, seen).backward()
+        model.actor.optimizer.step()
+    assert near.loss_of(model.actor, seen) < 0.5 * before
+    assert all(torch.equal(value, near.network.state_dict()[name])
+               for name, value in first.state_dict().items())
 
 
 def test_the_environment_is_one(env):

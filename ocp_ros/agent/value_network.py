@@ -121,6 +121,10 @@ class CellChoices:
         """Return the entropy: (B,), in nats."""
         return -(self.shares * self._log).sum(dim=1)
 
+    def divergence(self, other: 'CellChoices') -> Tensor:
+        """Return the Kullback-Leibler divergence of others from these: (B,), in nats."""
+        return (self.shares * (self._log - other._log)).sum(dim=1)
+
     def best(self) -> Tensor:
         """Return the likeliest cells as actions: (B, 2)."""
         return action_of(self._log.argmax(dim=1))

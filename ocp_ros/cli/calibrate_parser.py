@@ -33,7 +33,7 @@ def add_calibrate(commands: Commands) -> None:
                       help='planned or measured poses of the cameras: docs/reference/placement.md')
     seen = made.add_mutually_exclusive_group(required=True)
     seen.add_argument('--clouds', nargs='+', metavar='[CAMERA=]FILE',
-                      help='one live cloud of each camera, in metres; without CAMERA=, the name of '
+                      help='one cloud of each camera, in metres; without CAMERA=, the name of '
                       'the file is the name of the camera')
     seen.add_argument('--bag', type=Path, help='a ROS bag with a topic of clouds for each camera')
     made.add_argument('--topics', nargs='+', default=(), metavar='CAMERA=TOPIC',

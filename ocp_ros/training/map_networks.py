@@ -30,6 +30,30 @@ PER_AREA = 2.0 * math.log(0.5 * CELLS)
 UNLIKE = 0.01
 
 
+class NearValueMap:
+    """
+    How far a policy has gone from that of the value map it began with.
+
+    Critics learn of the cells that were chosen alone, and say anything of all others: a policy
+    that follows them there forgets what the value map knew.
+
+    :param agent: settings of the network.
+    :param weights: of the value map.
+    :param device: of the policy.
+    """
+
+    def __init__(self, agent: AgentConfig, weights: dict[str, torch.Tensor],
+                 device: torch.device) -> None:
+        self.network = ValueMapNetwork(agent).to(device)
+        self.network.load_state_dict(weights)
+
+    def loss_of(self, actor: 'MapSacActor', observation: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Return the mean Kullback-Leibler divergence of the choices of a batch, nats."""
+        with torch.no_grad():
+            first = CellChoices(valued(self.network, observation), observation['choices'])
+        return first.divergence(actor.choices_of(observation)).mean()
+
+
 class AsItIs(BaseFeaturesExtractor):
     """Hand on what was observed: the networks read maps, not features."""
 
@@ -49,7 +73,7 @@ class MapSacActor(SacActor):
         del self.latent_pi, self.mu, self.log_std
         self.network = ValueMapNetwork(agent)
 
-    def _choices(self, observation: dict[str, torch.Tensor]) -> CellChoices:
+    def choices_of(self, observation: dict[str, torch.Tensor]) -> CellChoices:
         """Return how likely each cell is."""
         maps: dict[str, torch.Tensor] = self.extract_features(
             observation, self.features_extractor)  # type: ignore[assignment]
@@ -57,12 +81,12 @@ class MapSacActor(SacActor):
 
     def forward(self, obs, deterministic: bool = False) -> torch.Tensor:
         """Return places (B, 2)."""
-        choices = self._choices(obs)
+        choices = self.choices_of(obs)
         return choices.best() if deterministic else choices.sample()
 
     def action_log_prob(self, obs) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the likelihood of each cell (B, 64 * 64), and the mean of its logarithm (B,)."""
-        choices = self._choices(obs)
+        choices = self.choices_of(obs)
         return choices.shares, PER_AREA - choices.entropy
 
 

@@ -35,6 +35,7 @@ from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.training import demonstrations
 from ocp_ros.training.demonstration_rounds import ENDS, LAST, load_rounds, save_round
 from ocp_ros.training.map_environment import playable
+from ocp_ros.training.map_networks import NearValueMap
 from ocp_ros.training.replay_buffer import Rebuild, TurnReplay
 from ocp_ros.training.replay_file import load_replay, save_replay
 from ocp_ros.training.run_folder import (
@@ -291,8 +292,12 @@ def environments(config: TrainingConfig, rooms: Sequence[str]) -> VecMonitor:
     return VecMonitor(SubprocVecEnv([make] * config.environments, start_method='spawn'))
 
 
-def learn(run: Run) -> None:
-    """Let SAC play and learn, from where imitation has led."""
+def learn(run: Run, start: Checkpoint | None = None) -> None:
+    """
+    Let SAC play and learn, from where imitation has led.
+
+    :param start: the weights that the run began with, if any: a map actor is kept near them.
+    """
     config, model = run.config, run.model
     folder, rounds = run.folder / SHOWN, config.demonstrations.rounds
     shown = load_rounds(folder, rounds, config.agent) if rounds else None
@@ -313,6 +318,10 @@ def learn(run: Run) -> None:
             start_critics(model)
         imitation = demonstrations.Imitation(shown, model.device)
         model.imitation_loss = lambda size: imitation.loss_of(model.actor, size)
+    if config.agent.map and start is not None:
+        near = NearValueMap(config.agent, start.weights, model.device)
+        model.imitation_loss = lambda size: near.loss_of(
+            model.actor, model.replay_buffer.sample(size).observations)
     model.set_env(environments(config, run.rooms))
     # Of the number of moves as well: a run that goes on sees other episodes than at first.
     sequence = np.random.SeedSequence([config.seed, model.num_timesteps])
@@ -355,7 +364,7 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
         run = Run(config, folder, _model(config, folder, start), pool, progress, new_run())
         run.resume()
         imitate(run)
-        learn(run)
+        learn(run, start)
         if not (folder / BEST).exists():
             # It was lost after the last evaluation.
             run.evaluate('sac' if config.interactions else 'demonstrations')

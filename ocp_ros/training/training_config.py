@@ -38,7 +38,8 @@ class SacConfig:
     burn_in: int = setting(
         0, 'gradient steps of the critics alone before the actor learns', 0, 1 << 31)
     imitation: float = setting(
-        0.1, 'weight of the imitation loss, with demonstrations', 0.0, 1000.0)
+        0.1, 'weight of the imitation loss: with demonstrations, the distance from these; of the '
+             'map actor, the divergence from the value map that it began with', 0.0, 1000.0)
     imitation_fades: int = setting(10000, 'gradient steps until the imitation loss is '
                                           'zero', 1, 1 << 31)
     shared_extractor: bool = setting(
