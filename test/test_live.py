@@ -149,7 +149,7 @@ def test_a_rig_that_does_not_arrive_is_commanded_from_where_it_is(live, capfd):
     assert policy._status()[2]['late_turns'] > 0
     for command in live.received[topics.CAMERA_COMMANDS]:
         assert np.linalg.norm(msg_to_positions(command) - where, axis=1).max() < 0.5 + 1e-6
-    assert 'cameras: found them on their way after 0.1 s' in capfd.readouterr().err
+    assert 'cameras: found that they have not arrived after 0.1 s' in capfd.readouterr().err
 
 
 @pytest.mark.parametrize('jump', [-500 * S, 500 * S])

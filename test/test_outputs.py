@@ -68,9 +68,9 @@ def refused(capsys, *arguments):
 
 @pytest.mark.parametrize(('taken', 'arguments', 'words'), [
     ('placement.yaml', ['score', 'room.ply', 'placement.yaml', '--out', '.'],
-     'would be replaced, which is read here'),
+     'is an input of this command and would be replaced'),
     ('placement.yaml', ['score', 'room.ply', 'placement.yaml', '--out', '.', '--overwrite'],
-     'would be replaced, which is read here'),
+     'is an input of this command and would be replaced'),
     ('new/installer.md', ['score', 'room.ply', 'placement.yaml', '--out', 'new'],
      '--out: found new/installer.md, which no command of ocp wrote'),
     ('placement.json', ['plan', 'room.ply', '--out', '.'], 'found placement.'),
@@ -322,4 +322,4 @@ def test_a_folder_that_was_removed_is_said_to_be_so(files, capsys, monkeypatch):
     monkeypatch.chdir('gone')
     (files / 'gone').rmdir()
     for arguments in (['rooms', 'list'], ['score', str(files / 'room.ply'), 'placement.yaml']):
-        assert 'found that it was removed' in refused(capsys, *arguments)
+        assert 'found that it no longer exists' in refused(capsys, *arguments)

@@ -161,7 +161,7 @@ def test_a_placement_remembers_how_its_room_was_read(files, capsys):
 def test_another_room_or_rig_than_that_of_the_scores_is_noted(files, capsys):
     scored(capsys, '8', 'placement.yaml', '--rig', 'rig.yaml', '--export', 'out')
     other = scored(capsys, 'room.ply', 'out/placement.yaml')
-    assert 'made for a room of other content' in other['notes'][0]
+    assert 'made for another scan' in other['notes'][0]
     (files / 'rig.yaml').write_text(RIG.replace('weight: 2.0', 'weight: 5.0'))
     other = scored(capsys, '8', 'out/placement.yaml', '--rig', 'rig.yaml')
     assert other['notes'][0].startswith('the file has the objective value ')

@@ -156,8 +156,8 @@ def _check_folder() -> None:
         os.getcwd()
     except FileNotFoundError as error:
         raise ConfigurationError(
-            'the folder that ocp was started in: found that it was removed; expected one that is '
-            'there; change to another folder (cd) and start again') from error
+            'the folder in which ocp was started: found that it no longer exists; expected an '
+            'existing folder; change to another folder (cd) and start again') from error
 
 
 def _warn(message: Warning | str, *_: Any) -> None:

@@ -143,7 +143,8 @@ def _notes(placement: Placement, room: dict[str, Any], scores: dict[str, Any]) -
     """Say where the file is about something else than what was judged."""
     before = placement.scores.get('loss')
     if placement.room.get('sha256') not in (None, room['sha256']):
-        return ['the file was made for a room of other content; its own scores are not these']
+        return ['the file was made for another scan; the scores in the file are not those of '
+                'this scan']
     if isinstance(before, float) and abs(before - scores['loss']) > SAME:
         return [f'the file has the objective value {before:.6f}; found {scores["loss"]:.6f}: '
                 'rig, points or engine are not those that it was scored with']

@@ -322,8 +322,8 @@ def _size_notes(points: np.ndarray, up: str) -> list[str]:
     if size[axis_of(up)] >= SMALL[0] or size.max() >= SMALL[1]:
         return []
     return [f'found a room of {" x ".join(f"{edge:.3g}" for edge in size)} m; expected one that '
-            f'is {SMALL[0]:g} m high or {SMALL[1]:g} m long; correct the scale (--scale) unless '
-            'it is so small']
+            f'is {SMALL[0]:g} m high or {SMALL[1]:g} m long; correct the scale (--scale), '
+            'or go on if the room is that small']
 
 
 def _up_notes(points: np.ndarray) -> list[str]:
@@ -345,6 +345,6 @@ def _merge(points: np.ndarray, voxel_size: float, max_points: int, name: str) ->
         _log.info('%s: %d of %d points kept on a %.3f m voxel grid',
                   name, len(merged), len(points), voxel_size)
     if len(merged) < MIN_POINTS:
-        raise SceneError(f'{name}: found {len(merged)} points once duplicates and those in one '
-                         f'voxel are merged; expected at least {MIN_POINTS}; {remedy}')
+        raise SceneError(f'{name}: found {len(merged)} points after duplicates and points of '
+                         f'one voxel were merged; expected at least {MIN_POINTS}; {remedy}')
     return merged

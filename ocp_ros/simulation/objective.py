@@ -85,7 +85,8 @@ class Objective:
             low, high = (', '.join(f'{value:.2f}' for value in corner) for corner in scene.bounds)
             raise ConfigurationError(
                 f'{region.where}: found no points of {scene.name} in it; expected some, within '
-                f'({low}) to ({high}); correct its corners, or weigh what the scan shows')
+                f'({low}) to ({high}); correct its corners, or choose a region that is '
+                'in the scan')
         return pack(inside[self._order])
 
     @cached_property

@@ -33,13 +33,13 @@ def check_own(paths: Iterable[Path], inputs: Iterable[str | Path] = (), overwrit
     for path in filter(_is_there, paths):
         if any(path.exists() and path.samefile(one) for one in read):
             raise ConfigurationError(
-                f'{option}: found that {path} would be replaced, which is read here; expected '
-                'another place to write to; name one')
+                f'{option}: found {path}, which is an input of this command and would be '
+                'replaced; expected an output that replaces no input; name another one')
         if not overwrite and not is_own(path):
             raise ConfigurationError(
                 f'{option}: found {path}, which no command of ocp wrote, or which was changed '
-                'since; expected a place where nothing is lost; name another one, or add '
-                '--overwrite to replace it')
+                'later; expected a file that ocp may replace; name another one, or add '
+                '--overwrite to replace this one')
 
 
 def is_own(path: Path) -> bool:

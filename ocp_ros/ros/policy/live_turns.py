@@ -331,10 +331,10 @@ class LiveTurns:
                         'began; expected them to stand still before the first turn; going on '
                         'from the mean of their poses', throttle_duration_sec=1.0)
         elif self._turns.overdue:
-            log.warning('cameras: found them on their way after '
+            log.warning('cameras: found that they have not arrived after '
                         f'{self._config.arrival_timeout:.1f} s; expected them within '
-                        f'{self._config.arrival_distance} m of where they were sent; going on '
-                        'from where they are', throttle_duration_sec=1.0)
+                        f'{self._config.arrival_distance} m of the commanded positions; the next '
+                        'turn begins at their present positions', throttle_duration_sec=1.0)
 
     def _silence(self) -> str:
         """Say which topics are silent, and what is known of them."""
