@@ -24,7 +24,8 @@ class AgentConfig:
 
     inputs: str = setting(
         'world', 'input of the network: world, cloud, both or map', choices=INPUTS)
-    points: int = setting(512, 'points of the cloud that reach the first unit', 16, 32767)
+    points: int = setting(
+        512, 'points of the cloud that reach the first extraction unit', 16, 32767)
     keys_1: int = setting(32, 'key points of the first unit', 1, 4096)
     group_1: int = setting(8, 'points per group of the first unit', 1, 256)
     radius_1: float = setting(0.8, 'ball query radius of the first unit, metres', 0.01, 50.0)
@@ -33,14 +34,14 @@ class AgentConfig:
     radius_2: float = setting(2.0, 'ball query radius of the second unit, metres', 0.01, 50.0)
     channels: int = setting(32, "output channels of each unit's perceptron", 1, 1024)
     hidden: int = setting(256, 'width of the heads', 1, 4096)
-    length_scale: float = setting(4.0, 'length of one unit of the network, metres', 0.01, 100.0)
+    length_scale: float = setting(4.0, 'length that the network reads as 1, metres', 0.01, 100.0)
     others: int = setting(
         0, 'with inputs cloud or both: cameras choose one after the other, and the network reads '
            'the positions of at most so many other cameras; 0: it does not read them',
         0, MOST_CAMERAS)
     marks: bool = setting(
         False, 'whether the network reads for each point if the choosing camera sees it now, '
-               'and how many other cameras do; needs others')
+               'and how many other cameras see it; set agent.others above 0 too')
     centred: bool = setting(
         False, 'whether the centre of the last unit is the camera, not the middle of the cloud')
     nearest: bool = setting(

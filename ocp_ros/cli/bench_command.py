@@ -30,7 +30,9 @@ MEANING = {
     'numpy_twin_speedup': 'time of the NumPy twin / time of `fast`',
     'env_steps_per_s': 'steps of the Gymnasium environment per second',
     'evaluations_per_s': 'evaluated placements per second',
-    'evaluations_per_s_one_moved': 'the same if only one camera has moved since the last one',
+    'evaluations_per_s_one_moved':
+        'evaluated placements per second if only one camera has moved since the previous '
+        'placement',
     'scaling_2_threads': 'time with one thread / time with two threads'}
 
 
@@ -100,7 +102,8 @@ both. All methods run with the same cameras, in the same process, on one core.
 | `fine`, `fast`, `paper` | presets of the engine |
 | `embree` | one ray per point at the true mesh; a user who has only a point cloud cannot do this |
 | `numpy twin of fast` | the rules of `fast` in plain NumPy |
-| `hidden point removal` | that of Open3D, with the best of {len(RADII)} radii, in metres |
+| `hidden point removal` | the function of Open3D. It has a radius as parameter; \
+the tables have the best of {len(RADII)} radii, in metres after the name |
 
 | points | method | precision | recall | F1 | ms per camera | ns per point |
 |---|---|---|---|---|---|---|

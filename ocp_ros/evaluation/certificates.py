@@ -103,10 +103,10 @@ def page(command: str, rows: dict[str, list[tuple[int, Certificate]]], load: flo
              '| candidates | number of candidate poses |',
              '| rows | rows of the depth maps that the depth error is computed with |',
              '| found | depth error of the best choice that was found |',
-             '| bound | no choice among the candidates has a smaller depth error |',
+             '| bound | lower bound of the depth error of all choices among the candidates |',
              '| gap | (found - bound) / found; 0 means that the choice is proved to be the best |',
              '| subproblems | number of subproblems that the proof solved |',
-             '| s | seconds, with those for the visibility of all candidates |']
+             '| s | time in seconds; it includes the visibility of all candidates |']
     for name, found in rows.items():
         done = sum(certificate.proved for _, certificate in found)
         most = max(certificate.gap for _, certificate in found)

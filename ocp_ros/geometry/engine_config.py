@@ -17,8 +17,9 @@ class EngineConfig:
         128, 'rows of the depth maps of the error; they have twice as many columns', 16, 2048)
     coverage_cell: float = setting(0.25, 'edge of a cell of the coverage grid, metres', 0.02, 5.0)
     error_folds: int = setting(
-        1, 'number of folds of the points; the depth error is the mean of so many errors, each '
-           'without the points of one fold', 1, 16)
+        1, '1: the depth error uses all points; from 2 on: the points are split into so many '
+           'parts (folds), and the depth error is the mean of so many errors; each error leaves '
+           'out one part', 1, 16)
 
 
 #: The engine that searches end with and that promises are made by. Maps of the error that are

@@ -126,8 +126,8 @@ OFFLINE: dict[str, Callable[[FreePlane, np.random.Generator, int], Planner]] = {
 #: What planners know of a room; what is not named here knows the scores of its placements.
 KNOWS = {
     **dict.fromkeys(('greedy_coverage', 'greedy_error'), 'scores of positions on a grid'),
-    'greedy_swap': 'scores, first of positions on a grid',
-    'tdsa': 'scores, also with fewer cameras',
+    'greedy_swap': 'scores of positions on a grid, later of any positions',
+    'tdsa': 'scores, also of placements with fewer cameras',
     'bpso': 'scores of positions on a grid',
     'learned_cma_es': 'scores, and what its placements see',
 }

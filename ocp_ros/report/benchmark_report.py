@@ -185,8 +185,9 @@ def page(summary: dict[str, Any]) -> str:
         '| worst promise | this ratio in the room where it is farthest from 1 |',
         '| promised / bound | ratio of the sums over the rooms. The bound is the smallest depth '
         'error that is possible on the candidates of the planner `exact`, by proof |',
-        '| regret | delivered / delivered error of the *reference*. The reference is the best '
-        'placement in each room among those of searches that evaluate with ray casting |',
+        '| regret | delivered / delivered error of the *reference*. Several searches evaluate '
+        'placements with ray casting; the reference is the best placement in each room that they '
+        'find |',
         '| regret, geometric | geometric mean of this ratio over the rooms |',
         '| gap closed | (random - planner) / (random - reference), of the sums over the rooms. '
         f'*random* is the mean of {CONTROLS} placements that are drawn at random |',
@@ -258,8 +259,8 @@ def _table(summary: dict[str, Any], budget: str) -> list[str]:
 def _yardsticks(summary: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Yield what planners are compared with: its title, what it knows and its figures."""
     if 'exact' in summary:
-        yield (f'`exact` with {summary["exact"]["candidates"]} candidates, then improved near '
-               'them', 'scores and visible points', summary['exact'])
+        yield (f'`exact` with {summary["exact"]["candidates"]} candidates, then with nearby '
+               'poses', 'scores and visible points', summary['exact'])
     yield 'reference searches, mean', 'the mesh, if there is one', summary['truth']
 
 

@@ -70,7 +70,7 @@ SENSORS = {
         'Stereolabs ZED 2i, 2.1 mm lens, HD720', (0.3, 12.0), (93.0, 61.0), (1280, 720),
         'Stereolabs, depth settings: ideal range 0.3 to 12 m. Stereolabs support: the HD720 depth '
         'map has 93 degrees across; the 110 degrees of the data sheet are before rectification. '
-        '61 degrees down follow from 1280 x 720 square pixels'),
+        'The vertical 61 degrees are computed from 1280 x 720 square pixels'),
     'kinect_v2': _sensor(
         'Microsoft Kinect for Windows v2', (0.5, 4.5), (70.0, 60.0), (512, 424),
         'Microsoft, Kinect for Windows v2 hardware features: 0.5 to 4.5 m, 70 x 60 degrees'),

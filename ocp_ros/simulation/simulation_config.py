@@ -18,7 +18,8 @@ class EpisodeConfig:
     max_step: float = setting(
         0.5, 'longest move of a camera in one turn, metres', 0.001, 10.0, running=True)
     max_turn: float = setting(
-        0.5, 'largest rotation in one turn of a camera with a limited field of view, radians',
+        0.5, 'largest rotation in one time step (turn), radians, for cameras with a limited field '
+             'of view',
         0.001, 3.1416, running=True)
     start_radius: float = setting(
         0.5, 'largest distance of the start positions from the centre, '

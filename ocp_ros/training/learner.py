@@ -45,7 +45,7 @@ class LearnerConfig:
     model: str = setting('', 'first weights: path or name; empty: random')
     seed: int = setting(0, 'seed of networks and batches', 0, LARGEST_SEED)
     threads: int = setting(
-        1, 'CPU threads of a gradient step; more help only on idle cores', 1, 1024)
+        1, 'CPU threads of a gradient step; more threads save time only on idle cores', 1, 1024)
 
 
 class Learner:

@@ -30,9 +30,9 @@ class PolicyNodeConfig:
         0.5, 'longest move of a camera in one turn, metres; default 2 with manual', 0.001, 10.0,
         running=True)
     max_turn: float = setting(
-        0.5, 'largest rotation in one turn of a camera of a rig file with a limited field of '
-             'view, radians; default 1.6 with manual; 0: do not turn cameras', 0.0, 3.1416,
-        running=True)
+        0.5, 'with a rig file: largest rotation in one time step (turn), radians, for cameras '
+             'with a limited field of view; default 1.6 with manual; 0: do not turn cameras',
+        0.0, 3.1416, running=True)
     max_range: float = setting(
         4.0, 'maximum range of the cameras, metres', 0.1, 100.0, running=True)
     wall_margin: float = setting(
@@ -45,8 +45,9 @@ class PolicyNodeConfig:
     convergence_distance: float = setting(
         0.02, 'moves shorter than this count as standing still, metres', 0.0, 1.0, running=True)
     convergence_turns: int = setting(
-        3, 'only with planner: learned: the placement is final after so many turns without a '
-           'longer move; other planners use all turns', 1, 1000, running=True)
+        3, 'only with planner: learned: the placement is final after so many turns in which '
+           'all cameras stand still (convergence_distance); other planners use all turns',
+        1, 1000, running=True)
     explore: bool = setting(
         False, 'for training: draw moves at random from the distribution of the policy, whatever '
                'the planner is; the placement never becomes final')
