@@ -167,7 +167,7 @@ def test_a_link_is_not_followed_to_what_is_read(tmp_path):
     (tmp_path / 'room.ply').write_text('mine')
     (tmp_path / 'out.ply').symlink_to('room.ply')
     (tmp_path / 'nowhere').symlink_to('gone')
-    with pytest.raises(ConfigurationError, match='out.ply, which is an input of this command and would be replaced'):
+    with pytest.raises(ConfigurationError, match='out.ply, which is an input of this command'):
         check_own([tmp_path / 'out.ply'], [tmp_path / 'room.ply'], overwrite=True)
     with pytest.raises(ConfigurationError, match='nowhere, which no command'):
         check_own([tmp_path / 'nowhere'])
