@@ -4,10 +4,10 @@
 The generated rooms of each set, frozen by seed; no two sets share a room.
 
 In each of them four cameras can do neither everything nor nothing: the best placement of a short
-search leaves at least 5 % of the depth error that random ones leave on average (longer searches
-find better ones, so in some rooms less is left). Of the seeds in a row that were looked at, these are the ones:
-128 of 310 to learn in, 36 of 102 to choose the best weights by, 10 of 26 that planners are
-compared in and 40 of 132 fresh ones for paired tests. Chosen by
+search leaves at least 5 % of the depth error that random ones leave on average; longer searches
+leave less. Of the seeds in a row that were looked at, these are the ones: 128 of 310 to learn in,
+36 of 102 to choose the best weights by, 10 of 26 that planners are compared in and 40 of 132 fresh
+ones for paired tests. Chosen by
 ``python -m ocp_ros.evaluation.benchmark_rooms`` on 2026-11-21.
 """
 
