@@ -256,7 +256,7 @@ def test_a_plan_says_how_much_better_others_may_be(files, capsys, planner):
     assert known['candidates'] >= 100 and known['rows'] == 64 and known['bound'] > 0.0
     assert known['gap'] == pytest.approx(max(1.0 - known['bound'] / known['found'], 0.0))
     assert known['sentence'].startswith(
-        f'No placement on these {known["candidates"]:,} candidates is better')
+        f'No placement on the {known["candidates"]:,} compared candidate poses is better')
     for page in ('installer.md', 'report.html'):
         assert known['sentence'] in (files / 'out/plan' / page).read_text()
 

@@ -330,7 +330,7 @@ def test_a_side_without_a_wall_is_said_to_be_none():
     assert [wall.stands for wall in walls_around(room)] == [True, False, True, True]
     assert [wall.length for wall in walls_around(room)] == pytest.approx([6, 4, 6, 4], abs=0.02)
     placement = placement_of(rig_of(1), np.array([[3.0, 2.0, 1.9]]))
-    assert 'B 4.00 m (no wall stands there' in page_of(room, placement)
+    assert 'B 4.00 m (less than 30 % of it is wall)' in page_of(room, placement)
 
 
 def test_the_rectangle_lies_along_the_walls_and_not_along_the_scan():
@@ -386,6 +386,32 @@ def test_an_installer_is_told_in_words(sensor, pose, words):
 def test_cameras_are_measured_from_walls_that_are_near(room, place, words):
     placed, = placement_of(rig_of(1), np.array([place])).cameras
     assert told(room, placed, 0.0).place == words
+
+
+@pytest.mark.parametrize(('height', 'words'), [
+    (1.5, '150 cm from wall C, 200 cm from wall B'),
+    (2.6, '100 cm from wall E, 150 cm from wall C')])
+def test_cameras_are_measured_from_what_a_level_laser_meets(height, words):
+    """A beam under the ceiling is no wall to measure from for a camera below it."""
+    y, z = np.meshgrid(np.arange(0.0, 4.0, 0.05), np.arange(2.2, 3.0, 0.05))
+    beam = np.column_stack([np.full(y.size, 5.0), y.ravel(), z.ravel()])
+    room = Scene(np.concatenate([box_room().points, beam]).astype('f4'), 'beam')
+    placed, = placement_of(rig_of(1), np.array([[4.0, 1.5, height]])).cameras
+    assert told(room, placed, 0.0).place == words
+
+
+def test_the_installers_page_says_how_good_the_plan_is_and_how_to_hold_a_camera(mixed):
+    room = Scene(box_room().points, 'hall')
+    found = {'scores': {'seen': 0.77, 'seen_by': 1},
+             'search': {'certificate': {'sentence': 'No placement is better.'}}}
+    problem = Problem.of(room, mixed, SimulationConfig(
+        engine=EngineConfig(preset='fast', error_rows=32)))
+    placement = replace(placement_of(mixed, POSES), created={'date': '2026-11-24T10:00:00'})
+    page = instructions(Assessment(problem.objective, placement, found), 'plan.png')
+    assert 'a camera sees 77 %. No placement is better.' in page
+    assert 'long side of the camera level' in page and 'Plan of 2026-11-24.' in page
+    alone = placement_of(rig_of(1), np.array([[3.0, 2.0, 1.9]]))
+    assert 'long side' not in page_of(room, alone)
 
 
 def test_two_cameras_at_one_inner_wall_are_told_the_same_letter():

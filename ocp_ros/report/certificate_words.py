@@ -30,5 +30,5 @@ def sentence_of(plan: RigPlan) -> str:
     more = f' by more than {tenths / 10:.1f} %' if tenths > 0 else ''
     without = ', without what regions must see' if any(
         region.must_see for region in plan.rig.regions) else ''
-    return (f'No placement on these {known.candidates:,} candidates is better{more} (by depth '
-            f'maps of {known.rows} rows{without}).')
+    return (f'No placement on the {known.candidates:,} compared candidate poses is better{more} '
+            f'(computed on depth maps of {known.rows} rows{without}).')

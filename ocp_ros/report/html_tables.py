@@ -31,8 +31,7 @@ def tables_of(judged: Assessment) -> Iterator[str]:
                  judged.words, found['scores']['cameras']), start=1)]
     yield _table(('', 'camera', 'x, y, z', 'error reduction', 'seen by this camera only'), rows)
     yield '<p>' + escape('Walls: ' + ', '.join(
-        f'{wall.letter} {wall.length:.2f} m' + ('' if wall.stands else ' (no wall stands there)')
-        for wall in judged.walls) + '; A faces +y most, then clockwise. x, y and z are '
+        wall.said for wall in judged.walls) + '; A faces +y most, then clockwise. x, y and z are '
         + frame_named(judged) + '.') + '</p>'
     if found['scores']['regions']:
         yield '<h2>Regions</h2>' + _table(('region', 'seen', 'required', 'satisfied'), [

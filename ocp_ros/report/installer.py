@@ -5,6 +5,8 @@
 from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.markdown_text import in_markdown
 
+#: How a camera is rolled, unless its row says otherwise.
+LEVEL = 'Unless the table gives a roll, keep the long side of the camera level, top side up. '
 #: What stands above the rows of an installer's table, but for the camera's number.
 COLUMNS = ('camera', 'sensor', 'place', 'height', 'pan', 'tilt', 'x, y, z')
 
@@ -35,23 +37,43 @@ def instructions(judged: Assessment, plan: str) -> str:
     :param plan: file name of the plan beside it.
     """
     references, placement = judged.references, judged.placement
-    sizes = ', '.join(f'{wall.letter} {wall.length:.2f} m' + (
-        '' if wall.stands else ' (no wall stands there)') for wall in references.sides)
+    sizes = ', '.join(wall.said for wall in references.sides)
     inner = '' if not references.inner else (
-        f' Walls inside it: {", ".join(wall.letter for wall in references.inner)}.')
+        f'Other surfaces to measure from: {", ".join(wall.letter for wall in references.inner)}. ')
     lines = [f'# How to mount the cameras: {in_markdown(judged.scene.name)}', '',
              f'![Plan]({plan})', '', *(f'**Check first:** {in_markdown(note)}.\n'
                                        for note in judged.found.get('notes', ())),
-             f'Walls are lettered as in the plan, clockwise seen from above: {sizes}. Where the '
-             'room is not', f'a rectangle they are the sides of the rectangle around it.{inner} '
-             'Distances are perpendicular to the wall, to',
-             "the centre of the camera's front. Left and right are those of a person who stands "
-             f'behind the camera. x, y and z are {frame_named(judged)}.', '',
+             f'**Walls.** The plan shows the room from above, with letters clockwise: {sizes}. '
+             'In a room that is not a rectangle, A to D are the sides of the rectangle around it. '
+             + inner, '',
+             '**How to measure.** A distance is perpendicular to the wall, at the height of the '
+             "camera, to the centre of the camera's front. Left and right are seen by a person "
+             'who stands behind the camera. Set the pan first, then the tilt. '
+             + (LEVEL if any(not placed.camera.model.omnidirectional
+                             for placed in placement.cameras) else '')
+             + f'x, y and z are {frame_named(judged)}, for software: do not measure by '
+             'them if walls are given.', '',
              f'| | {" | ".join(COLUMNS)} |', '|---' * (len(COLUMNS) + 1) + '|']
     lines += ['| ' + ' | '.join(map(in_markdown, row)) + ' |' for row in rows_of(judged)]
-    if 'planner' in placement.created:
-        planner = in_markdown(placement.created['planner'])
-        lines += ['', f'The placement was found by the planner {planner}.']
-    if 'search' in judged.found:
-        lines += ['', in_markdown(judged.found['search']['certificate']['sentence'])]
+    lines += ['', '**When all cameras are mounted,** write down each difference from this page. '
+              'The command ocp calibrate can check the poses: it compares what each camera sees '
+              'with the scan.']
+    if 'scores' in judged.found:
+        lines += ['', _how_good(judged)]
+    created = [f'Plan of {placement.created["date"][:10]}' if 'date' in placement.created else '',
+               f'found by the planner {in_markdown(placement.created["planner"])}'
+               if 'planner' in placement.created else '']
+    if any(created):
+        lines += ['', f'{", ".join(filter(None, created))}.']
     return '\n'.join([*lines, ''])
+
+
+def _how_good(judged: Assessment) -> str:
+    """Say how much the cameras see, and whether others may see more."""
+    scores = judged.found['scores']
+    whose = 'a camera sees' if scores['seen_by'] == 1 else f'{scores["seen_by"]} cameras see'
+    sentence = (f'**How good it is.** Of the points of the scan, {whose} '
+                f'{100.0 * scores["seen"]:.0f} %.')
+    if 'search' in judged.found:
+        sentence += f' {in_markdown(judged.found["search"]["certificate"]["sentence"])}'
+    return sentence

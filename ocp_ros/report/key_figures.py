@@ -3,6 +3,7 @@
 """The key figures of a judged placement in words, for the sheet and the page."""
 
 from collections import Counter
+from math import ceil
 import re
 import shlex
 from typing import NamedTuple
@@ -97,8 +98,9 @@ def _cards(judged: Assessment, scores: dict) -> list[tuple[str, str, str]]:
                       f'pairs share {percent(links["overlap"])} or more'))
     known = judged.found.get('search', {}).get('certificate')
     if known and known['gap'] is not None:
-        cards.append(('optimality gap', percent(known['gap']),
-                      f'on {known["candidates"]:,} candidates'))
+        # Rounded up, so that it stays true.
+        cards.append(('better by at most', percent(ceil(1000.0 * known['gap'] - 0.01) / 1000.0),
+                      f'on {known["candidates"]:,} candidate poses'))
     more = judged.found.get('one_more')
     if more:
         x, y, z = more['position']

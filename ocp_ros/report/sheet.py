@@ -220,9 +220,10 @@ def _draw_legend(figure: Figure, y: float, judged: Assessment) -> None:
     entries = {'camera': Line2D([], [], color=camera_colour(0), marker='o', markersize=6,
                                 linestyle='none'),
                'field of view and range': Patch(facecolor='#cfe3f0', edgecolor='#0072b2'),
-               'no wall stands': Line2D([], [], color=INK, linewidth=0.9, linestyle=(0, (3, 3)))}
+               'mostly without wall': Line2D([], [], color=INK, linewidth=0.9,
+                                             linestyle=(0, (3, 3)))}
     if all(wall.stands for wall in judged.walls):
-        del entries['no wall stands']
+        del entries['mostly without wall']
     entries |= {name: Patch(facecolor=colour)
                 for name, colour in zip(assessment_pictures.COUNT_NAMES,
                                         assessment_pictures.COUNT_COLOURS)}
@@ -241,7 +242,7 @@ def _draw_cameras(figure: Figure, judged: Assessment, step: float | None = None)
     :returns: how high the table reaches, inches.
     """
     placed = judged.placement.cameras
-    rows = [['', 'camera', 'sensor', 'place', 'height', 'pan', 'tilt', 'x, y, z (m)',
+    rows = [['', 'camera', 'sensor', 'place', 'above floor', 'pan', 'tilt', 'x, y, z (m)',
              'error reduction']]
     for number, (one, words, added) in enumerate(zip(
             placed, judged.words, judged.found['scores']['cameras']), start=1):

@@ -28,8 +28,10 @@ PART, STANDS = 0.25, 0.3
 #: looked for, how far it may end beside the way, and how far a camera's front may be behind it by
 #: the noise of the scan.
 FAR, STRIP, BESIDE, BEHIND = 5.0, 0.5, 0.05, 0.03
-#: Square metres that a wall has at least in that strip, and its fewest points.
-PIECE, FEWEST = 0.15, 3
+#: Square metres that a wall has at least in that strip, and its fewest points; metres above and
+#: below a camera in which it has them: a level laser meets no beam and no cupboard of another
+#: height.
+PIECE, FEWEST, LEVEL = 0.15, 3, 0.3
 #: Least cosine between the normals of a wall and the way to it, and of two walls that are one;
 #: metres that one wall may be uneven.
 FACING, ALIKE, UNEVEN = 0.94, 0.98, 0.15
@@ -51,6 +53,12 @@ class ReferenceWall(NamedTuple):
     offset: float
     length: float
     stands: bool
+
+    @property
+    def said(self) -> str:
+        """Return the letter and the length, and where there is hardly a wall that it is so."""
+        return f'{self.letter} {self.length:.2f} m' + (
+            '' if self.stands else f' (less than {100.0 * STANDS:.0f} % of it is wall)')
 
 
 def walls_around(scene: Scene) -> list[ReferenceWall]:
@@ -171,9 +179,17 @@ class WallReferences:
         return [self._distance(position, *one) for one in sorted(nearest, key=itemgetter(0))]
 
     def _either(self, position: np.ndarray, way: np.ndarray) -> list[tuple[float, np.ndarray]]:
-        """Return how far walls are one way and the other, where there are any."""
-        return [(away, outward) for outward in (way, -way)
-                if (away := self._away(position[:2], outward)) is not None]
+        """
+        Return how far walls are one way and the other, where there are any.
+
+        They are those at the camera's height; where there is none, those of any height.
+        """
+        for high in (LEVEL, np.inf):
+            found = [(away, outward) for outward in (way, -way)
+                     if (away := self._away(position, outward, high)) is not None]
+            if found:
+                return found
+        return []
 
     def _distance(self, position: np.ndarray, away: float, outward: np.ndarray) -> Distance:
         """Name the wall that is so far that way."""
@@ -182,10 +198,15 @@ class WallReferences:
         beyond = isinstance(wall, ReferenceWall) and float(wall.outward @ outward) < 0.0
         return Distance(wall.letter, max(away, 0.0), at, beyond)
 
-    def _away(self, place: np.ndarray, outward: np.ndarray) -> float | None:
-        """Return how far the first wall is that way, metres; None where none is near."""
-        ways = self._surface.points[:, :2] - place
-        facing = np.abs(self._surface.normals[:, :2] @ outward) >= FACING
+    def _away(self, position: np.ndarray, outward: np.ndarray, high: float) -> float | None:
+        """
+        Return how far the first wall is that way, metres; None where none is near.
+
+        :param high: metres above and below the position in which a wall counts.
+        """
+        ways = self._surface.points[:, :2] - position[:2]
+        level = np.abs(self._surface.points[:, 2] - position[2]) <= high
+        facing = level & (np.abs(self._surface.normals[:, :2] @ outward) >= FACING)
         aside, away = ways @ [-outward[1], outward[0]], ways @ outward
         strip = np.flatnonzero(facing & (np.abs(aside) <= STRIP) & (away >= -BEHIND)
                                & (away <= FAR + SHEET))

@@ -142,7 +142,7 @@ def _hide_outside(axes: Axes, stage: Stage) -> None:
 
 def _draw_walls(axes: Axes, judged: Assessment) -> np.ndarray:
     """
-    Draw the rectangle around the room and its letters; dashed where no wall stands.
+    Draw the rectangle around the room and its letters; dashed where there is hardly a wall.
 
     :returns: where the letters are: (M, 2), those of walls inside the room as well.
     """

@@ -23,6 +23,8 @@ from ocp_ros.report.drawing.zone_drawing import draw_zones, zone_legend
 LOW, HIGH, SHOWN = 0.15, 0.4, 12000
 #: Points: size of the cameras' numbers, of the letters of sides, and of walls inside the room.
 NUMBERS, LETTERS, INNER = 12.0, 20.0, 13.0
+#: How long the line of a distance is at least that is written beside it, in margins of the plan.
+MEASURED = 3.0
 #: Inches: the longer edge of the plan, and the least of the shorter one.
 LONG, SHORT = 10.0, 4.5
 
@@ -74,12 +76,28 @@ def _inches(width: float, depth: float) -> tuple[float, float]:
     return max(scale * width, SHORT), max(scale * depth, SHORT)
 
 
+def _write_distance(axes: Axes, middle: np.ndarray, way: np.ndarray, away: float) -> None:
+    """Write a distance along its line."""
+    turn = np.rad2deg(np.arctan2(way[1], way[0]))
+    axes.text(*middle, f'{100.0 * away:.0f} cm', fontsize=8, color=INK,
+              ha='center', va='center', rotation=(turn + 90.0) % 180.0 - 90.0,
+              bbox={'facecolor': 'white', 'edgecolor': 'none', 'pad': 1.0}, zorder=3.0)
+
+
 def _draw_distances(axes: Axes, judged: Assessment, places: np.ndarray, frame: np.ndarray,
                     margin: float) -> np.ndarray:
     """Draw what is measured, and the letters of walls inside the room; return where: (M, 2)."""
+    # Where cameras stand and distances are written: nothing is written over these.
+    taken = places
     for place, distances in zip(places, judged.references.distances):
         for distance in distances:
-            axes.plot(*np.stack([place, frame @ distance.at]).T, color=INK, lw=0.8, ls=(0, (2, 2)))
+            at = frame @ distance.at
+            axes.plot(*np.stack([place, at]).T, color=INK, lw=0.8, ls=(0, (2, 2)))
+            middle = 0.4 * place + 0.6 * at
+            free = np.linalg.norm(taken - middle, axis=1).min() > 1.5 * margin
+            if free and np.linalg.norm(at - place) > MEASURED * margin:
+                _write_distance(axes, middle, at - place, distance.away)
+                taken = np.vstack([taken, middle])
     inner = judged.references.inner
     letters = apart(np.array([frame @ (wall.at + 0.4 * margin * wall.outward)
                               for wall in inner]).reshape(-1, 2), 0.6 * margin, places)
