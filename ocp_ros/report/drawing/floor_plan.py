@@ -79,7 +79,7 @@ def _inches(width: float, depth: float) -> tuple[float, float]:
 def _write_distance(axes: Axes, middle: np.ndarray, way: np.ndarray, away: float) -> None:
     """Write a distance along its line."""
     turn = np.rad2deg(np.arctan2(way[1], way[0]))
-    axes.text(*middle, f'{100.0 * away:.0f} cm', fontsize=8, color=INK,
+    axes.text(middle[0], middle[1], f'{100.0 * away:.0f} cm', fontsize=8, color=INK,
               ha='center', va='center', rotation=(turn + 90.0) % 180.0 - 90.0,
               bbox={'facecolor': 'white', 'edgecolor': 'none', 'pad': 1.0}, zorder=3.0)
 
