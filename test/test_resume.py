@@ -2,11 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs whose files were damaged: they go on, or say what is damaged, what is lost, what to do."""
 
+from contextlib import suppress
 import json
 import os
+from pathlib import Path
 from shutil import copytree
+import signal
+import subprocess
+import sys
+import time
 
-from conftest import Here, observation, rows_for
+from conftest import Here, HUNG, observation, rows_for
 import numpy as np
 import pytest
 import safetensors.numpy
@@ -424,3 +430,29 @@ def test_damaged_transitions_of_a_trainer_are_told_of(small_agent, tmp_path, dam
     with pytest.raises(UserError, match='remove the file: its transitions are lost') as caught:
         list(TransitionLog(tmp_path, 100).load())
     assert words in str(caught.value)
+
+
+@pytest.mark.system
+@pytest.mark.parametrize('times', [1, 2])
+def test_a_training_that_is_interrupted_once_or_twice_ends_and_says_how_to_go_on(tmp_path, times):
+    """All processes get what a terminal sends; those who are impatient send it again."""
+    settings = {**SHOWN, 'workers': 2, 'demonstrations': {
+        **SHOWN['demonstrations'], 'episodes': 500, 'expert': 'lookahead'}}
+    (tmp_path / 'long.yaml').write_text(json.dumps(settings))
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'ocp_ros.cli.main', 'train', '--config', 'long.yaml', '--out',
+         'run'], cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    try:
+        deadline = time.monotonic() + HUNG
+        children = Path(f'/proc/{process.pid}/task/{process.pid}/children')
+        # Two workers, and the process that watches over what they share.
+        while len(children.read_text().split()) < 3 or not (tmp_path / 'run').exists():
+            assert process.poll() is None and time.monotonic() < deadline
+        for _ in range(times):
+            os.killpg(process.pid, signal.SIGINT)
+        _, said = process.communicate(timeout=HUNG)
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+    assert process.returncode == 130, said
+    assert 'ocp: stopped; the same command continues with what is saved in run' in said

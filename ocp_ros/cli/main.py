@@ -39,6 +39,7 @@ from ocp_ros.cli.rooms_command import add_rooms
 from ocp_ros.util.files import folder_to_write
 from ocp_ros.util.own_files import note_own
 from ocp_ros.util.resources import DEFAULT_MODEL, find_config
+from ocp_ros.util.shown_text import printable
 
 
 def _train(arguments: argparse.Namespace) -> Found:
@@ -54,7 +55,12 @@ def _train(arguments: argparse.Namespace) -> Found:
     written = [arguments.model, card_of(arguments.model)] if arguments.model else []
     for path in written:
         claim_file(arguments, path, 'weights and their card', '--model')
-    checkpoint = train(config, arguments.out, command)
+    try:
+        checkpoint = train(config, arguments.out, command)
+    except KeyboardInterrupt:
+        print(f'ocp: stopped; the same command continues with what is saved in '
+              f'{printable(str(arguments.out))}', file=sys.stderr)
+        raise
     if arguments.model:
         checkpoint.save(arguments.model)
         note_own(written)

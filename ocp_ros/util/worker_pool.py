@@ -7,6 +7,7 @@ from concurrent.futures import as_completed, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context, parent_process
 import os
+import signal
 import threading
 from typing import Any, TypeVar
 
@@ -74,10 +75,15 @@ class WorkerPool:
         """Return the pool itself."""
         return self
 
-    def __exit__(self, *_) -> None:
-        """End the processes; tasks that have not begun are dropped."""
-        if self._processes is not None:
-            self._processes.shutdown(wait=True, cancel_futures=True)
+    def __exit__(self, kind: type[BaseException] | None, *_) -> None:
+        """End the processes, after an error at once; tasks that have not begun are dropped."""
+        if self._processes is None:
+            return
+        if kind is not None:
+            # None, once they have ended.
+            for process in (getattr(self._processes, '_processes', None) or {}).copy().values():
+                process.terminate()
+        self._processes.shutdown(wait=True, cancel_futures=True)
 
 
 def _applied(function: Callable[[T], U], task: T) -> U:
@@ -98,7 +104,13 @@ def _connected(address: str) -> Any:
 
 
 def _work_alone() -> None:
-    """Use one core only, since the others have their own work; end with the parent."""
+    """
+    Use one core only, since the others have their own work; end with the parent.
+
+    A terminal interrupts all processes of a command. The parent ends these: one that ends by
+    itself may hold the lock of the queue that the others wait for.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     # PyTorch reads it when it is imported, which may be never.
     os.environ['OMP_NUM_THREADS'] = '1'
     threading.Thread(target=_end_with, args=(parent_process(),), daemon=True).start()
