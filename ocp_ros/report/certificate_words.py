@@ -22,12 +22,16 @@ def certificate_data(plan: RigPlan) -> dict[str, Any]:
             **asdict(plan.certificate)}
 
 
+def gap_percent(gap: float) -> float:
+    """Return a gap in per cent, rounded up to tenths, so that it stays true."""
+    return ceil(1000.0 * gap - 0.01) / 10.0
+
+
 def sentence_of(plan: RigPlan) -> str:
     """Say what a certificate proves."""
     known = plan.certificate
-    # Rounded up, so that it stays true.
-    tenths = ceil(1000.0 * known.gap - 0.01)
-    more = f' by more than {tenths / 10:.1f} %' if tenths > 0 else ''
+    percent = gap_percent(known.gap)
+    more = f' by more than {percent:.1f} %' if percent > 0.0 else ''
     without = ', without what regions must see' if any(
         region.must_see for region in plan.rig.regions) else ''
     return (f'No placement on the {known.candidates:,} compared candidate poses is better{more} '

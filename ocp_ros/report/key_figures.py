@@ -3,12 +3,12 @@
 """The key figures of a judged placement in words, for the sheet and the page."""
 
 from collections import Counter
-from math import ceil
 import re
 import shlex
 from typing import NamedTuple
 
 from ocp_ros.report.assessment import Assessment
+from ocp_ros.report.certificate_words import gap_percent
 from ocp_ros.util.shown_text import printable
 
 DISTANCES = 'distances are perpendicular to the walls, to the centre of the front of a camera'
@@ -98,8 +98,7 @@ def _cards(judged: Assessment, scores: dict) -> list[tuple[str, str, str]]:
                       f'pairs share {percent(links["overlap"])} or more'))
     known = judged.found.get('search', {}).get('certificate')
     if known and known['gap'] is not None:
-        # Rounded up, so that it stays true.
-        cards.append(('better by at most', percent(ceil(1000.0 * known['gap'] - 0.01) / 1000.0),
+        cards.append(('better by at most', f'{gap_percent(known["gap"]):.1f} %',
                       f'on {known["candidates"]:,} candidate poses'))
     more = judged.found.get('one_more')
     if more:
