@@ -52,6 +52,10 @@ class AgentConfig:
     choices: bool = setting(
         False, 'whether the head for cloud inputs chooses among 25 moves; otherwise its answer is '
                'a Gaussian')
+    headings: int = setting(
+        0, 'with inputs map: headings in which the network values each cell for cameras that do '
+           'not see all around; 0: it values cells for those that do, whatever the camera',
+        0, 64)
     joint: int = setting(
         0, 'with the cloud: number of cameras whose moves one head chooses together, as in '
            'stable-baselines3; 0: each camera has the same head, and there may be any number', 0,
@@ -70,6 +74,10 @@ class AgentConfig:
                 f'agent.joint: found {self.joint} with agent.inputs {self.inputs!r}, agent.others '
                 f'{self.others} and agent.choices {str(self.choices).lower()}; expected 0, or the '
                 'inputs cloud with others 0 and choices false: one head answers for all cameras')
+
+        if self.headings and not self.map:
+            raise ConfigurationError(f'agent.headings: found {self.headings} with agent.inputs '
+                                     f'{self.inputs!r}; expected 0, or the inputs map')
 
     @property
     def world(self) -> bool:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ocp_ros.agent.partial_map import NO_CELL, PartialMap
+from ocp_ros.geometry.cameras import Frustum, OMNIDIRECTIONAL, PINHOLE
 from ocp_ros.geometry.clouds import cells_numbered, corners_of
 from ocp_ros.geometry.packed_bits import no_bits, unpack
 from ocp_ros.simulation.simulator import View
@@ -36,6 +37,8 @@ SEEN_AIR = slice(len(SLICES) + 3, len(SLICES) + 4 + len(AIR))
 BOX = SEEN_AIR.stop
 #: How the channels of the room, those of the others and the plain numbers are counted.
 OF_ROOM, OF_OTHERS, NUMBERS = BOX + 2, 7, 5
+#: How many numbers tell of the lens of a camera.
+OF_LENS = 2
 #: What sides of maps that are used are multiples of.
 STRIDE = 8
 #: Points of a cell that count as many, and the share of the error in a cell that counts as much.
@@ -57,6 +60,46 @@ def used_part(room: np.ndarray) -> tuple[slice, slice]:
     across = [int(np.count_nonzero(box.any(axis=axis))) + border for axis in (1, 0)]
     firsts = [(CELLS - min(-(-side // STRIDE) * STRIDE, CELLS)) // 2 for side in across]
     return slice(firsts[0], CELLS - firsts[0]), slice(firsts[1], CELLS - firsts[1])
+
+
+def told_of(lens: Frustum | None) -> np.ndarray:
+    """
+    Tell of a lens.
+
+    :param lens: None for that of an omnidirectional camera.
+    :returns: (``OF_LENS``,) float32: the angles of view, horizontal and vertical, as shares of
+        those of an omnidirectional camera.
+    """
+    if lens is None or lens.kind == OMNIDIRECTIONAL:
+        return np.ones(OF_LENS, dtype=np.float32)
+    halves = np.array([lens.half_horizontal, lens.half_vertical])
+    if lens.kind == PINHOLE:
+        halves = np.arctan(halves)
+    return (halves / [np.pi, 0.5 * np.pi]).astype(np.float32)
+
+
+def yaws_of(headings: int) -> np.ndarray:
+    """Return the yaws (D,) of headings that are valued, radians, map frame."""
+    return np.arange(headings) * (2.0 * np.pi / headings)
+
+
+def at_yaws(values: np.ndarray, cells: np.ndarray, yaws: np.ndarray) -> np.ndarray:
+    """
+    Read values between the headings that have one.
+
+    :param values: (D, C) of cells.
+    :param cells: (M,) numbers of cells.
+    :param yaws: (M,) radians, map frame.
+    :returns: (M,).
+    """
+    count = len(values)
+    at = yaws * (count / (2.0 * np.pi))
+    low = np.floor(at).astype(np.int64)
+    between, next_one = values[low % count, cells], values[(low + 1) % count, cells]
+    # Beyond what was seen all are inf.
+    known = np.isfinite(between)
+    between[known] += (at - low)[known] * (next_one[known] - between[known])
+    return between
 
 
 class Window(NamedTuple):

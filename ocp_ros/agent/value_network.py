@@ -12,7 +12,14 @@ from torch import nn, Tensor
 from torch.nn.functional import pixel_shuffle, pixel_unshuffle, relu
 
 from ocp_ros.agent.agent_config import AgentConfig
-from ocp_ros.agent.observation_map import CELLS, NUMBERS, OF_OTHERS, OF_ROOM, used_part
+from ocp_ros.agent.observation_map import (
+    CELLS,
+    NUMBERS,
+    OF_LENS,
+    OF_OTHERS,
+    OF_ROOM,
+    used_part,
+)
 
 #: Channels at half, a quarter and an eighth of the resolution, and the blocks on the way down.
 WIDTHS, DOWN = (32, 64, 96), (1, 2, 2)
@@ -37,17 +44,22 @@ class ResidualBlock(nn.Module):
         return values + self.second(relu(self.first(relu(values))))
 
 
-class ValueMapNetwork(nn.Module):
+class ValueMap(nn.Module):
     """
-    What the depth error becomes if a camera goes to each cell of the map.
+    What the depth error becomes if a camera goes to each cell of the map, by its heading there.
 
-    :param config: unused sizes; the inputs are those of the map.
+    :param headings: D, how many there are; see
+        :func:`~ocp_ros.agent.observation_map.yaws_of`.
+    :param told: names of what it reads besides ``room`` and ``others``, and how many numbers each
+        of these is.
     """
 
-    def __init__(self, config: AgentConfig) -> None:
+    def __init__(self, headings: int, told: dict[str, int]) -> None:
         super().__init__()
+        self._told = tuple(told)
         half, quarter, eighth = WIDTHS
-        self.enter = nn.Conv2d((OF_ROOM + OF_OTHERS) * TOGETHER ** 2 + NUMBERS, half, 3, padding=1)
+        self.enter = nn.Conv2d((OF_ROOM + OF_OTHERS) * TOGETHER ** 2 + sum(told.values()), half, 3,
+                               padding=1)
         self.down_1 = _blocks(half, DOWN[0])
         self.to_quarter = nn.Conv2d(half, quarter, 3, stride=2, padding=1)
         self.down_2 = _blocks(quarter, DOWN[1])
@@ -58,17 +70,18 @@ class ValueMapNetwork(nn.Module):
         self.up_2 = _blocks(quarter, 1)
         self.from_quarter = nn.Conv2d(quarter, half * 4, 1)
         self.up_1 = _blocks(half, 1)
-        self.leave = nn.Conv2d(half, TOGETHER ** 2, 3, padding=1)
+        self.leave = nn.Conv2d(half, headings * TOGETHER ** 2, 3, padding=1)
 
     def forward(self, observation: dict[str, Tensor]) -> Tensor:
         """
         Value all cells.
 
         :param observation: ``room`` (B, ``OF_ROOM``, H, W) and ``others`` (B, ``OF_OTHERS``, H, W)
-            uint8, ``numbers`` (B, ``NUMBERS``).
-        :returns: (B, H, W): ln((D + e) / (D of the others + e)), less is better.
+            uint8, ``numbers`` (B, ``NUMBERS``), and ``lens`` (B, ``OF_LENS``) where it is told.
+        :returns: (B, D, H, W): ln((E + e) / (E of the others + e)) of the depth error E; less is
+            better.
         """
-        numbers = observation['numbers']
+        numbers = torch.cat([observation[name] for name in self._told], dim=1)
         maps = torch.cat([observation['room'], observation['others']], dim=1).to(numbers.dtype)
         maps = pixel_unshuffle(maps / 255.0, TOGETHER)
         told = numbers[:, :, None, None].expand(-1, -1, *maps.shape[2:])
@@ -78,23 +91,50 @@ class ValueMapNetwork(nn.Module):
         eighth = eighth + self.whole(relu(eighth).mean(dim=(2, 3)))[:, :, None, None]
         quarter = self.up_2(quarter + pixel_shuffle(self.from_eighth(relu(eighth)), 2))
         half = self.up_1(half + pixel_shuffle(self.from_quarter(relu(quarter)), 2))
-        return pixel_shuffle(self.leave(relu(half)), TOGETHER)[:, 0]
+        return pixel_shuffle(self.leave(relu(half)), TOGETHER)
+
+
+class ValueMapNetwork(ValueMap):
+    """
+    The map actor's network: a value map for cameras that see all around, and one for all others.
+
+    :param config: how many headings the other one has, if there is one; the sizes in it are those
+        of other networks.
+    :ivar aimed: it; None without.
+    """
+
+    def __init__(self, config: AgentConfig) -> None:
+        super().__init__(1, {'numbers': NUMBERS})
+        self.aimed = ValueMap(config.headings, {'numbers': NUMBERS, 'lens': OF_LENS}) \
+            if config.headings else None
+
+    def begin_aimed(self) -> None:
+        """Let the one for all other cameras begin as the one for those that see all around."""
+        own = self.state_dict()
+        with torch.no_grad():
+            for name, value in self.aimed.named_parameters():
+                begun = own[name]
+                if name == 'enter.weight':
+                    value[:, :begun.shape[1]] = begun
+                    value[:, begun.shape[1]:] = 0.0
+                else:
+                    # Only the last layer differs: it is the same for each heading.
+                    value.copy_(begun.repeat(len(value) // len(begun), *[1] * (value.dim() - 1)))
 
 
 def valued(network: nn.Module, observation: dict[str, Tensor]) -> Tensor:
     """
     Value whole maps; the network reads no more of them than is used.
 
-    :param network: :class:`ValueMapNetwork`.
+    :param network: :class:`ValueMap`.
     :param observation: of it, with maps of 64 x 64 cells, batched.
-    :returns: (B, 64, 64): inf beyond what was seen in any of the maps.
+    :returns: (B, D, 64, 64): inf beyond what was seen in any of the maps.
     """
     rows, columns = used_part(observation['room'].amax(dim=0).cpu().numpy())
-    numbers = observation['numbers']
-    values = numbers.new_full((len(numbers), CELLS, CELLS), torch.inf)
-    values[:, rows, columns] = network({
-        'room': observation['room'][:, :, rows, columns],
-        'others': observation['others'][:, :, rows, columns], 'numbers': numbers})
+    part = network(observation | {name: observation[name][:, :, rows, columns]
+                                  for name in ('room', 'others')})
+    values = part.new_full((*part.shape[:2], CELLS, CELLS), torch.inf)
+    values[:, :, rows, columns] = part
     return values
 
 
@@ -102,7 +142,7 @@ class CellChoices:
     """
     How likely a camera goes to each cell: the softmax of what the network says, among some cells.
 
-    :param values: (B, 64, 64) from :func:`valued`.
+    :param values: (B, 1, 64, 64) from :func:`valued`.
     :param free: (B, 64, 64), not 0 where it may go.
     """
 

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.value_network import CellChoices, valued, ValueMapNetwork
+from ocp_ros.agent.value_network import CellChoices, valued, ValueMap, ValueMapNetwork
 
 
 class ValuePolicy:
@@ -26,17 +26,23 @@ class ValuePolicy:
         """Return what runs other weights."""
         return type(self)(checkpoint)
 
-    def values(self, room: np.ndarray, others: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    def values(self, room: np.ndarray, others: np.ndarray, numbers: np.ndarray, lens: np.ndarray
+               ) -> np.ndarray:
         """
         Value all cells for one camera, given the others.
 
         :param room: of :class:`~ocp_ros.agent.observation_map.ObservationMap`.
         :param others: of its :meth:`~ocp_ros.agent.observation_map.ObservationMap.others`.
         :param numbers: of the same.
-        :returns: (64, 64) float32: ln((D with the camera + e) / (D of the others + e)); inf
-            beyond what was seen.
+        :param lens: of the camera; see :func:`~ocp_ros.agent.observation_map.told_of`.
+        :returns: (D, 64, 64) float32: ln((E with the camera + e) / (E of the others + e)) of the
+            depth error E, for each heading of
+            :func:`~ocp_ros.agent.observation_map.yaws_of`; inf beyond what was seen.
         """
-        return self._valued({'room': room, 'others': others, 'numbers': numbers})[0].numpy()
+        aimed = self._network.aimed
+        network = self._network if aimed is None or lens.min() >= 1.0 else aimed
+        return _valued(network, {'room': room, 'others': others, 'numbers': numbers,
+                                 'lens': lens})[0].numpy()
 
     def draw(self, inputs: dict[str, np.ndarray], rng: np.random.Generator) -> np.ndarray:
         """
@@ -49,10 +55,11 @@ class ValuePolicy:
         free = torch.from_numpy(inputs['choices'])[None]
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(int(rng.integers(1 << 62)))
-            return CellChoices(self._valued(inputs), free).sample()[0].numpy()
+            return CellChoices(_valued(self._network, inputs), free).sample()[0].numpy()
 
-    def _valued(self, inputs: dict[str, np.ndarray]) -> torch.Tensor:
-        """Value all cells: (1, 64, 64)."""
-        with torch.inference_mode():
-            return valued(self._network, {name: torch.from_numpy(inputs[name])[None]
-                                          for name in ('room', 'others', 'numbers')})
+
+def _valued(network: ValueMap, inputs: dict[str, np.ndarray]) -> torch.Tensor:
+    """Value all cells: (1, D, 64, 64)."""
+    with torch.inference_mode():
+        return valued(network, {name: torch.from_numpy(value)[None]
+                                for name, value in inputs.items()})

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from ocp_ros.agent.encoder import order_of
-from ocp_ros.agent.observation_map import FLOOR, Window
+from ocp_ros.agent.observation_map import at_yaws, CELLS, FLOOR, Window
 from ocp_ros.agent.partial_map import KeptModel, LookHistory, NO_CELL, PartialMap
 from ocp_ros.agent.rig_state import clearance_of, remember, RigState
 from ocp_ros.geometry.packed_bits import count_bits
@@ -121,11 +121,11 @@ class MapActor(Online):
     def choose(self, known: MapTurn, camera: int, over: float) -> None:
         """Let a camera choose again where it goes, when a share of the turns is over."""
         plan, window = known.plan, known.room.window
-        values = self.policy.values(**known.inputs(camera)).ravel()
+        values = self.policy.values(**known.inputs(camera)).reshape(-1, CELLS * CELLS)
         curiosity = CURIOSITY * max(1.0 - over / EXPLORING, 0.0)
         bonus = curiosity * _nearby(known.room.unseen_air(), window).ravel()
         extra = PER_METRE * known.away(camera) - bonus
-        scores = np.where(known.open_to(camera), values + extra, np.inf)
+        scores = np.where(known.open_to(camera), values.min(axis=0) + extra, np.inf)
         best = np.argpartition(scores, TRIED)[:TRIED]
         best = best[np.isfinite(scores[best])]
         rows, of_cells = self._turned(camera, np.column_stack(
@@ -136,7 +136,8 @@ class MapActor(Online):
         change = known.model.depth_error.changes(
             [view.seen for view in known.beside(camera)], [look.seen for look in looks], FLOOR)
         trust = float(np.clip(PER_UNSEEN * _share(known.model, known.unseen), TRUST, 1.0))
-        tried = trust * values[at] + (1.0 - trust) * change + extra[at]
+        said = at_yaws(values, at, rows[:, 3])
+        tried = trust * said + (1.0 - trust) * change + extra[at]
         found = int(np.argmin(tried))
         # Beyond what was seen the network says inf.
         if not tried[found] > tried[0] - GAIN:

@@ -4,9 +4,10 @@
 
 import numpy as np
 
-from ocp_ros.agent.observation_map import CELLS, ObservationMap
+from ocp_ros.agent.observation_map import CELLS, ObservationMap, told_of
 from ocp_ros.agent.partial_map import PartialMap
 from ocp_ros.agent.rig_state import fixed_views, RigState
+from ocp_ros.geometry.cameras import Frustum
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.simulation.simulator import View
 
@@ -47,15 +48,22 @@ class MapTurn:
         """
         Return what the network reads for a camera.
 
-        :returns: ``room``, ``others`` and ``numbers``; see
-            :class:`~ocp_ros.agent.value_network.ValueMapNetwork`.
+        :returns: ``room``, ``others``, ``numbers`` and ``lens``; see
+            :class:`~ocp_ros.agent.value_network.ValueMap`.
         """
         others, numbers = self.room.others(self.beside(camera), np.delete(self.plan, camera, 0))
-        return {'room': self.room.room, 'others': others, 'numbers': numbers}
+        return {'room': self.room.room, 'others': others, 'numbers': numbers,
+                'lens': told_of(self._lens(camera))}
 
     def experience(self, camera: int) -> dict[str, np.ndarray]:
-        """Return what soft actor-critic reads for a camera: :meth:`inputs` and the choices."""
-        return self.inputs(camera) | {'choices': self.choices(camera)}
+        """
+        Return what soft actor-critic reads for a camera: :meth:`inputs` and the choices.
+
+        It learns where cameras go that see all around, so it reads of no lens.
+        """
+        inputs = self.inputs(camera)
+        del inputs['lens']
+        return inputs | {'choices': self.choices(camera)}
 
     def away(self, camera: int) -> np.ndarray:
         """Return how far each cell is from a camera: (CELLS * CELLS,) metres."""
@@ -105,9 +113,13 @@ class MapTurn:
         """Let a camera go to the place that an action means, turned as it would be; see above."""
         self.send(camera, np.concatenate([self.place(camera, action), self.plan[camera, 2:]]))
 
+    def _lens(self, camera: int) -> Frustum | None:
+        """Return the lens of a camera; None for one that sees all around."""
+        return None if self._sight is None else self._sight.lenses[camera]
+
     def look(self, camera: int, rows: np.ndarray) -> list[View]:
         """Compute what a camera would see from rows (M, 6); those of a place are in a row."""
-        lens = None if self._sight is None else self._sight.lenses[camera]
+        lens = self._lens(camera)
         if lens is None:
             return [self.model.look(row[:3]) for row in rows]
         ends = np.flatnonzero(np.any(np.diff(rows[:, :3], axis=0), axis=1)) + 1

@@ -37,6 +37,12 @@ class RayVisibility:
         if covered is not None:
             covered |= self._visible(self._places, pose, lens)
 
+    def narrowed(self, pose: Pose, lens: Frustum, seen: np.ndarray, covered: np.ndarray
+                 ) -> tuple[np.ndarray, np.ndarray]:
+        """Keep what lies in the viewing cone; see ``SurfelVisibility.narrowed``."""
+        return (seen & pack(in_reach(self._points, pose, lens)),
+                covered & pack(in_reach(self._places, pose, lens)))
+
     def _visible(self, points: np.ndarray, pose: Pose, lens: Frustum) -> np.ndarray:
         """Return the packed bits of what nothing hides in the viewing cone and the range."""
         near = np.flatnonzero(in_reach(points, pose, lens))

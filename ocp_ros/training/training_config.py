@@ -190,6 +190,11 @@ class TrainingConfig:
                 f'interactions: found 0 and no {"values.steps" if self.agent.map else ""}'
                 f'{"" if self.agent.map else "demonstrations.rounds"}; expected something to '
                 'learn from')
+        if self.agent.headings and not self.model:
+            raise ConfigurationError(
+                f'model: found none with agent.headings {self.agent.headings}; expected weights '
+                'of the map actor to begin with: the value map of cameras that do not see all '
+                'around begins as that of those that do; train one without headings first')
         if self.demonstrations.rounds and (self.agent.map or not self.agent.one_by_one):
             raise ConfigurationError(
                 f'demonstrations.rounds: found {self.demonstrations.rounds} with agent.inputs '

@@ -21,8 +21,8 @@ from torch.nn.functional import grid_sample, smooth_l1_loss
 
 from ocp_ros.agent.checkpoint import read_metadata
 from ocp_ros.agent.errors import CheckpointError
-from ocp_ros.agent.observation_map import CELLS, used_part
-from ocp_ros.agent.value_network import ValueMapNetwork
+from ocp_ros.agent.observation_map import CELLS, used_part, yaws_of
+from ocp_ros.agent.value_network import ValueMap
 from ocp_ros.training.augmentation import turned_maps
 from ocp_ros.training.training_config import ValuesConfig
 
@@ -46,7 +46,7 @@ class ValueSet:
     def __init__(self, episodes: Sequence[dict[str, np.ndarray]]) -> None:
         firsts = np.cumsum([0] + [len(one['room']) for one in episodes])
         self._joined = {name: torch.from_numpy(np.concatenate([one[name] for one in episodes]))
-                        for name in ('room', 'others', 'numbers', 'places', 'values')}
+                        for name in ('room', 'others', 'numbers', 'lens', 'places', 'values')}
         self._of = torch.from_numpy(np.concatenate(
             [one['of'] + first for one, first in zip(episodes, firsts)])).long()
         #: (M, 2) the first row and column of each map that are used.
@@ -82,29 +82,29 @@ class ValueSet:
 
         :param rows: (B,) their numbers; their maps are used as far.
         :returns: what the network reads, ``places`` (B, P, 2) in cells of it, and ``values``
-            (B, P), NaN where nothing is known.
+            (B, P, D), NaN where nothing is known.
         """
         joined, of = self._joined, self._of[rows]
         first = self._firsts[of[0]]
         middle = (slice(None), slice(None), *(slice(one, CELLS - one) for one in first))
         return ({'room': joined['room'][of][middle], 'others': joined['others'][rows][middle],
-                 'numbers': joined['numbers'][rows]}, joined['places'][of] - torch.tensor(first),
-                joined['values'][rows].float())
+                 'numbers': joined['numbers'][rows], 'lens': joined['lens'][rows]},
+                joined['places'][of] - torch.tensor(first), joined['values'][rows].float())
 
 
 def at_places(values: Tensor, places: Tensor) -> Tensor:
     """
     Read maps between the middles of their cells.
 
-    :param values: (B, H, W).
+    :param values: (B, D, H, W).
     :param places: (B, P, 2) in cells.
-    :returns: (B, P).
+    :returns: (B, P, D).
     """
-    scale = 2.0 / torch.tensor(values.shape[1:])
+    scale = 2.0 / torch.tensor(values.shape[2:])
     # What is asked for comes in the order of the axes of images: columns first.
     grid = (places * scale - 1.0).flip(-1)[:, :, None]
-    return grid_sample(values[:, None], grid, align_corners=False,
-                       padding_mode='border')[:, 0, :, 0]
+    return grid_sample(values, grid, align_corners=False,
+                       padding_mode='border')[..., 0].transpose(1, 2)
 
 
 def turned_at_random(observation: dict[str, Tensor], places: Tensor, number: int
@@ -116,8 +116,17 @@ def turned_at_random(observation: dict[str, Tensor], places: Tensor, number: int
     return turned, middle + half
 
 
+def turned_headings(headings: int, number: int) -> Tensor:
+    """Return which heading (D,) each of D is turned or mirrored to; see above."""
+    yaws = torch.from_numpy(yaws_of(headings))
+    _, ahead = turned_maps({}, torch.stack([yaws.cos(), yaws.sin()], dim=-1), number)
+    turned = torch.atan2(ahead[:, 1], ahead[:, 0])
+    return (turned * (headings / (2.0 * math.pi))).round().long() % headings
+
+
 def loss_of(predicted: Tensor, values: Tensor) -> Tensor:
-    """Return how far predicted values (B, P) are from the labels (B, P), some of them NaN."""
+    """Return how far predictions (B, P, D) are from the labels (B, P, D), some of them NaN."""
+    predicted, values = predicted.flatten(1), values.flatten(1)
     known = ~values.isnan()
     labels = torch.where(known, values, 10.0)
     weight = (1.0 + BEST_COUNTS * torch.exp(
@@ -129,13 +138,14 @@ def loss_of(predicted: Tensor, values: Tensor) -> Tensor:
     return (away * weight).sum() / weight.sum() + SHARPNESS * cross.mean()
 
 
-def regret_of(network: ValueMapNetwork, choices: ValueSet, size: int = 64) -> float:
+def regret_of(network: ValueMap, choices: ValueSet, size: int = 64) -> float:
     """Return what the places that a network finds best are worse than the best ones, in mean."""
     lost = []
     with torch.inference_mode():
         for rows in choices.in_order(size):
             observation, places, values = choices.batch(rows)
             predicted = at_places(network(observation), places)
+            predicted, values = predicted.flatten(1), values.flatten(1)
             predicted = torch.where(values.isnan(), torch.inf, predicted)
             chosen = values.gather(1, predicted.argmin(dim=1, keepdim=True))[:, 0]
             lost.append(chosen - values.nan_to_num(torch.inf).amin(dim=1))
@@ -153,7 +163,7 @@ class ValueFit:
     :ivar step: gradient steps so far.
     """
 
-    def __init__(self, network: ValueMapNetwork, config: ValuesConfig, seed: int) -> None:
+    def __init__(self, network: ValueMap, config: ValuesConfig, seed: int) -> None:
         self.config, self._seed, self.step = config, seed, 0
         self.network = network.to(memory_format=torch.channels_last)
         self.average = deepcopy(network).eval()
@@ -182,8 +192,10 @@ class ValueFit:
         """Take one gradient step."""
         rng = np.random.default_rng([self._seed, self.step])
         observation, places, values = choices.batch(choices.draw(rng, self.config.batch_size))
-        observation, places = turned_at_random(observation, places, int(rng.integers(8)))
+        number = int(rng.integers(8))
+        observation, places = turned_at_random(observation, places, number)
         predicted = at_places(self.network(observation), places)
+        predicted = predicted[..., turned_headings(values.shape[2], number)]
         loss = loss_of(predicted, values)
         self._optimizer.zero_grad()
         loss.backward()

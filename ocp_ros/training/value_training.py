@@ -4,10 +4,12 @@
 Train the map actor: read from top to bottom, this is the whole run.
 
 First its network learns dense values in rooms that a rig walks through, then in rooms that it has
-played in itself. The folder holds what :mod:`ocp_ros.training.train` writes, and ``states/`` with
-the states of each room.
+played in itself. Where the settings name headings, the same is done for cameras that do not see
+all around, whose value map begins as that of the first weights. The folder holds what
+:mod:`ocp_ros.training.train` writes, and ``states/`` with the states of each room.
 """
 
+from dataclasses import replace
 from datetime import date
 import io
 from pathlib import Path
@@ -24,7 +26,7 @@ from ocp_ros.training.run_folder import add_record, BEST, records, VALUES, VALUE
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import room_names
 from ocp_ros.training.value_fit import regret_of, ValueFit, ValueSet
-from ocp_ros.training.value_states import play_states, SHAPES, StateTask
+from ocp_ros.training.value_states import play_states, shapes_of, StateTask
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import to_nested, UserError
@@ -56,15 +58,17 @@ class ValueRun:
         torch.manual_seed(config.seed)
         past = records(folder)
         self._began = time.monotonic() - (past[-1]['seconds'] if past else 0.0)
-        network = ValueMapNetwork(config.agent)
+        #: What is learned of it is the value map for cameras that are aimed, where there is one.
+        self._whole = ValueMapNetwork(config.agent)
         if config.model:
-            network.load_state_dict(_weights_of(config))
-        self.fit = ValueFit(network, config.values, config.seed)
+            _begin_with(self._whole, config)
+        self.fit = ValueFit(self._whole.aimed or self._whole, config.values, config.seed)
 
     def checkpoint(self) -> Checkpoint:
         """Return the network as it is now."""
+        learned = self.fit.average.state_dict(prefix='aimed.' if self._whole.aimed else '')
         return Checkpoint(self.config.agent, {
-            name: value.clone() for name, value in self.fit.average.state_dict().items()},
+            name: value.clone() for name, value in (self._whole.state_dict() | learned).items()},
             self.fit.step, self.name, {
                 'interactions': 0, 'seed': self.config.seed, 'date': date.today().isoformat(),
                 'training': to_nested(self.config)})
@@ -104,8 +108,9 @@ class ValueRun:
         folder = self.folder / STATES
         paths = [folder / f'{NAMES[kind]}_{number:05}.npz' for number in range(len(rooms))]
         missing = [number for number, path in enumerate(paths) if not path.exists()]
-        tasks = [StateTask(self.config.rooms, rooms[number],
-                           (self.config.seed, kind, number), weights) for number in missing]
+        headings = self.config.agent.headings
+        tasks = [StateTask(self.config.rooms, rooms[number], (self.config.seed, kind, number),
+                           weights, headings) for number in missing]
         bar = self.progress.add_task(f'states, {NAMES[kind]}', total=len(rooms),
                                      completed=len(rooms) - len(missing), error='')
         for index, arrays in self.pool.unordered(play_states, tasks):
@@ -113,31 +118,45 @@ class ValueRun:
             np.savez_compressed(buffer, **arrays)
             write_atomically(paths[missing[index]], buffer.getvalue())
             self.progress.advance(bar)
-        return ValueSet([_read(path) for path in paths])
+        return ValueSet([_read(path, shapes_of(headings)) for path in paths])
 
 
-def _weights_of(config: TrainingConfig) -> dict[str, torch.Tensor]:
-    """Return the weights to start from."""
+def _begin_with(network: ValueMapNetwork, config: TrainingConfig) -> None:
+    """
+    Start a network from the weights that are named.
+
+    :raises CheckpointError: if they are of other agent settings; they need not know of headings.
+    """
     checkpoint = Checkpoint.load(find_model(config.model))
-    if checkpoint.config != config.agent:
+    if config.agent not in (checkpoint.config,
+                            replace(checkpoint.config, headings=config.agent.headings)):
         raise CheckpointError(f'{config.model}: found {checkpoint.config}; expected weights of '
                               f"the run's own agent settings, {config.agent}")
-    return checkpoint.weights
+    if checkpoint.config.headings == config.agent.headings:
+        network.load_state_dict(checkpoint.weights)
+        return
+    network.load_state_dict({**network.state_dict(), **{
+        name: value for name, value in checkpoint.weights.items()
+        if not name.startswith('aimed.')}})
+    if network.aimed is not None:
+        network.begin_aimed()
 
 
-def _read(path: Path) -> dict[str, np.ndarray]:
+def _read(path: Path, shapes: dict[str, tuple[type, tuple[int, ...]]]) -> dict[str, np.ndarray]:
     """
     Read the states of a room.
 
+    :param shapes: what they are; see :func:`~ocp_ros.training.value_states.shapes_of`.
     :raises UserError: if they are damaged or of another map.
     """
     try:
         with path.open('rb') as stream, np.load(stream, allow_pickle=False) as file:
-            states = {name: file[name] for name in SHAPES}
-        for name, (kind, shape) in SHAPES.items():
+            states = {name: file[name] for name in shapes}
+        for name, (kind, shape) in shapes.items():
             if states[name].dtype != kind or states[name].shape[1:] != shape:
                 raise ValueError(f'{name} is {states[name].dtype} {states[name].shape}')
-        if len({len(states[name]) for name in ('of', 'others', 'numbers', 'values')}) != 1 or not (
+        if len({len(states[name]) for name in ('of', 'others', 'numbers', 'lens', 'values')
+                }) != 1 or not (
                 (states['of'] >= 0) & (states['of'] < len(states['room']))).all():
             raise ValueError('its choices are of other maps')
     except Exception as error:  # A broken file makes the libraries raise almost anything.

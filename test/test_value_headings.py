@@ -1,0 +1,230 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The value map of cameras that do not see all around: labels, symmetries, training, acting."""
+
+from dataclasses import replace
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from ocp_ros.agent.agent_config import AgentConfig
+from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.agent.errors import CheckpointError
+from ocp_ros.agent.observation_map import (
+    at_yaws,
+    CELLS,
+    NUMBERS,
+    OF_LENS,
+    OF_OTHERS,
+    OF_ROOM,
+    told_of,
+    yaws_of,
+)
+from ocp_ros.agent.rig_state import RigState
+from ocp_ros.agent.value_network import valued, ValueMapNetwork
+from ocp_ros.agent.value_policy import ValuePolicy
+from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.planners.map_actor import MapActor
+from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.rig.sensors import SENSORS
+from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.training import value_states
+from ocp_ros.training.augmentation import turned_maps
+from ocp_ros.training.train import train
+from ocp_ros.training.training_config import RoomsConfig, TrainingConfig
+from ocp_ros.training.value_fit import at_places, turned_at_random, turned_headings
+from ocp_ros.training.value_states import AIMED_PITCH, play_states, shapes_of, StateTask, TrueRoom
+from ocp_ros.util.settings import ConfigurationError, from_nested
+
+ROUND, AIMED = AgentConfig(inputs='map'), AgentConfig(inputs='map', headings=8)
+D455 = SENSORS['realsense_d455'].model
+
+
+def observation(seed=0, count=2):
+    """Return what the network reads, drawn."""
+    rng = np.random.default_rng(seed)
+    maps = {name: rng.integers(0, 256, (count, channels, CELLS, CELLS), dtype=np.uint8)
+            for name, channels in (('room', OF_ROOM), ('others', OF_OTHERS))}
+    numbers = {'numbers': rng.random((count, NUMBERS), dtype=np.float32),
+               'lens': rng.random((count, OF_LENS), dtype=np.float32)}
+    return {name: torch.from_numpy(value) for name, value in (maps | numbers).items()}
+
+
+def drawn(agent, seed=0):
+    """Return a network whose every layer matters."""
+    torch.manual_seed(seed)
+    network = ValueMapNetwork(agent)
+    with torch.no_grad():
+        for value in network.parameters():
+            value.normal_(0.0, 0.05)
+    return network
+
+
+def test_a_lens_is_told_by_its_angles():
+    assert told_of(None).tolist() == told_of(CameraModel().lens).tolist() == [1.0, 1.0]
+    assert told_of(D455.lens) == pytest.approx([87.0 / 360.0, 58.0 / 180.0], abs=1e-6)
+    lidar = SENSORS['velodyne_vlp16'].model.lens
+    assert told_of(lidar) == pytest.approx([1.0, 30.0 / 180.0], abs=1e-6)
+
+
+def test_values_between_headings_are_between_them():
+    values = np.array([[0.0, np.inf], [1.0, np.inf], [2.0, np.inf], [3.0, np.inf]])
+    yaws = np.array([0.0, 0.25 * np.pi, -0.25 * np.pi, 2.0 * np.pi])
+    assert at_yaws(values, np.zeros(4, dtype=int), yaws) == pytest.approx([0.0, 0.5, 1.5, 0.0])
+    assert at_yaws(values, np.ones(1, dtype=int), np.array([np.pi])) == [np.inf]
+    # Where there is one heading, it is that of all.
+    assert at_yaws(values[1:2], np.array([0]), np.array([1.0])) == [1.0]
+
+
+@pytest.mark.parametrize('number', range(8))
+def test_headings_turn_with_their_maps(number):
+    to = turned_headings(8, number)
+    assert sorted(to.tolist()) == list(range(8))
+    yaws = torch.from_numpy(yaws_of(8))
+    ahead = torch.stack([yaws.cos(), yaws.sin()], dim=-1)
+    _, turned = turned_maps({}, ahead, number)
+    torch.testing.assert_close(turned, ahead[to])
+
+
+@pytest.mark.parametrize('number', range(8))
+def test_a_mark_ahead_of_a_place_stays_ahead_of_it(number):
+    """What a heading looks at is at the same heading when all is turned."""
+    room = torch.zeros(1, OF_ROOM, CELLS, CELLS, dtype=torch.uint8)
+    place, heading = torch.tensor([[[20.5, 40.5]]]), 3
+    yaw = heading * 0.25 * math.pi
+    mark = [round(20 + 10 * math.cos(yaw)), round(40 + 10 * math.sin(yaw))]
+    room[0, 0, mark[0], mark[1]] = 255
+    turned, places = turned_at_random({'room': room}, place, number)
+    found = torch.nonzero(turned['room'][0, 0])[0] + 0.5 - places[0, 0]
+    seen = torch.atan2(found[1], found[0]) / (0.25 * math.pi)
+    assert round(float(seen)) % 8 == int(turned_headings(8, number)[heading])
+
+
+def test_maps_of_headings_are_read_at_places():
+    values = torch.arange(2.0 * 3 * 8 * 8).reshape(2, 3, 8, 8)
+    places = torch.tensor([[[2.5, 4.5], [0.5, 7.5]]] * 2)
+    expected = torch.stack([values[:, :, 2, 4], values[:, :, 0, 7]], dim=1)
+    torch.testing.assert_close(at_places(values, places), expected)
+
+
+def test_a_value_map_begins_as_that_of_cameras_that_see_all_around():
+    network = drawn(AIMED)
+    network.begin_aimed()
+    seen = observation()
+    with torch.no_grad():
+        whole, aimed = valued(network, seen), valued(network.aimed, seen)
+    assert whole.shape == (2, 1, CELLS, CELLS) and aimed.shape == (2, 8, CELLS, CELLS)
+    torch.testing.assert_close(aimed, whole.expand_as(aimed))
+
+
+def test_each_camera_is_valued_by_the_map_of_its_kind():
+    network = drawn(AIMED)
+    policy = ValuePolicy(Checkpoint(AIMED, network.state_dict()))
+    seen = {name: value[0].numpy() for name, value in observation(count=1).items()}
+    aimed = policy.values(**seen | {'lens': told_of(D455.lens)})
+    whole = policy.values(**seen | {'lens': told_of(None)})
+    assert aimed.shape == (8, CELLS, CELLS) and whole.shape == (1, CELLS, CELLS)
+    plain = ValuePolicy(Checkpoint(ROUND, {
+        name: value for name, value in network.state_dict().items()
+        if not name.startswith('aimed.')}))
+    for lens in (D455.lens, None):
+        assert np.array_equal(plain.values(**seen | {'lens': told_of(lens)}), whole)
+
+
+@pytest.fixture(scope='module')
+def room():
+    """Return a small room."""
+    return generate_room(7, 3000)
+
+
+def test_labels_of_headings_are_what_the_true_room_loses(room):
+    rig = RigConfig(sensors='realsense_d455')
+    true = TrueRoom(room, SimulationConfig(rig), 8)
+    assert len(true.poses) == 8 * len(true.places)
+    assert np.allclose(true.poses[:8, :2], true.places[0])
+    assert np.allclose(true.poses[:8, 3], yaws_of(8)) and np.allclose(true.poses[:, 4], AIMED_PITCH)
+    values = true.values([11])
+    error = true.engine.depth_error
+    seen = [true.engine.look(true.poses[pose]).seen for pose in (11, 26)]
+    floor = 0.005 * error.worst
+    expected = np.log((error(seen[0] | seen[1]) + floor) / (error(seen[0]) + floor))
+    assert values[26] == pytest.approx(expected, abs=1e-4)
+    assert np.ptp(values.reshape(-1, 8), axis=1).max() > 0.01
+    pose = true.poses[[37, 5]]
+    turned = pose[:, 3:] + [[0.2, 0.3, 0.0]]
+    assert true.nearest(pose[:, :2], turned).tolist() == [37, 5]
+
+
+def test_states_of_headings_are_played_alike_and_of_their_shape(small):
+    task = StateTask(RoomsConfig(), '1000', (0, 0, 1), headings=8)
+    states, again = play_states(task), play_states(task)
+    for name, (kind, shape) in shapes_of(8).items():
+        assert states[name].dtype == kind and states[name].shape[1:] == shape, name
+        assert np.array_equal(states[name], again[name], equal_nan=kind in (np.float16,)), name
+    assert (states['lens'] < 1.0).all()
+
+
+TINY = {'interactions': 0, 'agent': {'inputs': 'map'}, 'workers': 1,
+        'rooms': {'training': 2, 'validation': 1, 'test': 1, 'points': 1500, 'rotations': '0'},
+        'simulation': {'engine': {'preset': 'fast', 'error_rows': 16, 'coverage_cell': 1.0},
+                       'episode': {'turns': 3}},
+        'values': {'rooms': 1, 'own_rooms': 1, 'steps': 2, 'own_steps': 2, 'batch_size': 2,
+                   'evaluate_every': 2}}
+
+
+def test_only_the_map_of_headings_is_learned_where_there_are_any(small, here, tmp_path,
+                                                                 monkeypatch):
+    # At first cameras that are aimed see too little of a thinner scan to tell that it is a room.
+    monkeypatch.setattr(value_states, 'SCANS', (8000,))
+    first = Checkpoint(ROUND, drawn(ROUND).state_dict())
+    first.save(tmp_path / 'first.safetensors')
+    config = from_nested(TrainingConfig, TINY | {
+        'model': str(tmp_path / 'first.safetensors'), 'agent': {'inputs': 'map', 'headings': 8}})
+    made = train(config, tmp_path / 'run', 'a command')
+    assert made.config.headings == 8
+    for name, value in first.weights.items():
+        assert torch.equal(made.weights[name], value), name
+    assert not torch.equal(made.weights['aimed.enter.weight'][:, :1],
+                           first.weights['enter.weight'][:, :1])
+    # It may be the start of another run, with headings or without.
+    made.save(tmp_path / 'second.safetensors')
+    for number, headings in enumerate((8, 0)):
+        agent = {'inputs': 'map', 'headings': headings}
+        again = from_nested(TrainingConfig, TINY | {
+            'model': str(tmp_path / 'second.safetensors'), 'agent': agent})
+        assert train(again, tmp_path / str(number), 'a command').config.headings == headings
+
+
+def test_headings_are_refused_where_they_mean_nothing():
+    with pytest.raises(ConfigurationError, match='agent.headings: found 8 with agent.inputs'):
+        AgentConfig(headings=8)
+    with pytest.raises(ConfigurationError, match='model: found none with agent.headings 8'):
+        from_nested(TrainingConfig, TINY | {'agent': {'inputs': 'map', 'headings': 8}})
+    with pytest.raises(CheckpointError, match='found other layers'):
+        Checkpoint(AIMED, ValueMapNetwork(ROUND).state_dict())
+
+
+def test_the_actor_turns_cameras_as_the_map_says(room):
+    """Of all headings at each place the network finds one best, and nothing else matters."""
+    best, asked = 5, []
+
+    class Looking:
+        def values(self, room, others, numbers, lens):
+            asked.append(lens)
+            values = np.full((8, CELLS, CELLS), 1.0, dtype=np.float32)
+            values[best] = -1.0
+            return values
+
+    models = [replace(D455, max_range=4.0)] * 2
+    middle = room.bounds.mean(axis=0)
+    placement = np.array([[middle[0] - 0.5, middle[1], 1.9, 0.0, 0.2, 0.0],
+                          [middle[0] + 0.5, middle[1], 1.9, 3.0, 0.2, 0.0]])
+    actor = MapActor(Looking(), np.random.default_rng(0), 0.5, 4.0, 0.1)
+    actor.know(RigState(placement, models, 2))
+    actor.move(room.points, placement[:, :3], 0, 5)
+    assert np.allclose(np.stack(asked), told_of(models[0].lens))
+    away = (actor.headings[:, 0] - yaws_of(8)[best] + np.pi) % (2.0 * np.pi) - np.pi
+    assert np.abs(away).max() < 0.5 * np.pi
