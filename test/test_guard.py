@@ -83,6 +83,58 @@ def check(rig, scene, before, after, max_step):
         assert np.linalg.norm(others - after[camera], axis=1).min() >= rig.spacing - 1e-9
 
 
+@budget(max_examples=25, deadline=None)
+@given(turns(), st.floats(0.3, 1.0))
+def test_what_was_prepared_keeps_clear_of_what_came_since(drawn, share):
+    rig, seen, positions, moves, max_step = drawn
+    guard, scene = ConstraintFilter(rig, MARGIN), Scene(seen, 'seen')
+    known = seen[np.random.default_rng(0).random(len(seen)) < share]
+    for targets in moves:
+        guard.prepare(known, positions)
+        found, _ = guard(seen, positions, targets, max_step)
+        assert np.linalg.norm(found - positions, axis=1).max() <= max_step + 1e-6
+        moved = np.abs(found - positions).max(axis=1) > 1e-9
+        if rig.mount.on in ('plane', 'free') and moved.any():
+            assert cKDTree(seen).query(found[moved])[0].min() >= rig.keep_clear - 0.0011
+            assert (found[moved, :2] >= scene.bounds[0, :2] + MARGIN - 1e-6).all()
+        positions = found
+
+
+@pytest.mark.parametrize('mount', [MOUNTS[0], MOUNTS[2], MOUNTS[3]])
+def test_what_was_prepared_is_as_good_as_what_is_known(mount, monkeypatch):
+    """Nothing is worked out anew for the targets that follow; the answer is the same."""
+    rig, room = rig_of(1, 'omnidirectional', mount=mount), box_room().points
+    position = np.array([[0.05, 2.0, 1.9]]) if mount['on'] == 'walls' else np.array(
+        [[2.0, 2.0, 1.9 if mount['on'] == 'plane' else 2.78]])
+    target = position + [0.0, 0.3, 0.0]
+    expected = ConstraintFilter(rig, MARGIN)(room, position, target, 0.5)
+    guard = ConstraintFilter(rig, MARGIN)
+    guard.prepare(room, position)
+    with monkeypatch.context() as patch:
+        patch.setattr(guard, '_look', None)
+        found = guard(room, position, target, 0.5)
+    np.testing.assert_array_equal(found.targets, expected.targets)
+    assert found.held == expected.held
+    # It is for one answer, and for one episode.
+    guard.prepare(room, position)
+    guard.reset()
+    empty = guard(room[:3], position, target, 0.5)
+    assert empty.held and 'all cameras stay' in empty.held[0]
+
+
+def test_what_has_just_been_seen_is_in_the_way():
+    rig, room = rig_of(1, 'omnidirectional', mount=MOUNTS[0], keep_clear=0.3), box_room().points
+    position, target = np.array([[2.0, 2.0, 1.9]]), np.array([[2.4, 2.0, 1.9]])
+    guard = ConstraintFilter(rig, MARGIN)
+    panel = np.array([[2.6, y, z] for y in np.arange(1.0, 3.0, 0.05)
+                      for z in np.arange(1.0, 2.4, 0.05)], dtype=np.float32)
+    for more, free in ((room, True), (np.concatenate([room, panel]), False)):
+        guard.prepare(room, position)
+        found, _ = guard(more, position, target, 0.5)
+        assert np.array_equal(found, target) == free
+        assert free or 2.6 - found[0, 0] >= 0.299
+
+
 @pytest.mark.parametrize(('keep_clear', 'expected'), [(0.0, 0.2), (0.6, 0.6)])
 def test_a_target_too_near_to_a_wall_is_moved_to_the_nearest_place(keep_clear, expected):
     rig = rig_of(1, 'omnidirectional', keep_clear=keep_clear, mount=MOUNTS[0])

@@ -10,18 +10,20 @@ import numpy as np
 import pytest
 
 from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.agent.observation_map import CELLS
 from ocp_ros.agent.partial_map import cells_of_the_air, LookHistory, NO_CELL, PartialMap, thinned
 from ocp_ros.agent.policy import Policy
 from ocp_ros.geometry.packed_bits import unpack
 from ocp_ros.geometry.visibility import FINE
-from ocp_ros.planners.lookahead import AHEAD, KEPT, Lookahead
+from ocp_ros.planners.lookahead import Lookahead
+from ocp_ros.planners.map_actor import MapActor
 from ocp_ros.planners.online_planner import (
+    AHEAD,
     FIRST,
     GreedyStep,
     HANDOVER,
     Learned,
     Online,
-    REFINING,
     ThenLookahead,
 )
 from ocp_ros.planners.rollout import play
@@ -128,40 +130,67 @@ def thinking(planner, episode, turns, reflects):
             planner.reflect()
 
 
-def test_in_many_turns_plans_are_made_while_the_cameras_move(engine):
+class Middle:
+    """A network that finds the middle of the map best."""
+
+    def values(self, room, others, numbers, lens):
+        """Return the same for everybody."""
+        away = np.linalg.norm(np.indices((CELLS, CELLS)) - 0.5 * CELLS, axis=0)
+        return 0.01 * away[None].astype(np.float32)
+
+
+THINKING = {'lookahead': lambda: Lookahead(*settings()),
+            'map actor': lambda: MapActor(Middle(), *settings())}
+
+
+@pytest.mark.parametrize('name', THINKING)
+def test_in_many_turns_plans_are_made_while_the_cameras_move(name, engine):
     """Who lets the planner reflect gets the same moves, without plans that are waited for."""
     config = replace(CONFIG, episode=EpisodeConfig(turns=AHEAD, max_step=MAX_STEP))
     prompt, late = (list(thinking(
-        Lookahead(*settings()),
+        THINKING[name](),
         Episode(PlaneProblem(Simulator(engine.scene, config)), np.random.default_rng(7)),
         AHEAD, reflects)) for reflects in (True, False))
     for (one, _), (other, _) in zip(prompt, late):
         np.testing.assert_array_equal(one, other)
-    # Candidates are listed on what is new, and again after some turns.
-    waited = [turn for turn, (_, made) in enumerate(prompt) if made]
-    assert waited == list(range(0, int(np.ceil(REFINING * AHEAD)), KEPT))
+    assert [turn for turn, (_, made) in enumerate(prompt) if made] == [0]
     assert all(made for _, made in late)
 
 
-def test_in_few_turns_plans_are_made_of_the_newest_cloud(engine):
+@pytest.mark.parametrize('name', THINKING)
+def test_in_few_turns_plans_are_made_of_the_newest_cloud(name, engine):
     episode = Episode(PlaneProblem(engine), np.random.default_rng(7))
     assert all(made for _, made in thinking(
-        Lookahead(*settings()), episode, CONFIG.episode.turns, True))
+        THINKING[name](), episode, CONFIG.episode.turns, True))
     assert CONFIG.episode.turns < AHEAD
 
 
-def test_who_plays_first_and_then_looks_ahead_reflects(engine):
-    planner = then_lookahead()
-    episode = Episode(PlaneProblem(engine), np.random.default_rng(7))
+@pytest.mark.parametrize('reflects', [True, False])
+def test_nobody_waits_when_one_planner_hands_over_to_another(engine, reflects):
+    """The plan of the turn in which lookahead begins is made while the cameras move as well."""
+    config = replace(CONFIG, episode=EpisodeConfig(turns=AHEAD, max_step=MAX_STEP))
+    planner = ThenLookahead(THINKING['map actor'](), Lookahead(*settings()))
+    waited = dict.fromkeys(('first', 'lookahead'), 0)
+    for name in waited:
+        part = getattr(planner, name)
+
+        def counted(*what, name=name, plan=part._think):
+            waited[name] += 1
+            plan(*what)
+
+        part._think = counted
+    episode = Episode(PlaneProblem(Simulator(engine.scene, config)), np.random.default_rng(7))
+    played = []
     for turn in range(AHEAD):
-        if episode.turn.truncated:
-            break
+        waited.update(first=0, lookahead=0)
         episode.move(planner.move(episode.observed_cloud, episode.turn.positions, turn, AHEAD))
-        if planner.lookahead._next is not None:
+        played.append(tuple(waited.values()))
+        if reflects:
             planner.reflect()
-            assert planner.lookahead._next is None
-            return
-    raise AssertionError('lookahead had nothing to reflect on')
+    first = math.ceil(HANDOVER * AHEAD)
+    expected = [(1, 0)] + [(0, 0)] * (AHEAD - 1) if reflects else (
+        [(1, 0)] * first + [(0, 1)] * (AHEAD - first))
+    assert played == expected
 
 
 @pytest.mark.parametrize('name', ['wanderer', 'greedy step', 'lookahead', 'then lookahead'])

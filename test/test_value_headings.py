@@ -145,7 +145,8 @@ def test_labels_of_headings_are_what_the_true_room_loses(room):
     true = TrueRoom(room, SimulationConfig(rig), 8)
     assert len(true.poses) == 8 * len(true.places)
     assert np.allclose(true.poses[:8, :2], true.places[0])
-    assert np.allclose(true.poses[:8, 3], yaws_of(8)) and np.allclose(true.poses[:, 4], AIMED_PITCH)
+    assert np.allclose(true.poses[:8, 3], yaws_of(8))
+    assert np.allclose(true.poses[:, 4], AIMED_PITCH)
     values = true.values([11])
     error = true.engine.depth_error
     seen = [true.engine.look(true.poses[pose]).seen for pose in (11, 26)]

@@ -50,6 +50,23 @@ class ConstraintFilter:
         self._known: tuple[np.ndarray, float] | None = None
         self._allowed: FeasibleRegion | None = None
         self._why = ''
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was prepared in the last episode."""
+        self._prepared = False
+
+    def prepare(self, cloud: np.ndarray, positions: np.ndarray) -> None:
+        """
+        Learn ahead where cameras may be: the next targets then need the newest points alone.
+
+        Where nothing could be learned, it is tried again when the next targets come.
+
+        :param cloud: (N, 3) float32, metres: the points seen so far.
+        :param positions: (K, 3) metres, where the cameras will be that are to be placed.
+        """
+        self._look(cloud, float(positions[:, 2].max()) + ABOVE)
+        self._prepared = self._allowed is not None
 
     def __call__(self, cloud: np.ndarray, positions: np.ndarray, targets: np.ndarray,
                  max_step: float, fixed: np.ndarray | None = None) -> FilteredTargets:
@@ -63,7 +80,11 @@ class ConstraintFilter:
         :param fixed: (F, 3) metres, where the cameras in place are; the rig's word for it unless
             told otherwise.
         """
-        self._look(cloud, float(positions[:, 2].max()) + ABOVE)
+        top, prepared = float(positions[:, 2].max()) + ABOVE, self._prepared
+        if prepared:
+            self._prepared, self._allowed.top = False, max(self._allowed.top, top)
+        else:
+            self._look(cloud, top)
         if self._allowed is None:
             return FilteredTargets(positions.copy(), [f'all cameras stay: {self._why}'])
         bounds = np.stack([cloud.min(axis=0), cloud.max(axis=0)]).astype(np.float64)
@@ -71,7 +92,8 @@ class ConstraintFilter:
         chosen, held = positions.copy(), []
         for camera, name in enumerate(self.rig.cameras):
             others = np.concatenate([np.delete(chosen, camera, axis=0), fixed])
-            found = self._nearest(positions[camera], targets[camera], others, bounds, max_step)
+            found = self._nearest(positions[camera], targets[camera], others, bounds, max_step,
+                                  cloud if prepared else None)
             if found is None:
                 held.append(f'{name.name} stays at {np.round(positions[camera], 2).tolist()}: '
                             f'found no feasible position within {max_step:g} m')
@@ -91,11 +113,23 @@ class ConstraintFilter:
             self._why = str(error)
 
     def _nearest(self, position: np.ndarray, target: np.ndarray, others: np.ndarray,
-                 bounds: np.ndarray, max_step: float) -> np.ndarray | None:
-        """Return the allowed place that is nearest to a target, about; None if there is none."""
+                 bounds: np.ndarray, max_step: float, newest: np.ndarray | None
+                 ) -> np.ndarray | None:
+        """
+        Return the allowed place that is nearest to a target, about; None if there is none.
+
+        :param newest: points of which some may not be known yet; None if all are.
+        """
+        if newest is not None:
+            reach = max_step + self.rig.keep_clear + ROUNDING
+            away = np.abs(newest[:, :2] - position[:2].astype(np.float32))
+            newest = newest[(away <= reach).all(axis=1)]
+
         def allowed(places: np.ndarray) -> np.ndarray:
             good = apart(places, others, self.rig.spacing) & self._inside(places, bounds)
             good[good] = self._allowed.allowed(places[good]) if good.any() else False
+            if newest is not None and good.any():
+                good[good] = self._allowed.clear(places[good], newest)
             return good
 
         return nearest_place(position, target, max_step,

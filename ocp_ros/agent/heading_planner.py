@@ -70,6 +70,8 @@ class HeadingPlanner:
         self._kept = KeptModel(self._range, self._wall_margin, POINTS, ROWS, AROUND)
         #: (K + F, 3) yaw, pitch, roll in radians, where all cameras will look.
         self._headings: np.ndarray | None = None
+        #: The turn that was thought about before it came.
+        self._ahead: int | None = None
 
     def __call__(self, cloud: np.ndarray, sight: RigState, targets: np.ndarray, max_turn: float,
                  turn: int, turns: int, hint: np.ndarray | None = None) -> np.ndarray:
@@ -88,6 +90,18 @@ class HeadingPlanner:
             the limits may still be on its way.
         """
         self._memory.visit(sight.placement, sight.lenses)
+        if self._ahead != turn:
+            self.think(cloud, sight, targets, max_turn, turn, turns, hint)
+        self._ahead = None
+        return turned_towards(sight.placement[:, 3:], self._headings, max_turn)
+
+    def think(self, cloud: np.ndarray, sight: RigState, targets: np.ndarray, max_turn: float,
+              turn: int, turns: int, hint: np.ndarray | None = None) -> None:
+        """
+        Choose where the cameras will look; if that is done before the turn has come, it holds.
+
+        :param sight: the cameras as they will be; see :meth:`__call__` for all else.
+        """
         now = sight.placement[:, 3:]
         try:
             model, _ = self._kept(cloud, sight.placement[:sight.movable, :3], FAST, clearance=0.0)
@@ -95,8 +109,7 @@ class HeadingPlanner:
             goals = self._swept(now, max_turn)
         else:
             goals = self._goals(model, sight, targets, max_turn, turn, turns, hint)
-        self._headings = goals
-        return turned_towards(now, goals, max_turn)
+        self._headings, self._ahead = goals, turn
 
     def _swept(self, now: np.ndarray, max_turn: float) -> np.ndarray:
         """Look farther to the left, for want of a room in which to choose."""

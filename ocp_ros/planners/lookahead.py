@@ -11,9 +11,8 @@ end in worse plans. In the last turns the best plan is annealed once more among 
 then in small steps, on a model at full resolution and among places that the cameras can still
 reach: a model of thinned points promises what the room does not keep.
 
-In an episode of many turns plans are annealed and refined while the cameras move, on what was seen
-before they did, so that the next clouds are answered at once. Only to list candidates the newest
-clouds are waited for: where these were a turn old as well, some parts of rooms were never found.
+In an episode of many turns plans are made while the cameras move; see
+:class:`~ocp_ros.planners.online_planner.ThinksAhead`.
 """
 
 from typing import NamedTuple
@@ -21,21 +20,18 @@ from typing import NamedTuple
 import numpy as np
 
 from ocp_ros.agent.move_effects import cell_weight
-from ocp_ros.agent.partial_map import KeptModel, LookHistory, PartialMap
+from ocp_ros.agent.partial_map import KeptModel, PartialMap
 from ocp_ros.agent.rig_state import (
     AROUND,
     clearance_of,
     fixed_views,
-    remember,
-    RigState,
     view_from,
 )
 from ocp_ros.geometry.visibility import FINE
 from ocp_ros.planners.annealing import accepted, between
 from ocp_ros.planners.candidate_sites import Candidates, most_places, Sites
-from ocp_ros.planners.online_planner import matched, Online, REFINING
+from ocp_ros.planners.online_planner import matched, Online, REFINING, ThinksAhead
 from ocp_ros.rig.free_plane import FreePlane
-from ocp_ros.scenes.scene import SceneError
 from ocp_ros.simulation.simulator import View
 from ocp_ros.util.threads import mapped
 
@@ -43,8 +39,12 @@ from ocp_ros.util.threads import mapped
 SPACING, CANDIDATES = 0.5, 400
 #: Points and rows of depth maps of the model that candidates are compared on.
 QUICK_POINTS, QUICK_ROWS = 6000, 32
-#: Turns that candidates are kept for; the first computes their views, the others anneal.
-KEPT = 3
+#: Points of that model and candidates for the first answer, where better ones follow as soon as
+#: the cameras move.
+FIRST_POINTS, FIRST_CANDIDATES = 3000, 48
+#: Turns that candidates are kept for where somebody waits for plans, and where nobody does. Their
+#: views are computed in the first of these turns.
+KEPT, KEPT_AHEAD = 3, 2
 #: Points, rows of depth maps and folds of the model to refine on, and turns that it is kept for at
 #: least.
 REFINING_POINTS, REFINING_ROWS, REFINING_FOLDS, REFINING_KEPT = 25000, 64, 2, 4
@@ -59,9 +59,6 @@ FAR, NEAR = 0.5, 0.02
 WIDE, NARROW = 0.5, 0.05
 #: Proposals that are looked from at once.
 TOGETHER = 4
-#: Turns of an episode from which on plans are refined while the cameras move, on what was seen
-#: before they did: a turn of many is cheap, one of few is not.
-AHEAD = 20
 
 
 class MoveTrial(NamedTuple):
@@ -77,24 +74,7 @@ class MoveTrial(NamedTuple):
     heading: np.ndarray | None
 
 
-class PlannedTurn(NamedTuple):
-    """
-    A turn to plan for.
-
-    :ivar cloud: (M, 3) float32, metres: the points seen so far.
-    :ivar positions: (K, 3) metres, where the cameras will be.
-    :ivar turn: turns played by then, of so many ``turns``.
-    :ivar sight: how the cameras stood when the cloud was seen.
-    """
-
-    cloud: np.ndarray
-    positions: np.ndarray
-    turn: int
-    turns: int
-    sight: RigState | None
-
-
-class Lookahead(Online):
+class Lookahead(ThinksAhead):
     """Explore, plan on what has been seen, and refine the plan while walking to it."""
 
     def __init__(self, *settings) -> None:
@@ -103,7 +83,7 @@ class Lookahead(Online):
 
     def reset(self) -> None:
         """Forget the last episode."""
-        self._memory = LookHistory()
+        super().reset()
         #: Where each camera goes: (K, 2) metres.
         self._plan: np.ndarray | None = None
         #: How they are turned there: (K, 3) radians; None where all are omnidirectional.
@@ -114,77 +94,54 @@ class Lookahead(Online):
                                folds=REFINING_FOLDS)
         #: Turn of the last model or of the last candidates.
         self._made = 0
-        #: The turn that is to be planned for while the cameras move.
-        self._next: PlannedTurn | None = None
 
     def take_over(self, other: Online) -> None:
         """Go on with where another planner would have gone, if it says so."""
         self._plan, self._headings = other.targets, other.headings
 
-    def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
-        """Choose the next moves; see :meth:`Online.move`."""
-        self.reflect()
-        remember(self._memory, positions, self.sight)
-        try:
-            if self._fresh(turn, turns):
-                self._think(cloud, positions, turn, turns)
-        except SceneError:
-            return self.wander(cloud, positions)
-        goals = self.towards(positions, self._plan)
-        if turn + 1 < turns and not self._fresh(turn + 1, turns):
-            ahead = np.column_stack([goals, positions[:, 2]])
-            self._next = PlannedTurn(cloud.copy(), ahead, turn + 1, turns, self.sight)
-        return goals - positions[:, :2]
+    @property
+    def targets(self) -> np.ndarray | None:
+        """Return where each camera goes; see :attr:`Online.targets`."""
+        return self._plan
 
-    def _fresh(self, turn: int, turns: int) -> bool:
-        """Tell whether the plan for a turn needs the clouds of that turn."""
-        if turns < AHEAD or self._plan is None:
-            return True
-        return turn < REFINING * turns and self._listed_long_ago(turn)
+    def _goals(self, positions: np.ndarray) -> np.ndarray:
+        """Return where cameras are after a turn; see :meth:`ThinksAhead._goals`."""
+        return self.towards(positions, self._plan)
 
-    def _listed_long_ago(self, turn: int) -> bool:
+    def _listed_long_ago(self, turn: int, turns: int) -> bool:
         """Tell whether candidates have to be listed, or listed again."""
-        return self._candidates is None or turn - self._made >= KEPT
-
-    def reflect(self) -> None:
-        """Make the next plan, where a turn has been left to it; see :meth:`Online.reflect`."""
-        if self._next is None:
-            return
-        (cloud, positions, turn, turns, sight), now = self._next, self.sight
-        self._next, self.sight = None, sight
-        try:
-            self._think(cloud, positions, turn, turns)
-        except SceneError:
-            # The plan so far holds; a cloud that is no room yet will grow.
-            pass
-        finally:
-            self.sight = now
+        kept = KEPT_AHEAD if self._ahead(turns) else KEPT
+        return self._candidates is None or turn - self._made >= kept
 
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
-        """Plan for a turn; see :meth:`move`."""
+        """Plan for a turn; see :meth:`ThinksAhead._think`."""
         if turn >= REFINING * turns:
             self._refine(cloud, positions, turn, turns)
-        elif self._listed_long_ago(turn):
+            return
+        listed, first = self._listed_long_ago(turn, turns), self._plan is None
+        if listed:
             self._look_around(cloud, positions, turn, turns)
-        else:
+        # Where somebody waits, candidates alone are enough for a turn.
+        if not listed or (self._ahead(turns) and not first):
             self._chosen = self._candidates.anneal(self._chosen, self.rng)
-            self._settle(positions)
+        self._settle(positions)
 
     def _look_around(self, cloud: np.ndarray, positions: np.ndarray, turn: int,
                      turns: int) -> None:
         """Compute what would be seen from where; the plan so far is among the candidates."""
-        model = PartialMap(cloud, positions, self.max_range, QUICK_POINTS, QUICK_ROWS,
+        points, most, self._made = QUICK_POINTS, CANDIDATES, turn
+        if self._plan is None and self._ahead(turns):
+            points, most, self._made = FIRST_POINTS, FIRST_CANDIDATES, turn - KEPT
+        model = PartialMap(cloud, positions, self.max_range, points, QUICK_ROWS,
                            around=AROUND if self.directional else 0.0)
-        unseen = self._memory.unseen(model)
+        unseen = self.memory.unseen(model)
         self._list(model, self.space(cloud, positions), unseen,
-                   cell_weight(model, unseen, turn, turns), len(positions))
-        self._made = turn
-        self._settle(positions)
+                   cell_weight(model, unseen, turn, turns), len(positions), most)
 
     def _list(self, model: PartialMap, space: FreePlane, unseen: np.ndarray, weight: float,
-              cameras: int) -> None:
+              cameras: int, most: int = CANDIDATES) -> None:
         """List candidates; the plan so far is among them, and it is chosen."""
-        count = int(np.clip(space.area / SPACING ** 2, 4, CANDIDATES))
+        count = int(np.clip(space.area / SPACING ** 2, 4, most))
         if self.directional:
             self._candidates = self._sites(model, space, unseen, weight, count)
         else:
@@ -263,7 +220,7 @@ class Lookahead(Online):
     def _survey(self, positions: np.ndarray) -> None:
         """Anneal the plan once more among all candidates, on the model to refine on."""
         model, space = self._kept.made
-        self._list(model, space, self._memory.unseen(model), 0.0, len(positions))
+        self._list(model, space, self.memory.unseen(model), 0.0, len(positions))
         self._chosen = self._candidates.anneal(self._chosen, self.rng)
         self._settle(positions)
 

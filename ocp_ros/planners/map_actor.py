@@ -17,13 +17,13 @@ from scipy.ndimage import uniform_filter
 
 from ocp_ros.agent.encoder import order_of
 from ocp_ros.agent.observation_map import at_yaws, CELLS, FLOOR, Window
-from ocp_ros.agent.partial_map import KeptModel, LookHistory, NO_CELL, PartialMap
+from ocp_ros.agent.partial_map import KeptModel, NO_CELL, PartialMap
 from ocp_ros.agent.rig_state import clearance_of, remember, RigState
 from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.geometry.visibility import FAST
 from ocp_ros.planners.candidate_sites import kinds_of, PITCHES, YAWS
 from ocp_ros.planners.map_turn import MapTurn
-from ocp_ros.planners.online_planner import matched, Online
+from ocp_ros.planners.online_planner import matched, ThinksAhead
 from ocp_ros.scenes.scene import SceneError
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ PER_METRE, GAIN = 0.01, 0.02
 CURIOSITY, EXPLORING, AROUND = 1.5, 0.5, 1.5
 
 
-class MapActor(Online):
+class MapActor(ThinksAhead):
     """
     Go where a trained network says.
 
@@ -61,12 +61,12 @@ class MapActor(Online):
 
     def reset(self) -> None:
         """Forget the last episode."""
-        self._memory = LookHistory()
+        super().reset()
         self._kept = KeptModel(self.max_range, self.wall_margin, PLAIN_POINTS, PLAIN_ROWS)
         #: (K, 6) metres and radians: where each camera goes, and how it is turned there.
         self._plan: np.ndarray | None = None
-        #: Whether the cameras have gone nowhere yet.
-        self._fresh = True
+        #: How many turns have been planned for.
+        self._turns = 0
 
     @property
     def targets(self) -> np.ndarray | None:
@@ -78,45 +78,55 @@ class MapActor(Online):
         """Return how the cameras are turned there; see :attr:`Online.headings`."""
         return self._plan[:, 3:] if self._plan is not None and self.directional else None
 
-    def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
-        """Choose the next moves; see :meth:`~ocp_ros.planners.online_planner.Online.move`."""
-        known = self.begin(cloud, positions, turn, turns)
-        if known is None:
-            return self.wander(cloud, positions)
-        for camera in self.asked(len(positions), turn, turns):
-            self.choose(known, camera, turn / turns)
-        return self.end(known)
-
     def begin(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int
               ) -> MapTurn | None:
         """Take note of a turn, see :meth:`move`; None where nothing is known of the room."""
-        if len(cloud) == 0:
-            return None
-        remember(self._memory, positions, self.sight)
+        remember(self.memory, positions, self.sight)
         try:
-            model, self._space = self._kept(cloud, positions, FAST,
-                                            clearance_of(self.sight, self.clearance))
+            return self._read(cloud, positions, turn, turns)
         except SceneError:
             return None
-        self._fresh = self._plan is None or len(self._plan) != len(positions)
-        plan = _standing(positions, self.sight) if self._fresh else self._plan.copy()
+
+    def _read(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> MapTurn:
+        """Read what is known at a turn; see :meth:`_think`."""
+        model, self._space = self._kept(cloud, positions, FAST,
+                                        clearance_of(self.sight, self.clearance))
+        if not self._planned(len(positions)):
+            self._plan, self._turns = _standing(positions, self.sight), 0
+        plan = self._plan.copy()
         plan[:, :2], plan[:, 2] = self._space.inside(plan[:, :2]), positions[:, 2]
-        return MapTurn(model, self._space, self._memory.unseen(model), plan, positions, self.sight,
+        return MapTurn(model, self._space, self.memory.unseen(model), plan, positions, self.sight,
                        self.max_range, (turns - turn) * self.max_step)
+
+    def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
+        """Let cameras choose again; see :meth:`ThinksAhead._think`."""
+        known = self._read(cloud, positions, turn, turns)
+        for camera in self.asked(len(positions), turn, turns):
+            self.choose(known, camera, turn / turns)
+        self._settle(known)
 
     def asked(self, cameras: int, turn: int, turns: int) -> np.ndarray:
         """Return the cameras that choose again at the turn that was begun, in their order."""
         asked = max(AGAIN, -(-OFTEN * cameras // turns))
-        if self._fresh:
+        # All do at first, as soon as nobody waits for an answer.
+        if self._turns == int(self._ahead(turns)):
             asked = max(asked, 2 * cameras)
         return np.resize(order_of(turn * AGAIN, cameras), asked)
 
     def end(self, known: MapTurn) -> np.ndarray:
         """Let cameras go where a turn has sent them: the next moves (K, 2), metres."""
+        self._settle(known)
+        return self._goals(known.positions) - known.positions[:, :2]
+
+    def _settle(self, known: MapTurn) -> None:
+        """Match the cameras with where a turn has sent them, so that they walk least."""
         self._plan = known.plan[matched(known.positions, known.plan[:, :2], self._kinds())]
-        flat = known.positions[:, :2]
-        return self._space.moved(flat, self.towards(known.positions, self.targets) - flat,
-                                 self.max_step) - flat
+        self._turns += 1
+
+    def _goals(self, positions: np.ndarray) -> np.ndarray:
+        """Return where cameras are after a turn; see :meth:`ThinksAhead._goals`."""
+        flat = positions[:, :2]
+        return self._space.moved(flat, self.towards(positions, self.targets) - flat, self.max_step)
 
     def choose(self, known: MapTurn, camera: int, over: float) -> None:
         """Let a camera choose again where it goes, when a share of the turns is over."""

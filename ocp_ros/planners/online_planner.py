@@ -8,7 +8,7 @@ What they know of the room is the observed cloud;
 """
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING
+from typing import NamedTuple, TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -16,9 +16,11 @@ from scipy.optimize import linear_sum_assignment
 from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.encoder import Encoder, order_of
 from ocp_ros.agent.move_effects import CHOICES, greedy
-from ocp_ros.agent.rig_state import clearance_of, RigState
+from ocp_ros.agent.partial_map import LookHistory
+from ocp_ros.agent.rig_state import clearance_of, remember, RigState
 from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
 from ocp_ros.rig.motion import bounded_moves, towards
+from ocp_ros.scenes.scene import SceneError
 
 if TYPE_CHECKING:
     from ocp_ros.agent.policy import Policy
@@ -28,6 +30,9 @@ if TYPE_CHECKING:
 UNLIKE = 1e6
 #: Share of the turns after which plans are refined: before that too little has been seen.
 REFINING = 0.6
+#: Turns of an episode from which on plans are made while the cameras move, on what was seen before
+#: they did: a turn of many is cheap, one of few is not.
+AHEAD = 20
 #: Share of the turns that who explores plays, and how many it plays at least, before another
 #: planner goes on with its plan.
 HANDOVER, FIRST = 0.2, 3
@@ -137,6 +142,93 @@ class Online(ABC):
         return self.towards(positions, inside) - positions[:, :2]
 
 
+class PlannedTurn(NamedTuple):
+    """
+    A turn to plan for.
+
+    :ivar cloud: (M, 3) float32, metres: the points seen so far.
+    :ivar positions: (K, 3) metres, where the cameras will be.
+    :ivar turn: turns played by then, of so many ``turns``.
+    :ivar sight: how the cameras stood when the cloud was seen.
+    """
+
+    cloud: np.ndarray
+    positions: np.ndarray
+    turn: int
+    turns: int
+    sight: RigState | None
+
+
+class ThinksAhead(Online):
+    """
+    A planner that in an episode of many turns plans while the cameras move.
+
+    Then a plan is of what was seen before they did, and the next cloud is answered at once. Only
+    the first turn is planned for when its cloud is there.
+
+    :ivar memory: what the cameras have looked at.
+    """
+
+    def reset(self) -> None:
+        """Forget the last episode."""
+        self.memory = LookHistory()
+        #: The turn that is to be planned for while the cameras move.
+        self._next: PlannedTurn | None = None
+
+    @abstractmethod
+    def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
+        """
+        Plan for a turn; see :meth:`Online.move`.
+
+        :raises SceneError: if what has been seen is no room.
+        """
+
+    @abstractmethod
+    def _goals(self, positions: np.ndarray) -> np.ndarray:
+        """Return where cameras at (K, 3) are by the plan after a turn: (K, 2) metres."""
+
+    def _ahead(self, turns: int) -> bool:
+        """Tell whether plans are made while the cameras move, in an episode of so many turns."""
+        return turns >= AHEAD
+
+    def _planned(self, cameras: int) -> bool:
+        """Tell whether there is a plan for so many cameras."""
+        return self.targets is not None and len(self.targets) == cameras
+
+    def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
+        """Choose the next moves; see :meth:`Online.move`."""
+        self.reflect()
+        remember(self.memory, positions, self.sight)
+        try:
+            if not (self._ahead(turns) and self._planned(len(positions))):
+                self._think(cloud, positions, turn, turns)
+        except SceneError:
+            return self.wander(cloud, positions)
+        goals = self._goals(positions)
+        if self._ahead(turns) and turn + 1 < turns:
+            self.think_of(PlannedTurn(cloud.copy(), np.column_stack([goals, positions[:, 2]]),
+                                      turn + 1, turns, self.sight))
+        return goals - positions[:, :2]
+
+    def think_of(self, turn: PlannedTurn) -> None:
+        """Leave a turn to be planned for while the cameras move."""
+        self._next = turn
+
+    def reflect(self) -> None:
+        """Make the next plan, where a turn has been left to it; see :meth:`Online.reflect`."""
+        if self._next is None:
+            return
+        (cloud, positions, turn, turns, sight), now = self._next, self.sight
+        self._next, self.sight = None, sight
+        try:
+            self._think(cloud, positions, turn, turns)
+        except SceneError:
+            # The plan so far holds; a cloud that is no room yet will grow.
+            pass
+        finally:
+            self.sight = now
+
+
 class Learned(Online):
     """
     The moves that a trained policy finds best.
@@ -214,6 +306,11 @@ class ThenLookahead(Online):
         self._playing: Online = first
 
     @property
+    def targets(self) -> np.ndarray | None:
+        """Return those of the planner that has played last; see :attr:`Online.targets`."""
+        return self._playing.targets
+
+    @property
     def headings(self) -> np.ndarray | None:
         """Return those of the planner that has played last; see :attr:`Online.headings`."""
         return self._playing.headings
@@ -232,11 +329,21 @@ class ThenLookahead(Online):
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`Online.move`."""
-        planner = self.lookahead if turn >= max(HANDOVER * turns, FIRST) else self.first
-        if planner is self.lookahead and planner is not self._playing:
+        self._hand_over(turn, turns)
+        moves = self._playing.move(cloud, positions, turn, turns)
+        if turns >= AHEAD and self._playing is self.first and self.first.targets is not None:
+            self._hand_over(turn + 1, turns)
+            if self._playing is self.lookahead:
+                ahead = positions + np.pad(moves, ((0, 0), (0, 1)))
+                self.lookahead.think_of(PlannedTurn(cloud.copy(), ahead, turn + 1, turns,
+                                                    self.sight))
+        return moves
+
+    def _hand_over(self, turn: int, turns: int) -> None:
+        """Let the other one go on if it plays the turn."""
+        if turn >= max(HANDOVER * turns, FIRST) and self._playing is self.first:
             self.lookahead.take_over(self.first)
-        self._playing = planner
-        return planner.move(cloud, positions, turn, turns)
+            self._playing = self.lookahead
 
     def reflect(self) -> None:
         """Let the one that plays think; see :meth:`Online.reflect`."""

@@ -15,7 +15,7 @@ from ocp_ros.agent.constraint_filter import ConstraintFilter
 from ocp_ros.agent.heading_planner import HeadingPlanner
 from ocp_ros.agent.rig_state import clearance_of, RigState
 from ocp_ros.geometry.clouds import corners_of
-from ocp_ros.planners.online_planner import Online
+from ocp_ros.planners.online_planner import AHEAD, Online, PlannedTurn
 from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
 from ocp_ros.rig.motion import kept_inside, towards
 from ocp_ros.rig.rig_file import Rig
@@ -68,6 +68,8 @@ class OnlineStep:
         self.planner, self.limits, self.rig, self._report = planner, limits, rig, report
         self._filter = None if rig is None else ConstraintFilter(rig, limits.wall_margin)
         self.aim = self._make_aim()
+        #: The step that is to be thought about while the cameras move.
+        self._next: PlannedTurn | None = None
 
     def _make_aim(self) -> HeadingPlanner | None:
         """Build what chooses headings; None where all cameras are known to be omnidirectional."""
@@ -87,7 +89,10 @@ class OnlineStep:
 
     def reset(self) -> None:
         """Forget the last episode."""
+        self._next = None
         self.planner.reset()
+        if self._filter is not None:
+            self._filter.reset()
         if self.aim is not None:
             self.aim.reset()
 
@@ -100,6 +105,7 @@ class OnlineStep:
         :param turn: time steps taken so far.
         :param turns: time steps of the whole episode.
         """
+        self.reflect()
         moves = self.plan(cloud, state, turn, turns)
         placement = state.placement.copy()
         targets, held = self._constrain(cloud, state, moves)
@@ -107,6 +113,9 @@ class OnlineStep:
         headings = self._aim(cloud, state, placement[:, :3], turn, turns)
         for camera, heading in headings.items():
             placement[camera, 3:] = heading
+        if turns >= AHEAD and turn + 1 < turns and len(cloud) and self._filter is not None:
+            self._next = PlannedTurn(cloud.copy(), placement[:state.movable, :3], turn + 1, turns,
+                                     state._replace(placement=placement))
         return Command(placement, list(headings), held)
 
     def plan(self, cloud: np.ndarray, state: RigState, turn: int, turns: int) -> np.ndarray:
@@ -124,11 +133,30 @@ class OnlineStep:
         return moves
 
     def reflect(self) -> None:
-        """Let the planner think about the next turn while the cameras move."""
+        """
+        Think about the next turn while the cameras move: its plan, where they may be, how to aim.
+
+        Who does not call it gets the same answers: the next step makes up for it.
+        """
         try:
             self.planner.reflect()
         except Exception as error:
             self._fail('planner', error, 'where they are')
+        if self._next is None:
+            return
+        (cloud, positions, turn, turns, state), self._next = self._next, None
+        self._filter.prepare(cloud, positions)
+        if self.aim is None or not self.limits.max_turn:
+            return
+        targets = state.placement[:, :3].copy()
+        if self.planner.targets is not None:
+            targets[:state.movable, :2] = towards(positions[:, :2], self.planner.targets,
+                                                  self.limits.max_step)
+        try:
+            self.aim.think(cloud, state, targets, self.limits.max_turn, turn, turns,
+                           self.planner.headings)
+        except Exception as error:
+            self._fail('aiming', error, 'turned as they are')
 
     def _constrain(self, cloud: np.ndarray, state: RigState, moves: np.ndarray
                    ) -> tuple[np.ndarray, list[str]]:

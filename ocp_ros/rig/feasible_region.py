@@ -207,6 +207,18 @@ class FeasibleRegion:
         checks = self._checks(poses, [model] * len(poses), ROUNDING)
         return ~np.any([check.broken for check in checks], axis=0)
 
+    def clear(self, positions: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """
+        Tell where a camera keeps clear of points that the room may not show yet.
+
+        :param positions: (M, 3) metres.
+        :param points: (N, 3) float32, metres; those of the surface that a camera hangs on do not
+            count.
+        :returns: (M,) bool.
+        """
+        contact = None if self.surface is None else self.surface.at(positions)
+        return ~self._too_close(positions, contact, points, cKDTree(points)).broken
+
     def _checks(self, poses: np.ndarray, models: Sequence[CameraModel | None], beyond: float
                 ) -> Iterator[Check]:
         """Yield all constraints of single cameras, so many metres beyond the floor included."""
@@ -217,7 +229,7 @@ class FeasibleRegion:
         yield Check(FREE_SPACE, closed, lambda k: (
             'found a position inside furniture or behind it; expected one in free space; move it '
             'there'))
-        yield self._too_close(positions, contact)
+        yield self._too_close(positions, contact, self.scene.points, self._tree)
         yield from self._off_mount(positions, contact)
         for number, zone in enumerate(self.rig.keep_out, start=1):
             inside = zone.contains(positions, self.floor)
@@ -243,14 +255,15 @@ class FeasibleRegion:
             f'found {_place(positions[k])}, which is not above floor that {self.scene.name} '
             'shows; expected a position in the room and not in furniture; move it there'))
 
-    def _too_close(self, positions: np.ndarray, contact: Contact | None) -> Check:
+    def _too_close(self, positions: np.ndarray, contact: Contact | None, points: np.ndarray,
+                   tree: cKDTree) -> Check:
         """Check that surfaces are far enough, but for the one that a camera hangs on."""
-        least, points = self.rig.keep_clear, self.scene.points
+        least = self.rig.keep_clear
         nearest, left = np.full(len(positions), np.inf), np.arange(len(positions))
         count = 1 if contact is None else FIRST_NEIGHBOURS
-        while len(left):
+        while len(left) and len(points):
             count = min(count, len(points))
-            away, index = self._tree.query(
+            away, index = tree.query(
                 positions[left], np.arange(1, count + 1), distance_upper_bound=least)
             others = np.isfinite(away)
             full = others[:, -1] & (count < len(points))

@@ -6,8 +6,9 @@ States and labels of the map actor: what it reads, and what each place is truly 
 A rig walks through a room, and at some turns what it has seen is turned into a map. The label is
 dense and privileged: for a camera and some hundred places at once, by how much the depth error of
 the *true* room changes if the camera goes there, given where the others go; of cameras that do not
-see all around, for some headings at each place. It does not depend on where the camera is. Truth is ray casting of the room's mesh, on a scan that the rig never sees;
-where there is no mesh, the engine at its best on the points of the scan.
+see all around, for some headings at each place. It does not depend on where the camera is. Truth
+is ray casting of the room's mesh, on a scan that the rig never sees; where there is no mesh, the
+engine at its best on the points of the scan.
 """
 
 from collections.abc import Sequence
@@ -31,8 +32,8 @@ from ocp_ros.agent.partial_map import LookHistory, PartialMap
 from ocp_ros.agent.rig_state import remember
 from ocp_ros.geometry.cameras import OMNIDIRECTIONAL, PINHOLE, Pose
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.planners.map_actor import MapActor, PLAIN_POINTS, PLAIN_ROWS
 from ocp_ros.geometry.packed_bits import no_bits
+from ocp_ros.planners.map_actor import MapActor, PLAIN_POINTS, PLAIN_ROWS
 from ocp_ros.planners.registry import settings_of
 from ocp_ros.planners.rollout import state_of
 from ocp_ros.rig.motion import towards, turned_towards

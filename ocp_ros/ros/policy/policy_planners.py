@@ -25,6 +25,10 @@ PLANNED_WITH = ('max_step', 'max_range', 'wall_margin', 'clearance')
 class ExploringMap(MapActor):
     """Places drawn from the distribution of a trained map actor."""
 
+    def _ahead(self, turns: int) -> bool:
+        """Draw for each turn when it has come: what was read is told with the turn."""
+        return False
+
     def choose(self, known: MapTurn, camera: int, over: float) -> None:
         """Draw where a camera goes."""
         known.send_to(camera, self.policy.draw(known.experience(camera), self.rng))

@@ -1,0 +1,110 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A step of a rig file's cameras is thought about while they move, and holds all the same."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.planners.lookahead import Lookahead
+from ocp_ros.planners.online_planner import AHEAD
+from ocp_ros.planners.registry import settings_of
+from ocp_ros.planners.rollout import state_of
+from ocp_ros.planners.step import Limits, OnlineStep
+from ocp_ros.rig.rig_file import rig_of
+from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.problem import described, Problem
+from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
+
+RIG = rig_of(2, 'realsense_d455', mount={'on': 'plane', 'height': 1.9})
+
+
+def steps(room, turns, reflects, monkeypatch):
+    """Play an episode: commands, and at which turns somebody waited for something."""
+    config = SimulationConfig(described(RIG), EngineConfig('fast', 32, 0.5),
+                              EpisodeConfig(turns=turns))
+    episode = Episode(Problem.of(room, RIG, config), np.random.default_rng(3))
+    planner = Lookahead(*settings_of(config, np.random.default_rng(0)))
+    step = OnlineStep(planner, Limits(0.5, 0.5, 0.1), RIG)
+    step.reset()
+    waited, commands, turn = set(), [], 0
+    for what, name in ((planner, '_think'), (step._filter, '_look'), (step.aim, 'think')):
+        def counted(*given, plain=getattr(what, name), name=name):
+            if answering:
+                waited.add((turn, name))
+            return plain(*given)
+
+        monkeypatch.setattr(what, name, counted)
+    while not episode.turn.truncated:
+        turn, state, answering = episode.turn.step, state_of(episode), True
+        command = step(episode.observed_cloud, state, turn, turns)
+        answering = False
+        commands.append(command.placement)
+        if reflects:
+            step.reflect()
+        episode.move((command.placement - state.placement)[:, :3], command.placement[:, 3:])
+    return np.array(commands), waited
+
+
+def test_only_the_first_step_is_waited_for(room, monkeypatch):
+    prompt, waited = steps(room, AHEAD, True, monkeypatch)
+    assert waited == {(0, '_think'), (0, '_look'), (0, 'think')}
+    late, _ = steps(room, AHEAD, False, monkeypatch)
+    np.testing.assert_array_equal(prompt, late)
+    turned = np.abs(np.diff(prompt[:, :, 3], axis=0))
+    assert turned.max() > 0.1 and np.ptp(prompt[:, :, :2], axis=0).max() > 0.5
+
+
+def test_in_few_turns_each_step_is_of_what_is_newest(room, monkeypatch):
+    _, waited = steps(room, AHEAD - 1, True, monkeypatch)
+    for name in ('_think', '_look', 'think'):
+        assert (AHEAD - 2, name) in waited
+
+
+def test_a_new_episode_knows_nothing_of_the_last_one(room, monkeypatch):
+    step = OnlineStep(Lookahead(np.random.default_rng(0), 0.5, 4.0, 0.1), Limits(0.5, 0.5, 0.1),
+                      RIG)
+    config = SimulationConfig(described(RIG), EngineConfig('fast', 32, 0.5))
+    episode = Episode(Problem.of(room, RIG, config), np.random.default_rng(3))
+    state = state_of(episode)
+    step(episode.observed_cloud, state, 0, AHEAD)
+    step.reflect()
+    step.reset()
+    looked = []
+    monkeypatch.setattr(step._filter, '_look', lambda *given: looked.append(given))
+    step(episode.observed_cloud, replace_positions(state), 0, AHEAD)
+    assert looked
+
+
+def replace_positions(state):
+    """Return the same cameras a little beside where they were."""
+    placement = state.placement.copy()
+    placement[:, 0] += 0.05
+    return state._replace(placement=placement)
+
+
+@pytest.mark.parametrize('max_turn', [0.0, 0.3])
+def test_a_planner_that_says_no_targets_is_thought_about_too(room, max_turn):
+    class Staying(Lookahead):
+        """Stays, and says nothing of where it goes."""
+
+        targets = None
+
+        def move(self, cloud, positions, turn, turns):
+            return np.zeros((len(positions), 2))
+
+        def reflect(self):
+            pass
+
+    config = replace(SimulationConfig(described(RIG), EngineConfig('fast', 32, 0.5)))
+    episode = Episode(Problem.of(room, RIG, config), np.random.default_rng(3))
+    step = OnlineStep(Staying(np.random.default_rng(0), 0.5, 4.0, 0.1),
+                      Limits(0.5, max_turn, 0.1), RIG)
+    state = state_of(episode)
+    for turn in range(3):
+        command = step(episode.observed_cloud, state, turn, AHEAD)
+        step.reflect()
+        assert np.array_equal(command.placement[:, :3], state.placement[:, :3])
+        assert bool(command.rotated) == bool(max_turn)
