@@ -135,6 +135,15 @@ def test_what_has_just_been_seen_is_in_the_way():
         assert free or 2.6 - found[0, 0] >= 0.299
 
 
+def test_nobody_stays_for_a_place_that_has_just_been_seen():
+    rig, room = rig_of(1, 'omnidirectional', mount=MOUNTS[0]), box_room().points
+    position, target = np.array([[4.0, 2.0, 1.9]]), np.array([[4.3, 2.0, 1.9]])
+    guard = ConstraintFilter(rig, MARGIN)
+    guard.prepare(room[room[:, 0] < 3.0], position)
+    found, held = guard(room, position, target, 0.5)
+    assert not held and np.array_equal(found, target)
+
+
 @pytest.mark.parametrize(('keep_clear', 'expected'), [(0.0, 0.2), (0.6, 0.6)])
 def test_a_target_too_near_to_a_wall_is_moved_to_the_nearest_place(keep_clear, expected):
     rig = rig_of(1, 'omnidirectional', keep_clear=keep_clear, mount=MOUNTS[0])

@@ -99,6 +99,9 @@ class ConstraintFilter:
                             f'found no feasible position within {max_step:g} m')
             else:
                 chosen[camera] = found
+        if held and prepared:
+            # Perhaps the newest points show a place for those that would have to stay.
+            return self(cloud, positions, targets, max_step, fixed)
         return FilteredTargets(chosen, held)
 
     def _look(self, cloud: np.ndarray, top: float) -> None:

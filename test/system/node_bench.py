@@ -36,12 +36,13 @@ from ocp_ros.demo.node_processes import (
 )
 from ocp_ros.demo.train_demo import start_all
 from ocp_ros.demo.watcher import Watch
+from ocp_ros.geometry.cameras import heading_of
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import (
     cloud_to_msg,
     fields_to_msg,
-    msg_to_positions,
+    msg_to_poses,
     ns_to_stamp,
     positions_to_msg,
 )
@@ -50,9 +51,8 @@ from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.runtime.network import LOCALHOST
 from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.problem import PlaneProblem
+from ocp_ros.simulation.problem import make_problem, settings_for
 from ocp_ros.simulation.simulation_config import SimulationConfig
-from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.training.training_speed import cpu_of, in_one_process, Speed
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.threads import cores
@@ -61,6 +61,9 @@ from ocp_ros.util.yaml_files import timestamp
 POINTS, PAIRS = (25_000, 100_000), (1, 2, 4)
 #: Planners and weights; those of the paper's inputs ask no engine.
 PLAYED = (*((planner, PolicyNodeConfig.model) for planner in PLANNERS), (LEARNED, 'paper'))
+#: A rig file whose cameras are aimed and kept to constraints as well; empty for cameras that move
+#: freely on a plane.
+RIGS = ('', 'config/rig/four_d455.yaml')
 #: The first of the rooms in which turns are answered; none of them is a training room.
 FIRST_ROOM = 200
 #: Share of a room's points that cameras see in the end, about.
@@ -78,17 +81,19 @@ class Answers:
     :param watch: whose executor spins the node, and which listens to the commands.
     :param planner: of the node.
     :param model: its weights.
+    :param rig: path of a rig file; empty for none.
     :ivar profile: of the turns that come, if they shall be profiled and not timed.
     """
 
-    def __init__(self, watch: Watch, planner: str, model: str) -> None:
+    def __init__(self, watch: Watch, planner: str, model: str, rig: str) -> None:
+        self.rig = rig
         self.watch, self.wall, self.cpu, self.points = watch, [], [], []
         #: Seconds that were thought after the command, while cameras would move.
         self.thought: list[float] = []
         self.profile: cProfile.Profile | None = None
         self.node = PolicyNode(context=watch.context, parameter_overrides=[
             Parameter('planner', value=planner), Parameter('model', value=model),
-            Parameter('turns', value=TURNS),
+            Parameter('turns', value=TURNS), Parameter('rig_file', value=rig),
             Parameter('convergence_distance', value=0.0)])
         self._published = 0.0
         self.node._turns._reflect = self._reflect
@@ -100,15 +105,17 @@ class Answers:
 
     def play(self, room: int, points: int) -> None:
         """Play an episode in a room of so many points."""
-        config = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=32))
-        simulator = Simulator(generate_room(room, round(points / SEEN)), config)
-        episode = Episode(PlaneProblem(simulator), np.random.default_rng(room))
+        config = settings_for(SimulationConfig(
+            engine=EngineConfig(preset='fast', error_rows=32), rig_file=self.rig))
+        problem = make_problem(generate_room(room, round(points / SEEN)), config)
+        episode = Episode(problem, np.random.default_rng(room))
         number = room * 1000
         while not episode.turn.truncated:
             number += 1
             header = Header(stamp=ns_to_stamp(number), frame_id='map')
             self.node._turns.on_reward(_reward(number, room, episode.turn.step))
-            self.node._turns.on_poses(positions_to_msg(episode.turn.positions, header))
+            self.node._turns.on_poses(positions_to_msg(
+                episode.turn.positions, header, episode.turn.headings))
             cloud = cloud_to_msg(episode.observed_cloud, header)
             wall, cpu = time.perf_counter(), time.process_time()
             if self.profile:
@@ -119,8 +126,10 @@ class Answers:
             self.wall.append(self._published - wall)
             self.thought.append(time.perf_counter() - self._published)
             self.points.append(cloud.width)
-            target = msg_to_positions(self.node._turns.answer)
-            episode.move((target - episode.turn.positions)[:, :2])
+            targets = msg_to_poses(self.node._turns.answer)
+            moves = [pose.position for pose in targets] - episode.turn.positions
+            episode.move(moves, np.array([heading_of(pose.rotation) for pose in targets])
+                         if self.rig else None)
 
 
 def _reward(stamp: int, episode: int, step: int) -> Float64MultiArray:
@@ -129,13 +138,16 @@ def _reward(stamp: int, episode: int, step: int) -> Float64MultiArray:
                           'episode': episode, 'step': step})
 
 
-def latency(watch: Watch, planner: str, model: str, points: int, rooms: int) -> dict[str, Any]:
+def latency(watch: Watch, planner: str, model: str, rig: str, points: int, rooms: int
+            ) -> dict[str, Any]:
     """
     Measure how long turns take.
 
+    :param rig: path of a rig file; empty for none.
+
     :returns: milliseconds, wall and processor, and the functions that took most of the time.
     """
-    answers = Answers(watch, planner, model)
+    answers = Answers(watch, planner, model, rig)
     try:
         # What is compiled or built once is not measured.
         answers.play(FIRST_ROOM - 1, 5000)
@@ -145,7 +157,8 @@ def latency(watch: Watch, planner: str, model: str, points: int, rooms: int) -> 
         wall, cpu = 1e3 * np.array(answers.wall), 1e3 * np.array(answers.cpu)
         answers.profile = cProfile.Profile()
         answers.play(FIRST_ROOM + rooms, points)
-        return {'planner': planner, 'model': model, 'points': points, 'turns': len(wall),
+        return {'planner': planner, 'model': model, 'rig': rig, 'points': points,
+                'turns': len(wall),
                 'points_seen_in_the_end': int(max(answers.points)),
                 **{f'{name}_{kind}': float(np.percentile(values, level))
                    for kind, values in (('ms', wall), ('cpu_ms', cpu),
@@ -234,9 +247,10 @@ def main(args: list[str] | None = None) -> int:
     if options.rooms:
         domain, holder = free_domain()
         with holder, Watch(domain) as watch:
-            cases = [(*played, points) for played in PLAYED for points in POINTS]
-            for planner, model, points in track(cases, 'turns', console=Console(stderr=True)):
-                rows.append(latency(watch, planner, model, points, options.rooms))
+            cases = [(*played, rig, points) for rig in RIGS for played in PLAYED
+                     for points in POINTS]
+            for case in track(cases, 'turns', console=Console(stderr=True)):
+                rows.append(latency(watch, *case, options.rooms))
                 Console(stderr=True).print(rows[-1])
     result = {'policy_latency_ms': rows,
               'training': training(options.seconds, options.pairs) if options.seconds else [],
