@@ -97,6 +97,7 @@ class StateTask:
     :ivar seed: of everything that is drawn.
     :ivar weights: of the policy that plays, as one blob; empty for walks to drawn places.
     :ivar headings: how many are valued at each place; 0 for cameras that see all around.
+    :ivar observed: whether places are also valued on what has been seen.
     """
 
     rooms: RoomsConfig
@@ -104,6 +105,7 @@ class StateTask:
     seed: tuple[int, ...]
     weights: bytes = b''
     headings: int = 0
+    observed: bool = False
 
 
 class TrueRoom:
@@ -174,7 +176,8 @@ def play_states(task: StateTask) -> dict[str, np.ndarray]:
         (S, ...), see :class:`~ocp_ros.agent.observation_map.ObservationMap`; ``lens`` (S, ...),
         see :func:`~ocp_ros.agent.observation_map.told_of`; ``of`` (S,), the map of each choice;
         ``places`` (M, P, 2), the places that are labelled, in cells of the map; and ``values``
-        (S, P, D) float16, the labels, NaN beyond the last.
+        (S, P, D) float16, the labels, NaN beyond the last. If it is asked for, ``observed``
+        (S, P, D) is the same as the labels, of what has been seen in place of the true room.
     """
     rng = np.random.default_rng(task.seed)
     rotation = float(rng.uniform(0.0, 360.0)) if rng.random() < 0.5 else 0.0
@@ -189,7 +192,7 @@ def play_states(task: StateTask) -> dict[str, np.ndarray]:
     config = SimulationConfig(rig, EngineConfig(preset='fine', error_rows=16))
     room = TrueRoom(true, config, task.headings)
     problem = PlaneProblem(Simulator(scan, config))
-    states = _States(room, rng, task.headings)
+    states = _States(room, rng, task)
     for _ in range(EPISODES):
         cameras = int(rng.choice(CAMERAS, p=OFTEN))
         states.play(problem, cameras, float(rng.uniform(*STEPS)), task.weights)
@@ -199,9 +202,11 @@ def play_states(task: StateTask) -> dict[str, np.ndarray]:
 class _States:
     """The maps and choices of a room so far."""
 
-    def __init__(self, room: TrueRoom, rng: np.random.Generator, headings: int) -> None:
-        self._room, self._rng, self._headings = room, rng, headings
-        self._lens = room.engine.models[0].lens if headings else None
+    def __init__(self, room: TrueRoom, rng: np.random.Generator, task: StateTask) -> None:
+        self._room, self._rng, self._headings = room, rng, task.headings
+        self._lens = room.engine.models[0].lens if task.headings else None
+        #: For each choice what the poses are worth on what has been seen; None if nobody asks.
+        self._observed: list[np.ndarray] | None = [] if task.observed else None
         self._maps: list[np.ndarray] = []
         self._places: list[np.ndarray] = []
         self._choices: list[tuple[int, np.ndarray, np.ndarray, np.ndarray]] = []
@@ -276,6 +281,10 @@ class _States:
             channels, numbers = known.others(
                 [views[other] for other in range(cameras) if other != camera], poses[others])
             self._choices.append((number, channels, numbers, values))
+            if self._observed is not None:
+                self._observed.append(model.depth_error.changes(
+                    [views[other].seen for other in range(cameras) if other != camera],
+                    [self._look(model, pose, positions).seen for pose in poses], FLOOR))
             if rng.random() < AT_RANDOM:
                 going[camera] = rng.integers(len(poses))
             else:
@@ -297,11 +306,16 @@ class _States:
                     for name, (kind, shape) in shapes_of(self._headings).items()}
         of, others, numbers, values = zip(*self._choices)
         places, count = np.stack(self._places), len(self._room.places)
-        labels = np.stack(values).astype(np.float16).reshape(len(values), count, -1)
         most = shapes_of(self._headings)['places'][1][0]
         padding = ((0, 0), (0, most - count), (0, 0))
+
+        def labels(found: Sequence[np.ndarray]) -> np.ndarray:
+            by_heading = np.stack(found).astype(np.float16).reshape(len(found), count, -1)
+            return np.pad(by_heading, padding, constant_values=np.nan)
+
+        observed = {} if self._observed is None else {'observed': labels(self._observed)}
         return {'room': np.stack(self._maps), 'of': np.array(of, dtype=np.int32),
                 'others': np.stack(others), 'numbers': np.stack(numbers),
                 'lens': np.tile(told_of(self._lens), (len(values), 1)),
                 'places': np.pad(places, padding, constant_values=0.5 * CELLS),
-                'values': np.pad(labels, padding, constant_values=np.nan)}
+                'values': labels(values)} | observed
