@@ -61,9 +61,8 @@ from ocp_ros.util.yaml_files import timestamp
 POINTS, PAIRS = (25_000, 100_000), (1, 2, 4)
 #: Planners and weights; those of the paper's inputs ask no engine.
 PLAYED = (*((planner, PolicyNodeConfig.model) for planner in PLANNERS), (LEARNED, 'paper'))
-#: A rig file whose cameras are aimed and kept to constraints as well; empty for cameras that move
-#: freely on a plane.
-RIGS = ('', 'config/rig/four_d455.yaml')
+#: A rig file whose cameras are aimed and kept to constraints as well.
+RIG = 'config/rig/four_d455.yaml'
 #: The first of the rooms in which turns are answered; none of them is a training room.
 FIRST_ROOM = 200
 #: Share of a room's points that cameras see in the end, about.
@@ -247,8 +246,8 @@ def main(args: list[str] | None = None) -> int:
     if options.rooms:
         domain, holder = free_domain()
         with holder, Watch(domain) as watch:
-            cases = [(*played, rig, points) for rig in RIGS for played in PLAYED
-                     for points in POINTS]
+            cases = [(*played, '', points) for played in PLAYED for points in POINTS]
+            cases += [(planner, PolicyNodeConfig.model, RIG, POINTS[0]) for planner in PLANNERS]
             for case in track(cases, 'turns', console=Console(stderr=True)):
                 rows.append(latency(watch, *case, options.rooms))
                 Console(stderr=True).print(rows[-1])
