@@ -13,9 +13,9 @@ from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.errors import CheckpointError
 from ocp_ros.agent.observation_map import NUMBERS, OF_OTHERS, OF_ROOM
 from ocp_ros.agent.value_network import ValueMapNetwork
-from ocp_ros.evaluation import value_ablation
-from ocp_ros.evaluation.value_ablation import GROUPS, main, means_of, regrets, Without
+from ocp_ros.training import value_ablation
 from ocp_ros.training.training_config import RoomsConfig
+from ocp_ros.training.value_ablation import GROUPS, main, means_of, regrets, Without
 from ocp_ros.training.value_states import play_states, StateTask
 
 AGENT = AgentConfig(inputs='map')
