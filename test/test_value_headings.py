@@ -180,12 +180,13 @@ def test_only_the_map_of_headings_is_learned_where_there_are_any(small, here, tm
                                                                  monkeypatch):
     # At first cameras that are aimed see too little of a thinner scan to tell that it is a room.
     monkeypatch.setattr(value_states, 'SCANS', (8000,))
-    first = Checkpoint(ROUND, drawn(ROUND).state_dict())
+    first = Checkpoint(ROUND, drawn(ROUND).state_dict(), 3, 'first', {'seed': 5})
     first.save(tmp_path / 'first.safetensors')
     config = from_nested(TrainingConfig, TINY | {
         'model': str(tmp_path / 'first.safetensors'), 'agent': {'inputs': 'map', 'headings': 8}})
     made = train(config, tmp_path / 'run', 'a command')
     assert made.config.headings == 8
+    assert made.provenance['began_with'] == {'run': 'first', 'updates': 3, 'seed': 5}
     for name, value in first.weights.items():
         assert torch.equal(made.weights[name], value), name
     assert not torch.equal(made.weights['aimed.enter.weight'][:, :1],

@@ -14,6 +14,7 @@ from datetime import date
 import io
 from pathlib import Path
 import time
+from typing import Any
 
 import numpy as np
 from rich.progress import Progress
@@ -60,8 +61,12 @@ class ValueRun:
         self._began = time.monotonic() - (past[-1]['seconds'] if past else 0.0)
         #: What is learned of it is the value map for cameras that are aimed, where there is one.
         self._whole = ValueMapNetwork(config.agent)
+        #: How the weights were made that it begins with, if there are any.
+        self._before: dict[str, Any] = {}
         if config.model:
-            _begin_with(self._whole, config)
+            start = _begin_with(self._whole, config)
+            self._before = {'began_with': {'run': start.run, 'updates': start.updates,
+                                           **start.provenance}}
         self.fit = ValueFit(self._whole.aimed or self._whole, config.values, config.seed)
 
     def checkpoint(self) -> Checkpoint:
@@ -71,7 +76,7 @@ class ValueRun:
             name: value.clone() for name, value in (self._whole.state_dict() | learned).items()},
             self.fit.step, self.name, {
                 'interactions': 0, 'seed': self.config.seed, 'date': date.today().isoformat(),
-                'training': to_nested(self.config)})
+                'training': to_nested(self.config), **self._before})
 
     @property
     def device(self) -> torch.device:
@@ -121,9 +126,9 @@ class ValueRun:
         return ValueSet([_read(path, shapes_of(headings)) for path in paths])
 
 
-def _begin_with(network: ValueMapNetwork, config: TrainingConfig) -> None:
+def _begin_with(network: ValueMapNetwork, config: TrainingConfig) -> Checkpoint:
     """
-    Start a network from the weights that are named.
+    Start a network from the weights that are named, and return these.
 
     :raises CheckpointError: if they are of other agent settings; they need not know of headings.
     """
@@ -134,12 +139,13 @@ def _begin_with(network: ValueMapNetwork, config: TrainingConfig) -> None:
                               f"the run's own agent settings, {config.agent}")
     if checkpoint.config.headings == config.agent.headings:
         network.load_state_dict(checkpoint.weights)
-        return
+        return checkpoint
     network.load_state_dict({**network.state_dict(), **{
         name: value for name, value in checkpoint.weights.items()
         if not name.startswith('aimed.')}})
     if network.aimed is not None:
         network.begin_aimed()
+    return checkpoint
 
 
 def _read(path: Path, shapes: dict[str, tuple[type, tuple[int, ...]]]) -> dict[str, np.ndarray]:
