@@ -12,7 +12,9 @@ then in small steps, on a model at full resolution and among places that the cam
 reach: a model of thinned points promises what the room does not keep.
 
 In an episode of many turns plans are made while the cameras move; see
-:class:`~ocp_ros.planners.online_planner.ThinksAhead`.
+:class:`~ocp_ros.planners.online_planner.ThinksAhead`. But who explores alone waits for the newest
+clouds to list candidates: of clouds that were a turn old, two cameras never found some parts of
+rooms.
 """
 
 from typing import NamedTuple
@@ -39,11 +41,8 @@ from ocp_ros.util.threads import mapped
 SPACING, CANDIDATES = 0.5, 400
 #: Points and rows of depth maps of the model that candidates are compared on.
 QUICK_POINTS, QUICK_ROWS = 6000, 32
-#: Points of that model and candidates for the first answer, where better ones follow as soon as
-#: the cameras move.
-FIRST_POINTS, FIRST_CANDIDATES = 3000, 48
-#: Turns that candidates are kept for where somebody waits for plans, and where nobody does. Their
-#: views are computed in the first of these turns.
+#: Turns that candidates are kept for, where somebody waits for them to be listed and where nobody
+#: does. Their views are computed in the first of these turns.
 KEPT, KEPT_AHEAD = 3, 2
 #: Points, rows of depth maps and folds of the model to refine on, and turns that it is kept for at
 #: least.
@@ -86,6 +85,8 @@ class Lookahead(ThinksAhead):
         super().reset()
         #: Where each camera goes: (K, 2) metres.
         self._plan: np.ndarray | None = None
+        #: Whether another planner has explored before.
+        self._explored = False
         #: How they are turned there: (K, 3) radians; None where all are omnidirectional.
         self._headings: np.ndarray | None = None
         self._candidates: Candidates | None = None
@@ -98,6 +99,7 @@ class Lookahead(ThinksAhead):
     def take_over(self, other: Online) -> None:
         """Go on with where another planner would have gone, if it says so."""
         self._plan, self._headings = other.targets, other.headings
+        self._explored = True
 
     @property
     def targets(self) -> np.ndarray | None:
@@ -110,38 +112,46 @@ class Lookahead(ThinksAhead):
 
     def _listed_long_ago(self, turn: int, turns: int) -> bool:
         """Tell whether candidates have to be listed, or listed again."""
-        kept = KEPT_AHEAD if self._ahead(turns) else KEPT
+        kept = KEPT_AHEAD if self._lists_ahead(turns) else KEPT
         return self._candidates is None or turn - self._made >= kept
+
+    def _lists_ahead(self, turns: int) -> bool:
+        """Tell whether candidates are listed while the cameras move."""
+        return self._explored and self._ahead(turns)
+
+    def _waited_for(self, turn: int, turns: int, cameras: int) -> bool:
+        """Tell whether a turn needs its own cloud; see :meth:`ThinksAhead._waited_for`."""
+        return super()._waited_for(turn, turns, cameras) or (
+            not self._lists_ahead(turns) and turn < REFINING * turns
+            and self._listed_long_ago(turn, turns))
 
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Plan for a turn; see :meth:`ThinksAhead._think`."""
         if turn >= REFINING * turns:
             self._refine(cloud, positions, turn, turns)
             return
-        listed, first = self._listed_long_ago(turn, turns), self._plan is None
+        listed = self._listed_long_ago(turn, turns)
         if listed:
             self._look_around(cloud, positions, turn, turns)
         # Where somebody waits, candidates alone are enough for a turn.
-        if not listed or (self._ahead(turns) and not first):
+        if not listed or self._lists_ahead(turns):
             self._chosen = self._candidates.anneal(self._chosen, self.rng)
         self._settle(positions)
 
     def _look_around(self, cloud: np.ndarray, positions: np.ndarray, turn: int,
                      turns: int) -> None:
         """Compute what would be seen from where; the plan so far is among the candidates."""
-        points, most, self._made = QUICK_POINTS, CANDIDATES, turn
-        if self._plan is None and self._ahead(turns):
-            points, most, self._made = FIRST_POINTS, FIRST_CANDIDATES, turn - KEPT
-        model = PartialMap(cloud, positions, self.max_range, points, QUICK_ROWS,
+        model = PartialMap(cloud, positions, self.max_range, QUICK_POINTS, QUICK_ROWS,
                            around=AROUND if self.directional else 0.0)
         unseen = self.memory.unseen(model)
         self._list(model, self.space(cloud, positions), unseen,
-                   cell_weight(model, unseen, turn, turns), len(positions), most)
+                   cell_weight(model, unseen, turn, turns), len(positions))
+        self._made = turn
 
     def _list(self, model: PartialMap, space: FreePlane, unseen: np.ndarray, weight: float,
-              cameras: int, most: int = CANDIDATES) -> None:
+              cameras: int) -> None:
         """List candidates; the plan so far is among them, and it is chosen."""
-        count = int(np.clip(space.area / SPACING ** 2, 4, most))
+        count = int(np.clip(space.area / SPACING ** 2, 4, CANDIDATES))
         if self.directional:
             self._candidates = self._sites(model, space, unseen, weight, count)
         else:

@@ -163,8 +163,8 @@ class ThinksAhead(Online):
     """
     A planner that in an episode of many turns plans while the cameras move.
 
-    Then a plan is of what was seen before they did, and the next cloud is answered at once. Only
-    the first turn is planned for when its cloud is there.
+    Then a plan is of what was seen before they did, and the next cloud is answered at once. The
+    first turn is planned for when its cloud is there.
 
     :ivar memory: what the cameras have looked at.
     """
@@ -191,6 +191,10 @@ class ThinksAhead(Online):
         """Tell whether plans are made while the cameras move, in an episode of so many turns."""
         return turns >= AHEAD
 
+    def _waited_for(self, turn: int, turns: int, cameras: int) -> bool:
+        """Tell whether a turn is planned for when its cloud is there."""
+        return not (self._ahead(turns) and self._planned(cameras))
+
     def _planned(self, cameras: int) -> bool:
         """Tell whether there is a plan for so many cameras."""
         return self.targets is not None and len(self.targets) == cameras
@@ -200,12 +204,12 @@ class ThinksAhead(Online):
         self.reflect()
         remember(self.memory, positions, self.sight)
         try:
-            if not (self._ahead(turns) and self._planned(len(positions))):
+            if self._waited_for(turn, turns, len(positions)):
                 self._think(cloud, positions, turn, turns)
         except SceneError:
             return self.wander(cloud, positions)
         goals = self._goals(positions)
-        if self._ahead(turns) and turn + 1 < turns:
+        if turn + 1 < turns and not self._waited_for(turn + 1, turns, len(positions)):
             self.think_of(PlannedTurn(cloud.copy(), np.column_stack([goals, positions[:, 2]]),
                                       turn + 1, turns, self.sight))
         return goals - positions[:, :2]
