@@ -26,7 +26,7 @@ from ocp_ros.agent.rig_state import RigState
 from ocp_ros.agent.value_network import valued, ValueMapNetwork
 from ocp_ros.agent.value_policy import ValuePolicy
 from ocp_ros.geometry.cameras import CameraModel
-from ocp_ros.planners.map_actor import MapActor
+from ocp_ros.planners.map_actor import MANY, MapActor
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.scenes.synthetic.generator import generate_room
@@ -226,7 +226,12 @@ def test_the_actor_turns_cameras_as_the_map_says(room):
                           [middle[0] + 0.5, middle[1], 1.9, 3.0, 0.2, 0.0]])
     actor = MapActor(Looking(), np.random.default_rng(0), 0.5, 4.0, 0.1)
     actor.know(RigState(placement, models, 2))
-    actor.move(room.points, placement[:, :3], 0, 5)
+    actor.move(room.points, placement[:, :3], 0, MANY - 1)
+    # In few turns headings are not valued.
+    assert (np.stack(asked) == 1.0).all()
+    asked.clear()
+    actor.reset()
+    actor.move(room.points, placement[:, :3], 0, MANY)
     assert np.allclose(np.stack(asked), told_of(models[0].lens))
     away = (actor.headings[:, 0] - yaws_of(8)[best] + np.pi) % (2.0 * np.pi) - np.pi
     assert np.abs(away).max() < 0.5 * np.pi

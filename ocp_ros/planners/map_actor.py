@@ -38,6 +38,9 @@ TRIED = 16
 #: The least share of the network in what a place is worth, and how much larger it is than the
 #: share of the air that has not been seen.
 TRUST, PER_UNSEEN = 0.35, 5.0
+#: Turns of an episode from which on cameras that do not see all around are valued by heading: in
+#: few turns they see so little that it is better to be where most can be seen.
+MANY = 20
 #: What a metre of way costs, and what a target has to be better by to be changed for, both in
 #: units of the value: shares of the error.
 PER_METRE, GAIN = 0.01, 0.02
@@ -96,7 +99,7 @@ class MapActor(ThinksAhead):
         plan = self._plan.copy()
         plan[:, :2], plan[:, 2] = self._space.inside(plan[:, :2]), positions[:, 2]
         return MapTurn(model, self._space, self.memory.unseen(model), plan, positions, self.sight,
-                       self.max_range, (turns - turn) * self.max_step)
+                       self.max_range, (turns - turn) * self.max_step, turns >= MANY)
 
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Let cameras choose again; see :meth:`ThinksAhead._think`."""

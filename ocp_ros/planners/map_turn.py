@@ -24,15 +24,16 @@ class MapTurn:
     :param sight: how they stand and what each sees; None for 360-degree cameras.
     :param max_range: of the cameras, metres.
     :param reach: how far a camera may still go, metres.
+    :param aimed: whether cameras that do not see all around are valued by heading.
     :ivar room: the map; see :class:`~ocp_ros.agent.observation_map.ObservationMap`.
     :ivar cells: (CELLS * CELLS, 2) metres: the middles of the cells of the map.
     """
 
     def __init__(self, model: PartialMap, space: FreePlane, unseen: np.ndarray, plan: np.ndarray,
-                 positions: np.ndarray, sight: RigState | None, max_range: float, reach: float
-                 ) -> None:
+                 positions: np.ndarray, sight: RigState | None, max_range: float, reach: float,
+                 aimed: bool = True) -> None:
         self.model, self.unseen, self.plan, self.positions = model, unseen, plan, positions
-        self._sight, self._reach = sight, reach
+        self._sight, self._reach, self._aimed = sight, reach, aimed
         self.room = ObservationMap(model, unseen, len(plan), max_range,
                                    float(np.median(positions[:, 2])))
         self.cells = self.room.window.middles.reshape(-1, 2)
@@ -53,7 +54,7 @@ class MapTurn:
         """
         others, numbers = self.room.others(self.beside(camera), np.delete(self.plan, camera, 0))
         return {'room': self.room.room, 'others': others, 'numbers': numbers,
-                'lens': told_of(self._lens(camera))}
+                'lens': told_of(self._lens(camera) if self._aimed else None)}
 
     def experience(self, camera: int) -> dict[str, np.ndarray]:
         """
