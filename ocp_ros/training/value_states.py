@@ -13,6 +13,7 @@ engine at its best on the points of the scan.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -33,6 +34,7 @@ from ocp_ros.agent.rig_state import remember
 from ocp_ros.geometry.cameras import OMNIDIRECTIONAL, PINHOLE, Pose
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import no_bits
+from ocp_ros.geometry.visibility import SurfelVisibility
 from ocp_ros.planners.map_actor import MapActor, PLAIN_POINTS, PLAIN_ROWS
 from ocp_ros.planners.registry import settings_of
 from ocp_ros.planners.rollout import state_of
@@ -135,7 +137,9 @@ class TrueRoom:
 
     def _looks(self, place: np.ndarray, turned: np.ndarray) -> list[np.ndarray]:
         """Return the packed bits of what a camera sees at a place, turned (D, 3) radians."""
-        lens, look = self.engine.models[0].lens, self.engine.visibility
+        lens = self.engine.models[0].lens
+        # Points as cubes, the other kind, are those of another preset.
+        look = cast(SurfelVisibility, self.engine.visibility)
         seen, covered = no_bits(len(self.engine.scene)), no_bits(len(self.engine.grid))
         look.look(Pose.of(place), lens._replace(kind=OMNIDIRECTIONAL), seen, covered)
         if lens.kind == OMNIDIRECTIONAL:
