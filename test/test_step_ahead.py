@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A step of a rig file's cameras is thought about while they move, and holds all the same."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -85,11 +83,11 @@ def test_a_new_episode_knows_nothing_of_the_last_one(room, monkeypatch):
     step.reset()
     looked = []
     monkeypatch.setattr(step._filter, '_look', lambda *given: looked.append(given))
-    step(episode.observed_cloud, replace_positions(state), 0, AHEAD)
+    step(episode.observed_cloud, beside(state), 0, AHEAD)
     assert looked
 
 
-def replace_positions(state):
+def beside(state):
     """Return the same cameras a little beside where they were."""
     placement = state.placement.copy()
     placement[:, 0] += 0.05
@@ -109,7 +107,7 @@ def test_a_planner_that_says_no_targets_is_thought_about_too(room, max_turn):
         def reflect(self):
             pass
 
-    config = replace(SimulationConfig(described(RIG), EngineConfig('fast', 32, 0.5)))
+    config = SimulationConfig(described(RIG), EngineConfig('fast', 32, 0.5))
     episode = Episode(Problem.of(room, RIG, config), np.random.default_rng(3))
     step = OnlineStep(Staying(np.random.default_rng(0), 0.5, 4.0, 0.1),
                       Limits(0.5, max_turn, 0.1), RIG)

@@ -4,6 +4,7 @@
 
 import json
 
+from conftest import Here
 import numpy as np
 import pytest
 import torch
@@ -70,19 +71,6 @@ def test_who_knows_the_labels_regrets_nothing_and_chance_regrets_most(states):
 
 
 def test_the_command_writes_what_it_measured(small, monkeypatch, tmp_path):
-    class Here:
-        def __init__(self, workers):
-            pass
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *error):
-            pass
-
-        def unordered(self, play, tasks):
-            return ((number, play(task)) for number, task in enumerate(tasks))
-
     monkeypatch.setattr(value_ablation, 'WorkerPool', Here)
     main(['--rooms', '1', '--out', str(tmp_path / 'found.json')])
     found = json.loads((tmp_path / 'found.json').read_bytes())

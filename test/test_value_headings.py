@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from test_value_map import TINY
 import torch
 
 from ocp_ros.agent.agent_config import AgentConfig
@@ -166,14 +167,6 @@ def test_states_of_headings_are_played_alike_and_of_their_shape(small):
         assert states[name].dtype == kind and states[name].shape[1:] == shape, name
         assert np.array_equal(states[name], again[name], equal_nan=kind in (np.float16,)), name
     assert (states['lens'] < 1.0).all()
-
-
-TINY = {'interactions': 0, 'agent': {'inputs': 'map'}, 'workers': 1,
-        'rooms': {'training': 2, 'validation': 1, 'test': 1, 'points': 1500, 'rotations': '0'},
-        'simulation': {'engine': {'preset': 'fast', 'error_rows': 16, 'coverage_cell': 1.0},
-                       'episode': {'turns': 3}},
-        'values': {'rooms': 1, 'own_rooms': 1, 'steps': 2, 'own_steps': 2, 'batch_size': 2,
-                   'evaluate_every': 2}}
 
 
 def test_only_the_map_of_headings_is_learned_where_there_are_any(small, here, tmp_path,

@@ -74,7 +74,6 @@ class AgentConfig:
                 f'agent.joint: found {self.joint} with agent.inputs {self.inputs!r}, agent.others '
                 f'{self.others} and agent.choices {str(self.choices).lower()}; expected 0, or the '
                 'inputs cloud with others 0 and choices false: one head answers for all cameras')
-
         if self.headings and not self.map:
             raise ConfigurationError(f'agent.headings: found {self.headings} with agent.inputs '
                                      f'{self.inputs!r}; expected 0, or the inputs map')

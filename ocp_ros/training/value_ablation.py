@@ -99,10 +99,8 @@ def regrets(network: ValueMap, states: Sequence[dict[str, np.ndarray]]) -> dict[
     for name, (part, channels) in GROUPS.items():
         found[f'without_{name}'] = regret_of(
             Without(network, part, channels, means[part]), choices)
-    values = np.concatenate([one['values'].reshape(len(one['values']), -1)
-                             for one in states]).astype(np.float64)
-    observed = np.concatenate([one['observed'].reshape(len(one['observed']), -1)
-                               for one in states]).astype(np.float64)
+    values, observed = (np.concatenate([one[name].reshape(len(one[name]), -1) for one in states])
+                        .astype(np.float64) for name in ('values', 'observed'))
     best = np.nanmin(values, axis=1)
     chosen = np.take_along_axis(values, np.nanargmin(observed, axis=1)[:, None], axis=1)[:, 0]
     found['observed_points'] = float(np.mean(chosen - best))
