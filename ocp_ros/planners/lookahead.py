@@ -12,9 +12,7 @@ then in small steps, on a model at full resolution and among places that the cam
 reach: a model of thinned points promises what the room does not keep.
 
 In an episode of many turns plans are made while the cameras move; see
-:class:`~ocp_ros.planners.online_planner.ThinksAhead`. But who explores alone waits for the newest
-clouds to list candidates: of clouds that were a turn old, two cameras never found some parts of
-rooms.
+:class:`~ocp_ros.planners.online_planner.ThinksAhead`.
 """
 
 from typing import NamedTuple
@@ -85,8 +83,6 @@ class Lookahead(ThinksAhead):
         super().reset()
         #: Where each camera goes: (K, 2) metres.
         self._plan: np.ndarray | None = None
-        #: Whether another planner has explored before.
-        self._explored = False
         #: How they are turned there: (K, 3) radians; None where all are omnidirectional.
         self._headings: np.ndarray | None = None
         self._candidates: Candidates | None = None
@@ -99,7 +95,6 @@ class Lookahead(ThinksAhead):
     def take_over(self, other: Online) -> None:
         """Go on with where another planner would have gone, if it says so."""
         self._plan, self._headings = other.targets, other.headings
-        self._explored = True
 
     @property
     def targets(self) -> np.ndarray | None:
@@ -112,18 +107,8 @@ class Lookahead(ThinksAhead):
 
     def _listed_long_ago(self, turn: int, turns: int) -> bool:
         """Tell whether candidates have to be listed, or listed again."""
-        kept = KEPT_AHEAD if self._lists_ahead(turns) else KEPT
+        kept = KEPT_AHEAD if self._ahead(turns) else KEPT
         return self._candidates is None or turn - self._made >= kept
-
-    def _lists_ahead(self, turns: int) -> bool:
-        """Tell whether candidates are listed while the cameras move."""
-        return self._explored and self._ahead(turns)
-
-    def _waited_for(self, turn: int, turns: int, cameras: int) -> bool:
-        """Tell whether a turn needs its own cloud; see :meth:`ThinksAhead._waited_for`."""
-        return super()._waited_for(turn, turns, cameras) or (
-            not self._lists_ahead(turns) and turn < REFINING * turns
-            and self._listed_long_ago(turn, turns))
 
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Plan for a turn; see :meth:`ThinksAhead._think`."""
@@ -134,7 +119,7 @@ class Lookahead(ThinksAhead):
         if listed:
             self._look_around(cloud, positions, turn, turns)
         # Where somebody waits, candidates alone are enough for a turn.
-        if not listed or self._lists_ahead(turns):
+        if not (listed and self._waited_for(turn, turns, len(positions))):
             self._chosen = self._candidates.anneal(self._chosen, self.rng)
         self._settle(positions)
 

@@ -111,9 +111,11 @@ class MapActor(ThinksAhead):
     def asked(self, cameras: int, turn: int, turns: int) -> np.ndarray:
         """Return the cameras that choose again at the turn that was begun, in their order."""
         asked = max(AGAIN, -(-OFTEN * cameras // turns))
-        # All do at first, as soon as nobody waits for an answer.
+        # All do at first, as soon as nobody waits for an answer; until then one does.
         if self._turns == int(self._ahead(turns)):
             asked = max(asked, 2 * cameras)
+        elif self._turns == 0:
+            asked = 1
         return np.resize(order_of(turn * AGAIN, cameras), asked)
 
     def end(self, known: MapTurn) -> np.ndarray:
