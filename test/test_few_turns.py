@@ -54,6 +54,21 @@ def test_what_was_played_is_not_played_again(tmp_path, played):
     assert json.loads(out.read_text())['summary'] == record['summary']
 
 
+def test_planners_are_compared_with_themselves_before():
+    """Rooms and lengths that only one side has are left out."""
+    rooms = {str(room): {'errors': {'8x2': {'learned': 2.0 + room}, '5x2': {'learned': 1.0}}}
+             for room in range(6)}
+    before = {str(room): {'errors': {'8x2': {'learned': 4.02 + 2.0 * room - 0.01}}}
+              for room in range(1, 7)}
+    found = few_turns.over_before(rooms, before)
+    assert found['5x2'] == {}
+    row = found['8x2']['learned']
+    assert (row['rooms'], row['wins']) == (5, 5)
+    assert row['ratio'] == pytest.approx(0.5)
+    assert row['sum'] == pytest.approx(sum(4.01 + 2.0 * room for room in range(1, 6)))
+    assert few_turns.over_before(rooms, {}) == {}
+
+
 def test_another_comparison_is_not_mixed_in(tmp_path, played):
     out = tmp_path / 'few.json'
     few_turns.main([*COMMAND, '--out', str(out)])

@@ -36,6 +36,8 @@ from ocp_ros.util.worker_pool import WorkerPool
 #: Turns, and the longest move of one, metres.
 LENGTHS = ((3, 2.0), (5, 2.0), (8, 2.0), (14, 2.0), (30, 0.5))
 PLANNERS = ('lookahead', 'learned', 'learned_lookahead', 'greedy_step')
+#: Options that change nothing in what is played.
+APART = ('workers', 'out', 'first', 'before')
 
 
 def named(turns: int, metres: float) -> str:
@@ -128,6 +130,26 @@ def summed(rooms: dict[str, dict[str, Any]], first: str) -> dict[str, dict[str, 
     return result
 
 
+def over_before(rooms: dict[str, dict[str, Any]], before: dict[str, dict[str, Any]]
+                ) -> dict[str, dict[str, dict[str, Any]]]:
+    """
+    Compare planners with themselves in another comparison, as after other training.
+
+    :param rooms: of :func:`play_room`, by name.
+    :param before: the same of the other comparison.
+    :returns: by length and planner, :func:`~ocp_ros.evaluation.paired.pair` in the rooms that both
+        have; its ``sum`` is that of the other comparison.
+    """
+    both = [name for name in rooms if name in before]
+    lengths = {length: sorted({*errors}.intersection(*(
+        side[name]['errors'].get(length, {}) for name in both for side in (rooms, before))))
+        for length, errors in rooms[both[0]]['errors'].items()} if both else {}
+    return {length: {planner: pair(*(
+        np.array([side[name]['errors'][length][planner] for name in both])
+        for side in (rooms, before))) for planner in planners}
+        for length, planners in lengths.items()}
+
+
 def _median(times: list[float | None]) -> float | None:
     """Return the median where all are known: those of rig files are not."""
     known = [time for time in times if time is not None]
@@ -154,7 +176,7 @@ def command_of(options: argparse.Namespace, defaults: argparse.Namespace) -> str
     for name, value in vars(options).items():
         if name == 'rooms' and value:
             words.append('--rooms SCAN ...')
-        elif name not in ('workers', 'out', 'first') and value != getattr(defaults, name):
+        elif name not in APART and value != getattr(defaults, name):
             words.append(f'--{name.replace("_", "-")} {value}')
     return ' '.join(words)
 
@@ -171,6 +193,8 @@ def main(argv: Sequence[str] | None = None) -> None:
                         help='such as 8x2,30x0.5: turns x metres')
     parser.add_argument('--planners', default=','.join(PLANNERS))
     parser.add_argument('--first', default='learned_lookahead', help='compared with the others')
+    parser.add_argument('--before', type=Path, help='a file of this command, such as of other '
+                        'weights: each planner is compared with itself there')
     parser.add_argument('--cameras', type=int, default=4)
     parser.add_argument('--rig', default='', help='a rig file in place of cameras on a plane')
     parser.add_argument('--model', default=Protocol.model)
@@ -218,6 +242,14 @@ def main(argv: Sequence[str] | None = None) -> None:
                       'summary': summed(played, options.first)}
             write_atomically(options.out, json.dumps(record, indent=1) + '\n')
     show(summed(played, options.first), options.first)
+    if options.before:
+        for length, planners in over_before(
+                played, json.loads(options.before.read_bytes())['rooms']).items():
+            for planner, row in planners.items():
+                print(f'{length} {planner}: {row["ratio"]:.3f} times the error in '
+                      f'{options.before}, {row["interval"][0]:.3f} to {row["interval"][1]:.3f}, '
+                      f'better in {row["wins"]} of {row["rooms"]} rooms, p = '
+                      f'{"unknown" if row["p"] is None else format(row["p"], ".2g")}')
 
 
 if __name__ == '__main__':
