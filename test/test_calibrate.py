@@ -11,11 +11,17 @@ import yaml
 from ocp_ros.cli.main import main
 from ocp_ros.evaluation.calibration_bench import cast, off
 from ocp_ros.geometry.cameras import angle_between, heading_of, OPTICAL_TO_BODY, Pose
-from ocp_ros.registration.alignment import matched, Patches, Poses, Surfaces
+from ocp_ros.registration.alignment import matched, Matches, Patches, Poses, Surfaces
 from ocp_ros.registration.calibration import as_built
-from ocp_ros.registration.camera_registration import checked, register
+from ocp_ros.registration.camera_registration import (
+    _behind,
+    _shifted,
+    checked,
+    MOST_BEHIND,
+    register,
+)
 from ocp_ros.registration.live_view import LiveView
-from ocp_ros.registration.pose_certainty import axis_words
+from ocp_ros.registration.pose_certainty import axis_words, certainty
 from ocp_ros.registration.scan_surfaces import inward_sign, ScanSurfaces
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.sensors import SENSORS
@@ -93,6 +99,67 @@ def test_a_bare_wall_holds_three_directions_and_says_which_not():
     assert 'can turn about the y direction' in found.refused
     assert len(found.certainty.loose) == 3
     assert found.pose.position[1] == pytest.approx(0.0, abs=0.01)
+
+
+def test_noise_along_the_rays_is_averaged():
+    noise = 0.017
+    depth = 3.0 + np.random.default_rng(1).normal(0.0, noise, (240, 320))
+    y, z = np.meshgrid(np.linspace(-0.8, 0.8, 320), np.linspace(-0.6, 0.6, 240))
+    rays = np.stack([np.ones_like(y), y, z], axis=-1)
+    patches = LiveView((rays * depth[..., None]).reshape(-1, 3), MODEL).patches
+    # Voxels of 7 cm leave 10 mm: they part the slab into layers.
+    assert patches.points[:, 0].std() < 0.4 * noise
+    assert patches.points[:, 0].mean() == pytest.approx(3.0, abs=1e-3)
+    assert np.abs(patches.normals[:, 0]).mean() > 0.98
+
+
+def test_what_stands_behind_each_other_is_not_averaged():
+    y, z = np.meshgrid(np.linspace(-0.8, 0.8, 320), np.linspace(-0.6, 0.6, 240))
+    depth = np.where(np.abs(y + 0.1 * z) < 0.2, 1.5, 3.0)
+    points = np.stack([depth, y * depth, z * depth], axis=-1).reshape(-1, 3)
+    patches = LiveView(points, MODEL).patches
+    assert np.isin(patches.points[:, 0].round(6), (1.5, 3.0)).all()
+
+
+def test_a_pose_beside_the_best_one_is_left(scan):
+    true = Pose.of(TRUE)
+    view = LiveView(seen_by(true), MODEL)
+    beside = Pose(true.position + [0.05, 0.0, 0.0], true.rotation)
+    away, turn = errors(_shifted(scan.in_view(true, MODEL), view.patches, beside), true)
+    assert away < 0.005 and turn < 0.3
+
+
+def test_points_behind_a_scanned_surface_are_held_against_a_pose(scan):
+    true = Pose.of(TRUE)
+    view = LiveView(seen_by(true), MODEL)
+    forward = Pose(true.position + 0.08 * true.rotation[:, 0], true.rotation)
+    back = Pose(true.position - 0.08 * true.rotation[:, 0], true.rotation)
+    shares = _behind(scan.fine, view.patches, Poses(
+        *(np.stack([getattr(pose, part) for pose in (true, back, forward)])
+          for part in ('rotation', 'position'))))
+    assert shares[0] < shares[1] < MOST_BEHIND < shares[2]
+
+
+def test_a_scan_that_is_bent_makes_a_pose_less_certain():
+    rng = np.random.default_rng(0)
+    points, normals = [], []
+    for axis, across in ((0, 5.0), (1, 4.0), (2, -2.0)):
+        wall = rng.uniform(-2.0, 2.0, (3000, 3))
+        wall[:, axis] = across
+        points.append(wall)
+        normals.append(np.tile(-np.eye(3)[axis], (3000, 1)))
+    points, normals = np.concatenate(points), np.concatenate(normals)
+    cells = np.unique(np.floor(points), axis=0, return_inverse=True)[1].ravel()
+    deviation = np.full(len(points), 0.006)
+    found = []
+    for bent in (0.0, 0.015):
+        residuals = (rng.normal(0.0, bent, cells.max() + 1)[cells]
+                     + rng.normal(0.0, 1e-3, len(points)))
+        matches = Matches(residuals[None], np.concatenate(
+            [np.cross(points, normals), normals], axis=1)[None],
+            np.ones((1, len(points)), bool), np.arange(len(points))[None])
+        found.append(certainty(points, normals, matches, 1.0 / deviation[None] ** 2).metres[0])
+    assert found[1] > 3.0 * found[0]
 
 
 def test_a_cloud_of_another_room_is_refused(scan):

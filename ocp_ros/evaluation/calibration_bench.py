@@ -218,6 +218,7 @@ def measured_in(room: BenchRoom) -> Iterator[dict]:
                        'start': metres, 'metres': metre, 'degrees': degree,
                        'right': metre <= RIGHT[0] and degree <= RIGHT[1],
                        'overlap': found.overlap, 'beside': found.beside,
+                       'behind': found.behind,
                        'expected': float(found.certainty.metres[0]),
                        'refused': found.refused}
 

@@ -4,8 +4,9 @@
 Register what a camera sees to the scan of its room, from about where it is planned to hang.
 
 Many starts around that pose are registered coarsely; the best of those that end apart are
-registered finely, to the surfaces of which the scan shows the right side. The answer is the pose
-that explains most of what the camera sees with the fewest surfaces where it has looked through.
+registered finely: first to the surfaces of which the scan surely shows the right side, then to
+all that are where they are seen. The answer is the pose that explains most of what the camera sees
+with the fewest surfaces where it has looked through.
 It is refused where little is explained, where another pose explains as much, or where the
 surfaces do not hold the camera.
 """
@@ -30,7 +31,7 @@ from ocp_ros.registration.alignment import (
 )
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.pose_certainty import axis_words, Certainty, certainty
-from ocp_ros.registration.scan_surfaces import ScanSurfaces
+from ocp_ros.registration.scan_surfaces import ScanSurfaces, SurfacesInView
 
 #: Metres and radians that starts are away from the planned pose, and how many there are.
 NEARBY, WIDE = (0.4, np.deg2rad(15.0), 32), (1.1, np.deg2rad(32.0), 64)
@@ -40,6 +41,10 @@ SKETCH, OUTLINE, BEST = 160, 600, 12
 ROUGH = AlignmentStage((1.0, 0.3), (40.0, 8.0), 14)
 BETTER = AlignmentStage((0.4, 0.2), (12.0, 5.0), 12)
 FINER = (AlignmentStage((0.15, 0.08), (4.0, 2.0), 16), AlignmentStage((0.1, 0.08), (2.0, 1.0), 16))
+FINEST = AlignmentStage((0.04, 0.03), (2.0, 0.7), 16)
+#: Metres that a pose is shifted in each of its six directions, metres of a turn by one radian,
+#: patches that judge it, and what a shift has to gain.
+SHIFTS, ARM, JUDGES, GAIN = (0.02, 0.04, 0.06, 0.08), 2.5, 2000, 1e-3
 #: Poses are apart beyond so many metres or radians; farther from the start than this none is an
 #: answer.
 APART, FARTHEST = (0.10, np.deg2rad(4.0)), (1.6, np.deg2rad(45.0))
@@ -49,12 +54,15 @@ MOST, MUCH_WORSE = 3, 0.2
 #: it; and standard deviations and metres from which on it stands beside it.
 EXPLAINED, NEAR, WITHIN = 3.0, 0.02, 0.15
 BESIDE, CLOSE = 2.0, 0.01
-#: What an answer needs: the share of what is seen that the scan explains, the share of surfaces
-#: that may stand where the camera looked through, what another pose must be behind in score, and
-#: the largest doubted deviations, metres and degrees: of the validation rooms' wrong answers the
-#: least doubted one has a third more.
-LEAST_OVERLAP, MOST_VIOLATED, LEAD = 0.35, 0.05, 0.06
-MOST_METRES, MOST_DEGREES = 0.0095, 0.45
+#: Standard deviations and metres from which on a point lies behind a surface, and how many
+#: explained points such a one outweighs.
+BEHIND, LITTLE, BLAME = 2.0, 0.006, 3.0
+#: What an answer needs: the share of what is seen that the scan explains, the shares of surfaces
+#: that may stand where the camera looked through and of points that may lie closely behind a
+#: surface, what another pose must be behind in score, and the largest doubted deviations, metres
+#: and degrees; chosen on validation rooms.
+LEAST_OVERLAP, MOST_VIOLATED, MOST_BEHIND, LEAD = 0.35, 0.05, 0.03, 0.06
+MOST_METRES, MOST_DEGREES = 0.0085, 0.45
 
 
 class Registration(NamedTuple):
@@ -67,6 +75,7 @@ class Registration(NamedTuple):
     :ivar violated: the share of the scan's surfaces in view that the camera looked through.
     :ivar certainty: how well the pose is held.
     :ivar beside: the share of the surfaces in view that stand beside where they were scanned.
+    :ivar behind: the share of what the camera sees that lies closely behind a surface of the scan.
     :ivar refused: why the pose is not to be used; empty where it is.
     """
 
@@ -76,6 +85,7 @@ class Registration(NamedTuple):
     violated: float
     certainty: Certainty
     beside: float
+    behind: float
     refused: str
 
     @property
@@ -176,6 +186,7 @@ def _apart(scan: ScanSurfaces, view: LiveView, start: Pose) -> list[Pose]:
 def _score(scan: ScanSurfaces, view: LiveView, pose: Pose) -> float:
     """Tell how well a refined pose explains what is seen, at most 1."""
     return float(_explained(scan.fine, view.patches, _one(pose), 3.0)[0]
+                 - BLAME * _behind(scan.fine, view.patches, _one(pose))[0]
                  - view.violated(scan.points, _one(pose))[0])
 
 
@@ -189,20 +200,70 @@ def _refined(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel
              ) -> tuple[Pose, Registration]:
     """Register finely from near, and judge the answer."""
     for stage in FINER:
-        surfaces = scan.seen_from(pose, model)
+        surfaces = scan.in_view(pose, model).sided
         if len(surfaces.points) < len(view.patches.points) // 50 + 1:
             break
-        poses = aligned(surfaces, view.patches, _one(pose), stage)
-        pose = Pose(poses.positions[0], poses.rotations[0])
-    matches = matched(surfaces, view.patches, _one(pose), stage.gate[1])
-    weights = weights_of(matches, view.patches.deviation, stage.kernel[1])
+        pose = _first(aligned(surfaces, view.patches, _one(pose), stage))
+    inside = scan.in_view(pose, model)
+    surfaces = inside.every
+    pose = _shifted(inside, view.patches,
+                    _first(aligned(surfaces, view.patches, _one(pose), FINEST)))
+    matches, weights = _matched(surfaces, view.patches, pose)
     held = certainty(surfaces.points[matches.indices[0]], surfaces.normals[matches.indices[0]],
                      matches, weights)
     overlap, beside = _compared(scan, view, pose)
+    behind = float(_behind(scan.fine, view.patches, _one(pose))[0])
     violated = float(view.violated(scan.points, _one(pose))[0])
     return pose, Registration(pose, _residual(matches, weights), overlap, violated,
-                              held, beside,
-                              _refusal(overlap, violated, held, beside))
+                              held, beside, behind,
+                              _refusal(overlap, violated, behind, held, beside))
+
+
+def _matched(surfaces: Surfaces, patches: Patches, pose: Pose) -> tuple[Matches, np.ndarray]:
+    """Return the matches of a pose that was registered as finely as can be, and their weights."""
+    matches = matched(surfaces, patches, _one(pose), FINEST.gate[1])
+    return matches, weights_of(matches, patches.deviation, FINEST.kernel[1])
+
+
+def _shifted(inside: SurfacesInView, patches: Patches, pose: Pose) -> Pose:
+    """
+    Register a pose again from shifted ones, and return the best fit.
+
+    A kernel as narrow as the noise holds a camera at the first pose where a few surfaces fit.
+    """
+    surfaces = inside.every
+    matches, weights = _matched(surfaces, patches, pose)
+    jacobians = matches.jacobians[0]
+    ways = np.linalg.eigh((jacobians * weights[0, :, None]).T @ jacobians)[1].T
+    ways /= np.maximum(np.linalg.norm(ways[:, 3:], axis=1),
+                       ARM * np.linalg.norm(ways[:, :3], axis=1))[:, None]
+    steps = np.concatenate([[np.zeros(6)], *(sign * shift * ways for sign in (-1.0, 1.0)
+                                             for shift in SHIFTS)])
+    starts = Poses(*(np.repeat(values, len(steps), axis=0) for values in _one(pose)))
+    judges = _some(patches, JUDGES)
+    ends = aligned(surfaces, judges, moved(starts, steps), FINEST)
+    fits = _fits(inside, judges, ends)
+    fits[0] += GAIN
+    if fits.argmax() == 0:
+        return pose
+    other = aligned(surfaces, patches, ends.only([fits.argmax()]), FINEST)
+    both = Poses(*(np.concatenate(pair) for pair in zip(_one(pose), other)))
+    return _first(both.only([_fits(inside, patches, both).argmax()]))
+
+
+def _fits(inside: SurfacesInView, patches: Patches, poses: Poses) -> np.ndarray:
+    """
+    Tell how well poses that were registered as finely as can be fit, (S,).
+
+    Surfaces whose side is sure count twice.
+    """
+    return sum(_explained(surfaces, patches, poses, FINEST.kernel[1])
+               - BLAME * _behind(surfaces, patches, poses) for surfaces in inside)
+
+
+def _first(poses: Poses) -> Pose:
+    """Return the first of several poses."""
+    return Pose(poses.positions[0], poses.rotations[0])
 
 
 def _one(pose: Pose) -> Poses:
@@ -237,7 +298,19 @@ def _compared(scan: ScanSurfaces, view: LiveView, pose: Pose) -> tuple[float, fl
     return float(explained.mean()), beside / max(known, 1)
 
 
-def _refusal(overlap: float, violated: float, held: Certainty, beside: float) -> str:
+def _behind(surfaces: Surfaces, patches: Patches, poses: Poses) -> np.ndarray:
+    """
+    Return the share of patches that lie closely behind a surface that faces the camera, (S,).
+
+    No side of a panel is seen there, and what was moved since the scan is mostly farther away.
+    """
+    matches = matched(surfaces, patches, poses, WITHIN)
+    behind = -matches.residuals > BEHIND * patches.deviation + LITTLE
+    return (matches.found & behind).mean(axis=1)
+
+
+def _refusal(overlap: float, violated: float, behind: float, held: Certainty, beside: float
+             ) -> str:
     """Say why a pose is not to be used, if it is not."""
     if overlap < LEAST_OVERLAP:
         return (f'the scan explains {100.0 * overlap:.0f} % of what it sees, '
@@ -245,6 +318,9 @@ def _refusal(overlap: float, violated: float, held: Certainty, beside: float) ->
     if violated > MOST_VIOLATED:
         return (f'{100.0 * violated:.0f} % of the surfaces in its view stand where it looked '
                 f'through, at most {100.0 * MOST_VIOLATED:.0f} % may')
+    if behind > MOST_BEHIND:
+        return (f'{100.0 * behind:.0f} % of what it sees lies closely behind surfaces of the scan, '
+                f'at most {100.0 * MOST_BEHIND:.0f} % may')
     if held.loose:
         return f'it {" and ".join(held.loose)}: too few surfaces hold it there'
     doubted = held.doubted(overlap, beside)

@@ -17,6 +17,9 @@ from ocp_ros.scenes.scene import MIN_POINTS, NEIGHBOURS, SceneError
 
 #: Patches that a view is thinned to.
 PATCHES = 5000
+#: Rows of beams whose points are averaged: 0.6 degrees each; and metres of distance, beside noise,
+#: that part the points of a beam.
+BEAMS, GAP = 300, 0.03
 #: Rows of the map of free space: 1.5 degrees each.
 ROWS = 120
 #: Metres in front of what a camera sees where the space is surely free, beside its noise.
@@ -49,7 +52,7 @@ class LiveView:
     @cached_property
     def patches(self) -> Patches:
         """Return the patches, thinned evenly in space."""
-        points = thinned_to(self.points, PATCHES).astype(np.float64)
+        points = thinned_to(averaged(self.points, self._distance), PATCHES).astype(np.float64)
         normals = edge_aware_normals(points, nearest(points, NEIGHBOURS)[1]).astype(np.float64)
         away = np.einsum('ij,ij->i', normals, points) > 0.0
         normals[away] *= -1.0
@@ -91,11 +94,32 @@ class LiveView:
         return float(through.sum() / max(known.sum(), 1))
 
 
-def _cells(points: np.ndarray, distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def averaged(points: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    """
+    Average the points (N, 3) of each narrow beam, whose noise is along it.
+
+    Voxels would cut what noise makes of a surface, a slab, into layers.
+
+    :param distance: (N,) metres, from the camera.
+    :returns: (M, 3) metres, body frame.
+    """
+    row, column = _cells(points, distance, BEAMS)
+    order = np.lexsort((distance, row * 2 * BEAMS + column))
+    beam, near = (row * 2 * BEAMS + column)[order], distance[order]
+    # A gap in distance parts what stands behind each other.
+    apart = (np.diff(beam) != 0) | (np.diff(near) > GAP + 3.0 * deviation(near[1:]))
+    group = np.concatenate([[0], np.cumsum(apart)])
+    count = np.bincount(group)
+    sums = np.stack([np.bincount(group, axis) for axis in points[order].T], axis=1)
+    return sums / count[:, None]
+
+
+def _cells(points: np.ndarray, distance: np.ndarray, rows: int = ROWS
+           ) -> tuple[np.ndarray, np.ndarray]:
     """Return row and column of the directions of points (N, 3) in the body frame."""
     elevation = np.arcsin(np.clip(points[:, 2] / distance, -1.0, 1.0))
     azimuth = np.arctan2(points[:, 1], points[:, 0])
-    row = (elevation / np.pi + 0.5) * ROWS
-    column = (azimuth / (2.0 * np.pi) + 0.5) * 2 * ROWS
-    return (np.minimum(row.astype(np.int64), ROWS - 1),
-            np.minimum(column.astype(np.int64), 2 * ROWS - 1))
+    row = (elevation / np.pi + 0.5) * rows
+    column = (azimuth / (2.0 * np.pi) + 0.5) * 2 * rows
+    return (np.minimum(row.astype(np.int64), rows - 1),
+            np.minimum(column.astype(np.int64), 2 * rows - 1))

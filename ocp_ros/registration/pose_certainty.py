@@ -5,7 +5,8 @@ How well surfaces hold a camera in each of the six directions in which it could 
 
 Neighbouring points err alike: they are of one panel, or of one frame of the scan. So what counts
 is the blocks of a metre that they lie in, not their number. The covariance is that of the
-delete-a-group jackknife over the blocks, plus that of blocks that each err on their own.
+delete-a-group jackknife over the blocks, plus that of blocks that each err on their own, by as much
+as the blocks at hand do.
 """
 
 from typing import NamedTuple
@@ -14,11 +15,15 @@ import numpy as np
 
 from ocp_ros.registration.alignment import Matches
 
-#: Metres: edge of a block, how far off a block of a scan is, and points that make a whole one.
-BLOCK, SCAN_DEVIATION, WHOLE = 1.0, 0.006, 8.0
+#: Metres: edge of a block; and points that make a whole one.
+BLOCK, WHOLE = 1.0, 8.0
+#: Metres that a block of a scan is off: at least, and where fewer whole blocks than so many tell.
+LEAST_DEVIATION, UNKNOWN_DEVIATION, TELLING = 0.003, 0.02, 4
+#: Standard deviation of a normal distribution over its median absolute deviation.
+NORMAL = 1.4826
 #: By how much a doubted deviation grows where the scan explains nothing; chosen on validation
 #: rooms.
-DOUBT = 4.0
+DOUBT = 2.0
 #: Share of the variance within a block that is common to the block.
 UNEVEN = 0.2
 #: Metres and radians at most, where nothing holds a camera at all.
@@ -100,7 +105,7 @@ def certainty(points: np.ndarray, normals: np.ndarray, matches: Matches, weights
     share = np.minimum(np.bincount(blocks, minlength=count) / WHOLE, 1.0)
     floor = np.eye(6) / FREE ** 2
     spread = np.bincount(blocks, weights[used] * matches.residuals[0, used] ** 2, count) / mass
-    variance = SCAN_DEVIATION ** 2 + UNEVEN * spread
+    variance = _block_deviation(matches.residuals[0, used], blocks) ** 2 + UNEVEN * spread
     own = (information * (share / mass / variance)[:, None, None]).sum(axis=0)
     covariance = np.linalg.inv(own + floor)
     scale = np.trace(own) / max(np.trace(information.sum(axis=0)), 1e-30)
@@ -109,6 +114,17 @@ def certainty(points: np.ndarray, normals: np.ndarray, matches: Matches, weights
     covariance = covariance + (count - 1) / max(count, 1) * steps.T @ steps
     slide, turn = _principal(covariance[3:, 3:]), _principal(covariance[:3, :3])
     return Certainty(slide[0], slide[1], turn[0], np.rad2deg(turn[1]))
+
+
+def _block_deviation(residuals: np.ndarray, blocks: np.ndarray) -> float:
+    """Return how far blocks of the scan are off, metres, by the residuals (M,) in each of them."""
+    ends = np.cumsum(np.bincount(blocks))[:-1]
+    parts = np.split(residuals[np.argsort(blocks, kind='stable')], ends)
+    middles = [np.median(part) for part in parts if len(part) >= WHOLE]
+    if len(middles) < TELLING:
+        return UNKNOWN_DEVIATION
+    # Panels whose other side was scanned are few: the median leaves them out.
+    return max(NORMAL * float(np.median(np.abs(middles))), LEAST_DEVIATION)
 
 
 def _principal(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,6 +10,7 @@ outer walls, floor and ceiling, and those of which both sides are there.
 """
 
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -37,6 +38,18 @@ THICK, STEP, THIN, RESTS = 0.4, 0.04, 0.15, 0.3
 #: be behind.
 CELL, BEHIND = 6.0, 0.1
 NOWHERE = np.empty((0, 3), dtype=np.float32)
+
+
+class SurfacesInView(NamedTuple):
+    """
+    What of a scan a camera looks at.
+
+    :ivar sided: surfaces of which the scan shows the side that the camera sees.
+    :ivar every: also those of which it may show the other side.
+    """
+
+    sided: Surfaces
+    every: Surfaces
 
 
 class ScanSurfaces:
@@ -112,7 +125,7 @@ class ScanSurfaces:
             found[hit] |= (-alike if self.oriented else np.abs(alike)) > 0.9
         return found
 
-    def seen_from(self, pose: Pose, model: CameraModel) -> Surfaces:
+    def in_view(self, pose: Pose, model: CameraModel) -> 'SurfacesInView':
         """
         Return the surfaces that a camera near a pose can be registered to.
 
@@ -125,10 +138,14 @@ class ScanSurfaces:
         kept = seen.mask
         facing = np.einsum('ij,ij->i', pose.position - self.points, self.normals)
         if self.oriented:
-            kept &= (facing > 0.0) & ~self._thin
-        else:
-            behind = np.where(facing > 0.0, *self._two_sided)
-            kept &= behind | self._last_seen_from(pose.position, np.sign(facing))
+            every = self._only(kept & (facing > 0.0) & ~self._thin)
+            return SurfacesInView(every, every)
+        sided = (np.where(facing > 0.0, *self._two_sided)
+                 | self._last_seen_from(pose.position, np.sign(facing)))
+        return SurfacesInView(self._only(kept & sided), self._only(kept))
+
+    def _only(self, kept: np.ndarray) -> Surfaces:
+        """Return some of the points, (N,) bool."""
         return Surfaces.of(self.points[kept], self.normals[kept], self.oriented)
 
     def _last_seen_from(self, position: np.ndarray, sign: np.ndarray) -> np.ndarray:
