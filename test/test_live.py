@@ -238,11 +238,13 @@ def test_a_fused_cloud_that_is_no_room_is_begun_anew(live, room):
     assert off(msg_to_cloud(live.last(topics.OBSERVATION)), room.points) < 1e-4
 
 
-def test_nobody_says_where_the_cameras_are(live):
+def test_nobody_says_where_the_cameras_are(live, capfd):
     rig, policy = live.start(cloud_timeout=0.1)
     graph = live.graph
     graph.remove(rig)
     graph.until(lambda: policy._status()[:2] == (diagnostics.WARN, 'nothing on camera_poses'))
+    policy._on_reset(Trigger.Request(), Trigger.Response())
+    graph.until(lambda: 'nothing on /camera_poses; expected' in capfd.readouterr().err)
 
 
 def test_live_cameras_need_no_simulation(live):

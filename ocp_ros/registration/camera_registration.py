@@ -103,18 +103,19 @@ def register(scan: ScanSurfaces, view: LiveView, start: Pose, model: CameraModel
     :param start: where it is planned to be; within about a metre and 30 degrees.
     :param model: of the camera.
     """
-    found = [_Candidate(pose, answer, _score(scan, view, pose)) for pose, answer in (
+    found = [_Candidate(pose, _score(scan, view, pose)) for pose in (
         _refined(scan, view, pose, model) for pose in _apart(scan, view, start))]
     best = max(found, key=lambda one: one.score)
+    answer = _judged(scan, view, best.pose, model)
     rivals = [one for one in found if one.score > best.score - LEAD
               and _are_apart(one.pose, best.pose)]
-    if best.answer.refused or not rivals:
-        return best.answer
+    if answer.refused or not rivals:
+        return answer
     rival = max(rivals, key=lambda one: one.score).pose
     away = np.linalg.norm(rival.position - best.pose.position)
     turn = np.rad2deg(angle_between(rival.rotation, best.pose.rotation))
-    return best.answer._replace(refused=f'another pose, {away:.2f} m and {turn:.0f} degrees '
-                                'away, explains what it sees as well')
+    return answer._replace(refused=f'another pose, {away:.2f} m and {turn:.0f} degrees '
+                           'away, explains what it sees as well')
 
 
 def checked(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) -> Registration:
@@ -123,14 +124,13 @@ def checked(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) 
 
     :param pose: where it hung before, to a few centimetres.
     """
-    return _refined(scan, view, pose, model)[1]
+    return _judged(scan, view, _refined(scan, view, pose, model), model)
 
 
 class _Candidate(NamedTuple):
-    """A pose, what becomes of it, and how well it explains what is seen."""
+    """A pose, and how well it explains what is seen."""
 
     pose: Pose
-    answer: Registration
     score: float
 
 
@@ -196,27 +196,28 @@ def _are_apart(one: Pose, other: Pose) -> bool:
                 or angle_between(one.rotation, other.rotation) > APART[1])
 
 
-def _refined(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel
-             ) -> tuple[Pose, Registration]:
-    """Register finely from near, and judge the answer."""
+def _refined(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) -> Pose:
+    """Register finely from near."""
     for stage in FINER:
         surfaces = scan.in_view(pose, model).sided
         if len(surfaces.points) < len(view.patches.points) // 50 + 1:
             break
         pose = _first(aligned(surfaces, view.patches, _one(pose), stage))
+    return _first(aligned(scan.in_view(pose, model).every, view.patches, _one(pose), FINEST))
+
+
+def _judged(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) -> Registration:
+    """Register a pose as finely as can be, and judge the answer."""
     inside = scan.in_view(pose, model)
-    surfaces = inside.every
-    pose = _shifted(inside, view.patches,
-                    _first(aligned(surfaces, view.patches, _one(pose), FINEST)))
+    pose, surfaces = _shifted(inside, view.patches, pose), inside.every
     matches, weights = _matched(surfaces, view.patches, pose)
     held = certainty(surfaces.points[matches.indices[0]], surfaces.normals[matches.indices[0]],
                      matches, weights)
     overlap, beside = _compared(scan, view, pose)
     behind = float(_behind(scan.fine, view.patches, _one(pose))[0])
     violated = float(view.violated(scan.points, _one(pose))[0])
-    return pose, Registration(pose, _residual(matches, weights), overlap, violated,
-                              held, beside, behind,
-                              _refusal(overlap, violated, behind, held, beside))
+    return Registration(pose, _residual(matches, weights), overlap, violated, held, beside, behind,
+                        _refusal(overlap, violated, behind, held, beside))
 
 
 def _matched(surfaces: Surfaces, patches: Patches, pose: Pose) -> tuple[Matches, np.ndarray]:

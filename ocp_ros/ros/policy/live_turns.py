@@ -215,6 +215,12 @@ class LiveTurns:
             self._node.get_logger().warning(
                 f'{self._silence()}; expected a cloud since the cameras stand, by the clock of '
                 'the poses; waiting', throttle_duration_sec=5.0)
+        elif self._turns.lost and self._command is None and not self._waits():
+            name = self._node.resolve_topic_name(topics.CAMERA_POSES)
+            self._node.get_logger().warning(
+                f'poses: found nothing on {name}; expected where the cameras are '
+                '(geometry_msgs/msg/PoseArray); publish it, see docs/tasks/live_cameras.md; '
+                'waiting', throttle_duration_sec=10.0)
 
     def _fuse(self, message: PointCloud2) -> None:
         """Add what a camera sees to the fused cloud."""
