@@ -10,7 +10,7 @@ import yaml
 
 from ocp_ros.cli.main import main
 from ocp_ros.evaluation.calibration_bench import cast, off
-from ocp_ros.geometry.cameras import angle_between, heading_of, OPTICAL_TO_BODY, Pose
+from ocp_ros.geometry.cameras import angle_between, CameraModel, heading_of, OPTICAL_TO_BODY, Pose
 from ocp_ros.registration.alignment import matched, Matches, Patches, Poses, Surfaces
 from ocp_ros.registration.calibration import as_built
 from ocp_ros.registration.camera_registration import (
@@ -125,8 +125,24 @@ def test_a_pose_beside_the_best_one_is_left(scan):
     true = Pose.of(TRUE)
     view = LiveView(seen_by(true), MODEL)
     beside = Pose(true.position + [0.05, 0.0, 0.0], true.rotation)
-    away, turn = errors(_shifted(scan.in_view(true, MODEL), view.patches, beside), true)
+    away, turn = errors(_shifted(scan.in_view(true, MODEL), view.patches, beside)[0], true)
     assert away < 0.005 and turn < 0.3
+
+
+@pytest.mark.parametrize(('nearer', 'named'), [(1.0, False), (0.97, True)])
+def test_a_near_pose_that_fits_as_well_is_named(nearer, named):
+    # Two boards hold the camera along the wall, unless it sees both nearer than they were scanned.
+    right = np.random.default_rng(0).uniform([1.0, 2.0, -1.0], [1.0, 3.0, 1.0], (4000, 3))
+    wall, floor = plane(3.0), plane(-1.5)[:, [0, 2, 1]]
+    room = np.concatenate([wall, floor, right, right * [-1.0, 1.0, 1.0]])
+    surfaces = ScanSurfaces(Scene(room.astype(np.float32)))
+    seen = np.concatenate([wall, floor, right * [nearer, 1.0, 1.0], right * [-nearer, 1.0, 1.0]])
+    pose, model = Pose.of(np.array([0.0, 0.0, 0.0, 0.5 * np.pi, 0.0, 0.0])), CameraModel(0.1, 6.0)
+    view = LiveView((seen - pose.position) @ pose.rotation, model)
+    found, rival = _shifted(surfaces.in_view(pose, model), view.patches, pose)
+    assert (rival is not None) == named
+    if named:
+        assert 0.02 < np.linalg.norm(rival.position - found.position) < 0.07
 
 
 def test_points_behind_a_scanned_surface_are_held_against_a_pose(scan):

@@ -48,6 +48,8 @@ SHIFTS, ARM, JUDGES, GAIN = (0.02, 0.04, 0.06, 0.08), 2.5, 2000, 1e-3
 #: Poses are apart beyond so many metres or radians; farther from the start than this none is an
 #: answer.
 APART, FARTHEST = (0.10, np.deg2rad(4.0)), (1.6, np.deg2rad(45.0))
+#: Metres and radians from which on two answers are not the same one.
+DISTINCT = 0.01, np.deg2rad(0.5)
 #: Poses that are refined at most, and how far behind the best they may be by then.
 MOST, MUCH_WORSE = 3, 0.2
 #: Standard deviations and metres across within which a surface explains a point, and metres along
@@ -59,9 +61,9 @@ BESIDE, CLOSE = 2.0, 0.01
 BEHIND, LITTLE, BLAME = 2.0, 0.006, 3.0
 #: What an answer needs: the share of what is seen that the scan explains, the shares of surfaces
 #: that may stand where the camera looked through and of points that may lie closely behind a
-#: surface, what another pose must be behind in score, and the largest doubted deviations, metres
-#: and degrees; chosen on validation rooms.
-LEAST_OVERLAP, MOST_VIOLATED, MOST_BEHIND, LEAD = 0.35, 0.05, 0.03, 0.06
+#: surface, what another pose must be behind in score, and a near one as a share of the fit, and the
+#: largest doubted deviations, metres and degrees; chosen on validation rooms.
+LEAST_OVERLAP, MOST_VIOLATED, MOST_BEHIND, LEAD, NEAR_LEAD = 0.35, 0.05, 0.025, 0.06, 0.01
 MOST_METRES, MOST_DEGREES = 0.0085, 0.45
 
 
@@ -111,11 +113,7 @@ def register(scan: ScanSurfaces, view: LiveView, start: Pose, model: CameraModel
               and _are_apart(one.pose, best.pose)]
     if answer.refused or not rivals:
         return answer
-    rival = max(rivals, key=lambda one: one.score).pose
-    away = np.linalg.norm(rival.position - best.pose.position)
-    turn = np.rad2deg(angle_between(rival.rotation, best.pose.rotation))
-    return answer._replace(refused=f'another pose, {away:.2f} m and {turn:.0f} degrees '
-                           'away, explains what it sees as well')
+    return answer._replace(refused=_as_well(best.pose, max(rivals, key=lambda one: one.score).pose))
 
 
 def checked(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) -> Registration:
@@ -190,10 +188,10 @@ def _score(scan: ScanSurfaces, view: LiveView, pose: Pose) -> float:
                  - view.violated(scan.points, _one(pose))[0])
 
 
-def _are_apart(one: Pose, other: Pose) -> bool:
-    """Tell whether two poses are not the same one."""
-    return bool(np.linalg.norm(one.position - other.position) > APART[0]
-                or angle_between(one.rotation, other.rotation) > APART[1])
+def _are_apart(one: Pose, other: Pose, apart: tuple[float, float] = APART) -> bool:
+    """Tell whether two poses are not the same one, to some metres and radians."""
+    return bool(np.linalg.norm(one.position - other.position) > apart[0]
+                or angle_between(one.rotation, other.rotation) > apart[1])
 
 
 def _refined(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) -> Pose:
@@ -209,15 +207,18 @@ def _refined(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel)
 def _judged(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) -> Registration:
     """Register a pose as finely as can be, and judge the answer."""
     inside = scan.in_view(pose, model)
-    pose, surfaces = _shifted(inside, view.patches, pose), inside.every
+    (pose, rival), surfaces = _shifted(inside, view.patches, pose), inside.every
     matches, weights = _matched(surfaces, view.patches, pose)
     held = certainty(surfaces.points[matches.indices[0]], surfaces.normals[matches.indices[0]],
                      matches, weights)
     overlap, beside = _compared(scan, view, pose)
     behind = float(_behind(scan.fine, view.patches, _one(pose))[0])
     violated = float(view.violated(scan.points, _one(pose))[0])
+    refused = _refusal(overlap, violated, behind, held, beside)
+    if not refused and rival is not None:
+        refused = _as_well(pose, rival)
     return Registration(pose, _residual(matches, weights), overlap, violated, held, beside, behind,
-                        _refusal(overlap, violated, behind, held, beside))
+                        refused)
 
 
 def _matched(surfaces: Surfaces, patches: Patches, pose: Pose) -> tuple[Matches, np.ndarray]:
@@ -226,11 +227,13 @@ def _matched(surfaces: Surfaces, patches: Patches, pose: Pose) -> tuple[Matches,
     return matches, weights_of(matches, patches.deviation, FINEST.kernel[1])
 
 
-def _shifted(inside: SurfacesInView, patches: Patches, pose: Pose) -> Pose:
+def _shifted(inside: SurfacesInView, patches: Patches, pose: Pose) -> tuple[Pose, Pose | None]:
     """
-    Register a pose again from shifted ones, and return the best fit.
+    Register a pose again from shifted ones.
 
     A kernel as narrow as the noise holds a camera at the first pose where a few surfaces fit.
+
+    :returns: the best fit, and another pose nearby that fits as well, if there is one.
     """
     surfaces = inside.every
     matches, weights = _matched(surfaces, patches, pose)
@@ -245,11 +248,15 @@ def _shifted(inside: SurfacesInView, patches: Patches, pose: Pose) -> Pose:
     ends = aligned(surfaces, judges, moved(starts, steps), FINEST)
     fits = _fits(inside, judges, ends)
     fits[0] += GAIN
-    if fits.argmax() == 0:
-        return pose
-    other = aligned(surfaces, patches, ends.only([fits.argmax()]), FINEST)
-    both = Poses(*(np.concatenate(pair) for pair in zip(_one(pose), other)))
-    return _first(both.only([_fits(inside, patches, both).argmax()]))
+    if fits.argmax() != 0:
+        other = aligned(surfaces, patches, ends.only([fits.argmax()]), FINEST)
+        both = Poses(*(np.concatenate(pair) for pair in zip(_one(pose), other)))
+        pose = _first(both.only([_fits(inside, patches, both).argmax()]))
+    distinct = np.array([_are_apart(Pose(position, rotation), pose, DISTINCT)
+                         for rotation, position in zip(*ends)])
+    others = np.where(distinct, fits, -np.inf)
+    alike = others.max() > (1.0 - NEAR_LEAD) * fits.max()
+    return pose, _first(ends.only([others.argmax()])) if alike else None
 
 
 def _fits(inside: SurfacesInView, patches: Patches, poses: Poses) -> np.ndarray:
@@ -308,6 +315,14 @@ def _behind(surfaces: Surfaces, patches: Patches, poses: Poses) -> np.ndarray:
     matches = matched(surfaces, patches, poses, WITHIN)
     behind = -matches.residuals > BEHIND * patches.deviation + LITTLE
     return (matches.found & behind).mean(axis=1)
+
+
+def _as_well(pose: Pose, rival: Pose) -> str:
+    """Say that another pose fits as well."""
+    away = np.linalg.norm(rival.position - pose.position)
+    turn = np.rad2deg(angle_between(rival.rotation, pose.rotation))
+    return (f'another pose, {away:.2f} m and {turn:.0f} degrees away, explains what it sees as '
+            'well')
 
 
 def _refusal(overlap: float, violated: float, behind: float, held: Certainty, beside: float
