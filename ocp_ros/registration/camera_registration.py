@@ -63,7 +63,7 @@ BEHIND, LITTLE, BLAME = 2.0, 0.006, 3.0
 #: that may stand where the camera looked through and of points that may lie closely behind a
 #: surface, what another pose must be behind in score, and a near one as a share of the fit, and the
 #: largest doubted deviations, metres and degrees; chosen on validation rooms.
-LEAST_OVERLAP, MOST_VIOLATED, MOST_BEHIND, LEAD, NEAR_LEAD = 0.35, 0.05, 0.025, 0.06, 0.01
+LEAST_OVERLAP, MOST_VIOLATED, MOST_BEHIND, LEAD, NEAR_LEAD = 0.35, 0.05, 0.025, 0.06, 0.003
 MOST_METRES, MOST_DEGREES = 0.0085, 0.45
 
 
