@@ -185,6 +185,14 @@ def test_a_cloud_of_another_room_is_refused(scan):
     assert register(scan, LiveView(points, MODEL), pose, MODEL).refused
 
 
+@pytest.mark.parametrize('find', [register, checked])
+def test_a_camera_that_is_planned_outside_of_the_scan_is_refused(scan, find):
+    outside = Pose.of(TRUE + [100.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    found = find(scan, LiveView(seen_by(Pose.of(TRUE)), MODEL), outside, MODEL)
+    assert found.refused == 'the scan explains 0 % of what it sees, 35 % are needed'
+    assert len(found.certainty.loose) == 6
+
+
 def test_a_covered_camera_is_refused():
     with pytest.raises(SceneError, match='found 0 of 2 points between 0.6 and 6 m'):
         LiveView(np.array([[0.0, 0.0, 0.0], [np.nan] * 3, [99.0, 0.0, 0.0]]), MODEL, 'door')

@@ -61,8 +61,8 @@ BESIDE, CLOSE = 2.0, 0.01
 BEHIND, LITTLE, BLAME = 2.0, 0.006, 3.0
 #: What an answer needs: the share of what is seen that the scan explains, the shares of surfaces
 #: that may stand where the camera looked through and of points that may lie closely behind a
-#: surface, what another pose must be behind in score, and a near one as a share of the fit, and the
-#: largest doubted deviations, metres and degrees; chosen on validation rooms.
+#: surface, what another pose must be behind in score, and a near one as a share of the fit, and
+#: the largest doubted deviations, metres and degrees; chosen on validation rooms.
 LEAST_OVERLAP, MOST_VIOLATED, MOST_BEHIND, LEAD, NEAR_LEAD = 0.35, 0.05, 0.025, 0.06, 0.003
 MOST_METRES, MOST_DEGREES = 0.0085, 0.45
 
@@ -77,7 +77,7 @@ class Registration(NamedTuple):
     :ivar violated: the share of the scan's surfaces in view that the camera looked through.
     :ivar certainty: how well the pose is held.
     :ivar beside: the share of the surfaces in view that stand beside where they were scanned.
-    :ivar behind: the share of what the camera sees that lies closely behind a surface of the scan.
+    :ivar behind: the share of what the camera sees that lies closely behind scanned surfaces.
     :ivar refused: why the pose is not to be used; empty where it is.
     """
 
@@ -113,7 +113,8 @@ def register(scan: ScanSurfaces, view: LiveView, start: Pose, model: CameraModel
               and _are_apart(one.pose, best.pose)]
     if answer.refused or not rivals:
         return answer
-    return answer._replace(refused=_as_well(best.pose, max(rivals, key=lambda one: one.score).pose))
+    rival = max(rivals, key=lambda one: one.score).pose
+    return answer._replace(refused=_as_well(best.pose, rival))
 
 
 def checked(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) -> Registration:
@@ -265,8 +266,8 @@ def _fits(inside: SurfacesInView, patches: Patches, poses: Poses) -> np.ndarray:
 
     Surfaces whose side is sure count twice.
     """
-    return sum(_explained(surfaces, patches, poses, FINEST.kernel[1])
-               - BLAME * _behind(surfaces, patches, poses) for surfaces in inside)
+    return np.sum([_explained(surfaces, patches, poses, FINEST.kernel[1])
+                   - BLAME * _behind(surfaces, patches, poses) for surfaces in inside], axis=0)
 
 
 def _first(poses: Poses) -> Pose:
@@ -335,8 +336,8 @@ def _refusal(overlap: float, violated: float, behind: float, held: Certainty, be
         return (f'{100.0 * violated:.0f} % of the surfaces in its view stand where it looked '
                 f'through, at most {100.0 * MOST_VIOLATED:.0f} % may')
     if behind > MOST_BEHIND:
-        return (f'{100.0 * behind:.0f} % of what it sees lies closely behind surfaces of the scan, '
-                f'at most {100.0 * MOST_BEHIND:.0f} % may')
+        return (f'{100.0 * behind:.1f} % of what it sees lies closely behind scanned surfaces, '
+                f'at most {100.0 * MOST_BEHIND:.1f} % may')
     if held.loose:
         return f'it {" and ".join(held.loose)}: too few surfaces hold it there'
     doubted = held.doubted(overlap, beside)

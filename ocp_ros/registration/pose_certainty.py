@@ -5,8 +5,8 @@ How well surfaces hold a camera in each of the six directions in which it could 
 
 Neighbouring points err alike: they are of one panel, or of one frame of the scan. So what counts
 is the blocks of a metre that they lie in, not their number. The covariance is that of the
-delete-a-group jackknife over the blocks, plus that of blocks that each err on their own, by as much
-as the blocks at hand do.
+delete-a-group jackknife over the blocks, plus that of blocks that each err on their own, by as
+much as the blocks at hand do.
 """
 
 from typing import NamedTuple

@@ -37,6 +37,8 @@ THICK, STEP, THIN, RESTS = 0.4, 0.04, 0.15, 0.3
 #: Degrees of the cells in which is sought what stands behind a surface, and metres that it has to
 #: be behind.
 CELL, BEHIND = 6.0, 0.1
+#: Metres: nothing is matched to what is so far away.
+OUT_OF_REACH = 1e6
 NOWHERE = np.empty((0, 3), dtype=np.float32)
 
 
@@ -145,7 +147,9 @@ class ScanSurfaces:
         return SurfacesInView(self._only(kept & sided), self._only(kept))
 
     def _only(self, kept: np.ndarray) -> Surfaces:
-        """Return some of the points, (N,) bool."""
+        """Return some of the points, (N,) bool; where there are none, one that is out of reach."""
+        if not kept.any():
+            return Surfaces.of(np.full((1, 3), OUT_OF_REACH), np.array([[0.0, 0.0, 1.0]]), False)
         return Surfaces.of(self.points[kept], self.normals[kept], self.oriented)
 
     def _last_seen_from(self, position: np.ndarray, sign: np.ndarray) -> np.ndarray:
