@@ -16,7 +16,16 @@ from ocp_ros.agent.observation_map import NUMBERS, OF_OTHERS, OF_ROOM
 from ocp_ros.agent.value_network import ValueMapNetwork
 from ocp_ros.training import value_ablation
 from ocp_ros.training.training_config import RoomsConfig
-from ocp_ros.training.value_ablation import GROUPS, main, means_of, regrets, Without
+from ocp_ros.training.value_ablation import (
+    GROUPS,
+    LABELS,
+    learned,
+    main,
+    means_of,
+    regrets,
+    Without,
+)
+from ocp_ros.training.value_fit import regret_of, ValueSet
 from ocp_ros.training.value_states import play_states, StateTask
 
 AGENT = AgentConfig(inputs='map')
@@ -70,12 +79,26 @@ def test_who_knows_the_labels_regrets_nothing_and_chance_regrets_most(states):
     assert found['observed_points'] < found['random']
 
 
+def test_what_is_learned_is_the_labels_that_are_named(states):
+    # Labels that praise the worst places: who has learned them loses most.
+    wrong = [states | {'observed': -states['values']}]
+    by_true, by_wrong = (regret_of(learned(AGENT, wrong, labels, 60, 0), ValueSet([states]))
+                         for labels in LABELS)
+    assert by_true < by_wrong, (by_true, by_wrong)
+
+
 def test_the_command_writes_what_it_measured(small, monkeypatch, tmp_path):
     monkeypatch.setattr(value_ablation, 'WorkerPool', Here)
     main(['--rooms', '1', '--out', str(tmp_path / 'found.json')])
     found = json.loads((tmp_path / 'found.json').read_bytes())
     assert found['rooms'] == 1 and found['choices'] > 0 and found['model'] == 'map'
     assert 0.0 <= found['regret']['all'] <= found['regret']['random']
+    assert 'labels_values' not in found['regret']
+    main(['--rooms', '1', '--learn', '1', '--steps', '2', '--out', str(tmp_path / 'learned.json')])
+    again = json.loads((tmp_path / 'learned.json').read_bytes())
+    assert again['learned_from'] == 1 and again['steps'] == 2
+    assert set(again['regret']) - set(found['regret']) == {'labels_values', 'labels_observed'}
+    assert again['regret']['all'] == found['regret']['all']
     wrong = tmp_path / 'wrong.safetensors'
     Checkpoint.load(value_ablation.find_model('moves')).save(wrong)
     with pytest.raises(CheckpointError, match='expected those of the map actor'):

@@ -1,9 +1,9 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What the map actor's choice of one position owes to what it reads.
+What the map actor's choice of one position owes to what it reads, and to its labels.
 
-    python -m ocp_ros.training.value_ablation --out out/value_ablation.json
+    python -m ocp_ros.training.value_ablation --learn 60 --out out/value_ablation.json
 
 Validation rooms are walked through as in training. On each map the network chooses a position for
 one camera, once with all it reads and once for each group of channels without it: the channels
@@ -11,10 +11,14 @@ have their mean everywhere. Beside it stands who has no network and chooses by t
 points that were seen, and who chooses at random. Regret is the difference, in mean, between the
 true value of the position that was chosen and that of the best one; see
 :mod:`ocp_ros.training.value_states`.
+
+With ``--learn`` two new networks learn as long and from as many training rooms. The labels of one
+are those of the true room, the labels of the other are what positions are worth on what was seen.
 """
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import date
 import json
 import os
@@ -26,15 +30,16 @@ from rich.progress import track
 from rich.table import Table
 import torch
 
+from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.errors import CheckpointError
 from ocp_ros.agent.observation_map import AIR, BOX, SEEN_AIR, SLICES
 from ocp_ros.agent.value_network import ValueMap, ValueMapNetwork
-from ocp_ros.training.training_config import RoomsConfig
+from ocp_ros.training.training_config import RoomsConfig, ValuesConfig
 from ocp_ros.training.training_rooms import room_names
-from ocp_ros.training.value_fit import regret_of, ValueSet
+from ocp_ros.training.value_fit import regret_of, ValueFit, ValueSet
 from ocp_ros.training.value_states import play_states, StateTask
-from ocp_ros.training.value_training import CHECKED, EVERY
+from ocp_ros.training.value_training import CHECKED, EVERY, WALKED
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.resources import DEFAULT_MODEL, find_model
 from ocp_ros.util.worker_pool import WorkerPool
@@ -51,6 +56,8 @@ GROUPS = {
     'other_cameras': ('others', slice(4 + len(AIR), None)),
     'numbers': ('numbers', slice(None)),
 }
+#: What a new network may learn: places in the true room, and on what was seen.
+LABELS = 'values', 'observed'
 
 
 class Without(torch.nn.Module):
@@ -108,6 +115,23 @@ def regrets(network: ValueMap, states: Sequence[dict[str, np.ndarray]]) -> dict[
     return found
 
 
+def learned(config: AgentConfig, states: Sequence[dict[str, np.ndarray]], labels: str, steps: int,
+            seed: int) -> ValueMap:
+    """
+    Train a new network.
+
+    :param config: what the network is.
+    :param states: to learn from; see :func:`regrets`.
+    :param labels: which of the states are the labels: ``values`` or ``observed``.
+    :param steps: gradient steps.
+    :param seed: of first weights and batches.
+    """
+    torch.manual_seed(seed)
+    fit = ValueFit(ValueMapNetwork(config), ValuesConfig(), seed)
+    fit.run(ValueSet([one | {'values': one[labels]} for one in states]), steps, steps)
+    return fit.average
+
+
 def show(found: dict[str, float]) -> None:
     """Print a table."""
     table = Table('the choice is made', 'regret')
@@ -116,12 +140,21 @@ def show(found: dict[str, float]) -> None:
     Console().print(table)
 
 
+def _tasks(rooms: RoomsConfig, names: Sequence[str], seed: int, kind: int) -> list[StateTask]:
+    """Return how to walk through some rooms."""
+    return [StateTask(rooms, name, (seed, kind, number), observed=True)
+            for number, name in enumerate(names)]
+
+
 def main(argv: Sequence[str] | None = None) -> None:
     """Play, measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--model', default=DEFAULT_MODEL, help='path or name')
     parser.add_argument('--rooms', type=int, default=36, help='of the validation rooms')
+    parser.add_argument('--learn', type=int, default=0,
+                        help='training rooms to compare labels in; 0: labels are not compared')
+    parser.add_argument('--steps', type=int, default=1000, help='gradient steps there')
     parser.add_argument('--workers', type=int, default=os.cpu_count())
     parser.add_argument('--seed', type=int, default=0)
     parser.add_argument('--out', type=Path, required=True)
@@ -132,15 +165,22 @@ def main(argv: Sequence[str] | None = None) -> None:
                               f'{checkpoint.config.inputs!r}; expected those of the map actor')
     network = ValueMapNetwork(checkpoint.config)
     network.load_state_dict(checkpoint.weights)
-    rooms = RoomsConfig(validation=options.rooms, points=25000)
-    tasks = [StateTask(rooms, room, (options.seed, CHECKED, number), observed=True)
-             for number, room in enumerate(room_names(rooms, 'validation')[::EVERY])]
+    rooms = RoomsConfig(training=max(options.learn, 1), validation=options.rooms, points=25000)
+    checked = _tasks(rooms, room_names(rooms, 'validation')[::EVERY], options.seed, CHECKED)
+    walked = _tasks(rooms, room_names(rooms, 'training')[:options.learn], options.seed, WALKED)
     with WorkerPool(options.workers) as pool:
-        states = [arrays for _, arrays in track(
-            pool.unordered(play_states, tasks), 'rooms', len(tasks), console=Console(stderr=True))]
+        played = dict(track(pool.unordered(play_states, checked + walked), 'rooms',
+                            len(checked + walked), console=Console(stderr=True)))
+    states = [played[number] for number in range(len(played))]
+    states, shown = states[:len(checked)], states[len(checked):]
     found = regrets(network.eval(), states)
+    for labels in LABELS if shown else ():
+        found[f'labels_{labels}'] = regret_of(
+            learned(replace(checkpoint.config, headings=0), shown, labels, options.steps,
+                    options.seed), ValueSet(states))
     write_atomically(options.out, json.dumps({
-        'model': options.model, 'run': checkpoint.run, 'seed': options.seed, 'rooms': len(tasks),
+        'model': options.model, 'run': checkpoint.run, 'seed': options.seed,
+        'rooms': len(checked), 'learned_from': len(walked), 'steps': options.steps,
         'choices': sum(len(one['of']) for one in states), 'date': date.today().isoformat(),
         'regret': found}, indent=1) + '\n')
     show(found)

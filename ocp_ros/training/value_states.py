@@ -275,6 +275,8 @@ class _States:
                                float(positions[0, 2]), coarse * EDGE)
         going = (going if rng.random() < 0.5 else self._drawn(cameras)).copy()
         views = [self._look(model, poses[pose], positions) for pose in going]
+        looks = [] if self._observed is None else [
+            self._look(model, pose, positions).seen for pose in poses]
         number = len(self._maps)
         self._maps.append(known.room)
         self._places.append(((places - known.window.low) / known.window.edge).astype(np.float32))
@@ -288,7 +290,7 @@ class _States:
             if self._observed is not None:
                 self._observed.append(model.depth_error.changes(
                     [views[other].seen for other in range(cameras) if other != camera],
-                    [self._look(model, pose, positions).seen for pose in poses], FLOOR))
+                    looks, FLOOR))
             if rng.random() < AT_RANDOM:
                 going[camera] = rng.integers(len(poses))
             else:
