@@ -3,7 +3,7 @@
 """
 What the map actor's choice of one position owes to what it reads, and to its labels.
 
-    python -m ocp_ros.training.value_ablation --learn 60 --out out/value_ablation.json
+    python -m ocp_ros.training.value_ablation --learn 100 --out out/value_ablation.json
 
 Validation rooms are walked through as in training. On each map the network chooses a position for
 one camera, once with all it reads and once for each group of channels without it: the channels
