@@ -3,6 +3,7 @@
 """Runs whose files were damaged: they go on, or say what is damaged, what is lost, what to do."""
 
 from contextlib import suppress
+from functools import partial
 import json
 import os
 from pathlib import Path
@@ -441,7 +442,9 @@ def test_a_training_that_is_interrupted_once_or_twice_ends_and_says_how_to_go_on
     (tmp_path / 'long.yaml').write_text(json.dumps(settings))
     process = subprocess.Popen(
         [sys.executable, '-m', 'ocp_ros.cli.main', 'train', '--config', 'long.yaml', '--out',
-         'run'], cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)
+         'run'], cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        # Tests that run in the background are started so that they ignore it.
+        preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL))
     try:
         deadline = time.monotonic() + HUNG
         children = Path(f'/proc/{process.pid}/task/{process.pid}/children')
