@@ -3,7 +3,7 @@
 """
 What the map actor's choice of one position owes to what it reads, and to its labels.
 
-    python -m ocp_ros.training.value_ablation --learn 100 --out out/value_ablation.json
+    python -m ocp_ros.training.value_ablation --learn 100 --steps 2500 --out out/ablation.json
 
 Validation rooms are walked through as in training. On each map the network chooses a position for
 one camera, once with all it reads and once for each group of channels without it: the channels
@@ -169,15 +169,15 @@ def main(argv: Sequence[str] | None = None) -> None:
     checked = _tasks(rooms, room_names(rooms, 'validation')[::EVERY], options.seed, CHECKED)
     walked = _tasks(rooms, room_names(rooms, 'training')[:options.learn], options.seed, WALKED)
     with WorkerPool(options.workers) as pool:
-        played = dict(track(pool.unordered(play_states, checked + walked), 'rooms',
+        played = list(track(pool.map(play_states, checked + walked), 'rooms',
                             len(checked + walked), console=Console(stderr=True)))
-    states = [played[number] for number in range(len(played))]
-    states, shown = states[:len(checked)], states[len(checked):]
+    states, shown = played[:len(checked)], played[len(checked):]
     found = regrets(network.eval(), states)
-    for labels in LABELS if shown else ():
-        found[f'labels_{labels}'] = regret_of(
-            learned(replace(checkpoint.config, headings=0), shown, labels, options.steps,
-                    options.seed), ValueSet(states))
+    if shown:
+        choices, config = ValueSet(states), replace(checkpoint.config, headings=0)
+        for labels in LABELS:
+            found[f'labels_{labels}'] = regret_of(
+                learned(config, shown, labels, options.steps, options.seed), choices)
     write_atomically(options.out, json.dumps({
         'model': options.model, 'run': checkpoint.run, 'seed': options.seed,
         'rooms': len(checked), 'learned_from': len(walked), 'steps': options.steps,
