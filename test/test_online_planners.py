@@ -13,6 +13,8 @@ from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.observation_map import CELLS
 from ocp_ros.agent.partial_map import cells_of_the_air, LookHistory, NO_CELL, PartialMap, thinned
 from ocp_ros.agent.policy import Policy
+from ocp_ros.agent.rig_state import RigState
+from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.packed_bits import unpack
 from ocp_ros.geometry.visibility import FINE
 from ocp_ros.planners.lookahead import Lookahead
@@ -25,8 +27,11 @@ from ocp_ros.planners.online_planner import (
     Learned,
     Online,
     ThenLookahead,
+    ThinksAhead,
 )
 from ocp_ros.planners.rollout import play
+from ocp_ros.planners.step import Limits, OnlineStep
+from ocp_ros.rig.free_plane import FINE_EDGE
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.episode import Episode
@@ -191,6 +196,43 @@ def test_nobody_waits_when_one_planner_hands_over_to_another(engine, reflects):
     expected = [(1, 0)] + [(0, 0)] * (AHEAD - 1) if reflects else (
         [(1, 0)] * first + [(0, 1)] * (AHEAD - first))
     assert played == expected
+
+
+class Sent(ThinksAhead):
+    """A plan for one camera that never changes."""
+
+    def __init__(self, target):
+        super().__init__(*settings())
+        self.reset()
+        self.targets = np.array([target])
+
+    def _think(self, cloud, positions, turn, turns):
+        self._space = self.space(cloud, positions)
+
+
+def test_a_camera_with_a_cabinet_in_its_way_gets_to_its_target(furnished):
+    """Straight on it would walk into the side of the cabinet in every turn."""
+    step = OnlineStep(Sent([5.0, 2.0]), Limits(MAX_STEP, 0.0, MARGIN))
+    placement = np.array([[3.0, 2.0, 1.9, 0.0, 0.0, 0.0]])
+    for turn in range(AHEAD):
+        state = RigState(placement, (CameraModel(),), 1)
+        placement = step(furnished.points, state, turn, AHEAD).placement
+    np.testing.assert_allclose(placement[0, :2], [5.0, 2.0], atol=FINE_EDGE)
+
+
+@pytest.mark.parametrize('turn', [24, 26, 29])
+def test_lookahead_sends_nobody_where_it_cannot_be_in_time(furnished, turn):
+    """One of two cameras before a cabinet had best be behind it, which takes some turns."""
+    online = Lookahead(*settings())
+    positions = np.array([[3.2, 2.0, 1.9], [3.1, 1.8, 1.9]])
+    online.move(furnished.points, positions, turn, 30)
+    placed, space = positions[:, :2], online.space(furnished.points, positions)
+    assert (space.contains([[5.0, 2.0]]) & space.contains(placed)).all()
+    # Ways are counted in cells, so that one move more may be needed; the next plan knows.
+    for _ in range(30 - turn + 1):
+        placed = space.on_way(placed, online.targets, MAX_STEP)
+    assert (placed[:, 0].max() > 4.5) == (turn != 29)
+    np.testing.assert_allclose(placed, online.targets, atol=FINE_EDGE)
 
 
 @pytest.mark.parametrize('name', ['wanderer', 'greedy step', 'lookahead', 'then lookahead'])

@@ -14,7 +14,8 @@ from ocp_ros.planners.annealing import TransDimensionalAnnealing
 from ocp_ros.planners.planner import Scores
 from ocp_ros.planners.registry import OFFLINE
 from ocp_ros.planners.solve import solve
-from ocp_ros.rig.free_plane import EDGE, floor_of, FreePlane
+from ocp_ros.rig.free_plane import EDGE, Floor, floor_of, FreePlane
+from ocp_ros.rig.motion import towards
 from ocp_ros.scenes.scene import turned
 
 #: Metres by which the floor may reach round an inner corner: two cells.
@@ -129,6 +130,63 @@ def test_a_move_stops_at_the_wall_and_never_is_too_long(space):
         moved = space.moved(positions, rng.uniform(-0.5, 0.5, (20, 2)), 0.5)
         assert np.linalg.norm(moved - positions, axis=1).max() <= 0.5 + 1e-9
         assert in_room(moved).all()
+
+
+#: Metres: a move of the planes below.
+STEP = 0.5
+
+
+def walk(plane, position, target, most, go):
+    """Return how many moves a camera needs to a target; None for more than so many."""
+    for count in range(most + 1):
+        if np.linalg.norm(position - target) <= plane.floor.edge:
+            return count
+        moved = go(position[None], target[None], STEP)[0]
+        assert np.linalg.norm(moved - position) <= STEP + 1e-9 and plane.contains(moved)
+        position = moved
+    return None
+
+
+def plane_over(cells):
+    """Return where a camera may be: over open cells of 5 cm."""
+    high = 0.05 * np.array(cells.shape)
+    return FreePlane(np.zeros(2), high, 1.9, 1, Floor(np.zeros(2), cells, 0.05), 0.15)
+
+
+def test_a_camera_goes_around_what_it_cannot_step_over():
+    cells = np.ones((160, 120), dtype=bool)
+    cells[70:90, 20:] = False
+    plane, here, there = plane_over(cells), np.array([2.0, 3.0]), np.array([6.0, 3.0])
+
+    def straight(positions, targets, step):
+        return plane.moved(positions, towards(positions, targets, step) - positions, step)
+
+    assert walk(plane, here, there, 100, straight) is None
+    # To an end of what is 2 m away and 2 m to the side, along its metre, and back.
+    assert walk(plane, here, there, 100, plane.on_way) == 13
+    assert not plane.reached(here, STEP, 7).contains(there)
+    assert plane.reached(here, STEP, 13).contains(there)
+    # With moves of 2 m it steps over.
+    np.testing.assert_allclose(plane.on_way(here[None], there[None], 2.0)[0, 0], 3.5, atol=0.05)
+
+
+@settings(deadline=None, max_examples=40)
+@given(seed=strategies.integers(0, 2 ** 32 - 1), closed=strategies.floats(0.0, 0.6))
+def test_a_camera_is_there_as_soon_as_it_can_be(seed, closed):
+    rng = np.random.default_rng(seed)
+    cells = (rng.random((8, 8)) >= closed).repeat(6, axis=0).repeat(6, axis=1)
+    if not cells.any():
+        return
+    plane = plane_over(cells)
+    here, there = plane.random(rng, 2)
+    turns = next((turn for turn in range(1, 40)
+                  if plane.reached(here, STEP, turn).contains(there)), None)
+    needed = walk(plane, here, there, 40, plane.on_way)
+    if turns is None:
+        assert needed is None
+    else:
+        # A camera is not in the middle of its cell, so that one move more may be needed.
+        assert needed is not None and needed <= turns + 1
 
 
 @pytest.mark.parametrize('degrees', [30.0, 60.0, 120.0])

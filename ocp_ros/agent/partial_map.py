@@ -58,7 +58,6 @@ class PartialMap:
     :param settings: rules of visibility.
     :param around: cells that are no farther from a camera count as well, seen from above, metres:
         cameras that are not omnidirectional know of no air behind them.
-    :param folds: of the points, see :class:`~ocp_ros.geometry.depth_error.DepthError`.
     :ivar points: (N, 3) float32, metres, in the order of the bits of a view.
     :ivar cells: (C,) int64, the number of each cell, in the order of the bits of a view.
     :ivar edge: of the cells, metres.
@@ -66,8 +65,7 @@ class PartialMap:
     """
 
     def __init__(self, cloud: np.ndarray, positions: np.ndarray, max_range: float, most: int,
-                 rows: int, settings: SurfelSettings = FAST, around: float = 0.0,
-                 folds: int = 1) -> None:
+                 rows: int, settings: SurfelSettings = FAST, around: float = 0.0) -> None:
         scene = Scene(thinned(cloud, most), 'observed cloud')
         corners = smallest_rectangle(scene.points[:, :2])
         box = with_corners(scene.bounds, corners)
@@ -91,7 +89,7 @@ class PartialMap:
         self.cells = np.append(np.where(inside, numbers, NO_CELL), [NO_CELL] * 4)[places]
         self._views: dict[tuple[bytes, Frustum | None], View] = {}
         self.depth_error = DepthError(self.points, scene.spacing[order], bounds,
-                                      rows, ERROR_CUBE, folds=folds)
+                                      rows, ERROR_CUBE)
 
     def _open(self, tests: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """Tell of four places that are listed last whether cameras near them see them."""
@@ -175,13 +173,12 @@ class KeptModel:
     :param most: of :class:`PartialMap`, like those that follow.
     :param rows: of the depth maps.
     :param around: metres.
-    :param folds: of the points.
     """
 
     def __init__(self, max_range: float, wall_margin: float, most: int, rows: int,
-                 around: float = 0.0, folds: int = 1) -> None:
+                 around: float = 0.0) -> None:
         self._max_range, self._wall_margin = max_range, wall_margin
-        self._sizes, self._around, self._folds = (most, rows), around, folds
+        self._sizes, self._around = (most, rows), around
         #: What was made last, if anything, and of how many points and cameras, at which height.
         self.made: tuple[PartialMap, FreePlane] | None = None
         self._of = 0, 0, 0.0
@@ -207,7 +204,7 @@ class KeptModel:
         """
         height = float(np.median(positions[:, 2]))
         self.made = (PartialMap(cloud, positions, self._max_range, *self._sizes, settings,
-                                self._around, self._folds),
+                                self._around),
                      FreePlane.around(cloud, positions, self._wall_margin, clearance))
         self._of = len(cloud), len(positions), height
 

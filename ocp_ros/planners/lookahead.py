@@ -42,11 +42,10 @@ QUICK_POINTS, QUICK_ROWS = 6000, 32
 #: Turns that candidates are kept for, where somebody waits for them to be listed and where nobody
 #: does. Their views are computed in the first of these turns.
 KEPT, KEPT_AHEAD = 3, 2
-#: Points, rows of depth maps and folds of the model to refine on, and turns that it is kept for at
-#: least.
-REFINING_POINTS, REFINING_ROWS, REFINING_FOLDS, REFINING_KEPT = 25000, 64, 2, 4
+#: Points and rows of depth maps of the model to refine on, and turns that it is kept for at least.
+REFINING_POINTS, REFINING_ROWS, REFINING_KEPT = 60000, 128, 4
 #: Proposals of a turn of refinement, and of one that makes a model as well.
-STEPS, FEWER_STEPS = 80, 16
+STEPS, FEWER_STEPS = 240, 16
 #: First and last temperature of the refinement, in multiples of the best plan's error, and the
 #: error from which these are taken at least, metres.
 WARM, COOL, LEAST = 0.1, 0.003, 1e-3
@@ -87,8 +86,7 @@ class Lookahead(ThinksAhead):
         self._headings: np.ndarray | None = None
         self._candidates: Candidates | None = None
         self._chosen: list[int] = []
-        self._kept = KeptModel(self.max_range, self.wall_margin, REFINING_POINTS, REFINING_ROWS,
-                               folds=REFINING_FOLDS)
+        self._kept = KeptModel(self.max_range, self.wall_margin, REFINING_POINTS, REFINING_ROWS)
         #: Turn of the last model or of the last candidates.
         self._made = 0
 
@@ -100,10 +98,6 @@ class Lookahead(ThinksAhead):
     def targets(self) -> np.ndarray | None:
         """Return where each camera goes; see :attr:`Online.targets`."""
         return self._plan
-
-    def _goals(self, positions: np.ndarray) -> np.ndarray:
-        """Return where cameras are after a turn; see :meth:`ThinksAhead._goals`."""
-        return self.towards(positions, self._plan)
 
     def _listed_long_ago(self, turn: int, turns: int) -> bool:
         """Tell whether candidates have to be listed, or listed again."""
@@ -128,9 +122,9 @@ class Lookahead(ThinksAhead):
         """Compute what would be seen from where; the plan so far is among the candidates."""
         model = PartialMap(cloud, positions, self.max_range, QUICK_POINTS, QUICK_ROWS,
                            around=AROUND if self.directional else 0.0)
-        unseen = self.memory.unseen(model)
-        self._list(model, self.space(cloud, positions), unseen,
-                   cell_weight(model, unseen, turn, turns), len(positions))
+        unseen, self._space = self.memory.unseen(model), self.space(cloud, positions)
+        self._list(model, self._space, unseen, cell_weight(model, unseen, turn, turns),
+                   len(positions))
         self._made = turn
 
     def _list(self, model: PartialMap, space: FreePlane, unseen: np.ndarray, weight: float,
@@ -184,19 +178,21 @@ class Lookahead(ThinksAhead):
             self._made, steps = turn, FEWER_STEPS
         if first_time:
             self._survey(positions)
-        (model, space), first = self._kept.made, REFINING * turns
-        placed = best = self.towards(positions, space.inside(self._plan), turns - turn)
+        (model, self._space), first = self._kept.made, REFINING * turns
+        reached = [self._space.reached(position[:2], self.max_step, turns - turn)
+                   for position in positions]
+        placed = best = np.array([
+            area.inside(place) for area, place in zip(reached, self._plan, strict=True)])
         headings = best_headings = self._planned_headings()
         views = [view_from(model, self.sight, camera, position,
                            None if headings is None else headings[camera])
-                 for camera, position in enumerate(space.placement(placed))]
+                 for camera, position in enumerate(self._space.placement(placed))]
         fixed = self._fixed(model)
         error = best_error = model.error(views + fixed)
         for step in range(0, steps, TOGETHER):
             share = (turn - first + step / steps) / (turns - first)
             temperature = max(best_error, LEAST) * between(WARM, COOL, share)
-            trials = [self._trial(positions, placed, headings, space, share, turns - turn)
-                      for _ in range(TOGETHER)]
+            trials = [self._trial(placed, headings, reached, share) for _ in range(TOGETHER)]
             looks = mapped(lambda trial, model=model: view_from(model, self.sight, *trial), trials)
             for (camera, position, heading), view in zip(trials, looks):
                 trial_views = [*views[:camera], view, *views[camera + 1:]]
@@ -219,16 +215,16 @@ class Lookahead(ThinksAhead):
         self._chosen = self._candidates.anneal(self._chosen, self.rng)
         self._settle(positions)
 
-    def _trial(self, positions: np.ndarray, placed: np.ndarray, headings: np.ndarray | None,
-               space: FreePlane, share: float, left: int) -> MoveTrial:
-        """Draw a place near that of any camera, which it can reach in the turns that are left."""
+    def _trial(self, placed: np.ndarray, headings: np.ndarray | None, reached: list[FreePlane],
+               share: float) -> MoveTrial:
+        """Draw a place near that of any camera, of those that it can reach."""
         camera = int(self.rng.integers(len(placed)))
+        space = reached[camera]
         place = space.reflected(
             placed[camera] + self.rng.normal(0.0, between(FAR, NEAR, share), 2))
-        place = self.towards(positions[camera:camera + 1], place[None], left)
         heading = None if headings is None else self._wiggled(
             headings[camera], camera, between(WIDE, NARROW, share))
-        return MoveTrial(camera, space.placement(place)[0], heading)
+        return MoveTrial(camera, space.placement(place[None])[0], heading)
 
     @property
     def headings(self) -> np.ndarray | None:

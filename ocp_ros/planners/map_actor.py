@@ -128,11 +128,6 @@ class MapActor(ThinksAhead):
         self._plan = known.plan[matched(known.positions, known.plan[:, :2], self._kinds())]
         self._turns += 1
 
-    def _goals(self, positions: np.ndarray) -> np.ndarray:
-        """Return where cameras are after a turn; see :meth:`ThinksAhead._goals`."""
-        flat = positions[:, :2]
-        return self._space.moved(flat, self.towards(positions, self.targets) - flat, self.max_step)
-
     def choose(self, known: MapTurn, camera: int, over: float) -> None:
         """Let a camera choose again where it goes, when a share of the turns is over."""
         plan, window = known.plan, known.room.window

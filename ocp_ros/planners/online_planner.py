@@ -172,6 +172,8 @@ class ThinksAhead(Online):
     def reset(self) -> None:
         """Forget the last episode."""
         self.memory = LookHistory()
+        #: Where cameras may be, as far as was known when a plan was made.
+        self._space: FreePlane | None = None
         #: The turn that is to be planned for while the cameras move.
         self._next: PlannedTurn | None = None
 
@@ -183,9 +185,11 @@ class ThinksAhead(Online):
         :raises SceneError: if what has been seen is no room.
         """
 
-    @abstractmethod
     def _goals(self, positions: np.ndarray) -> np.ndarray:
         """Return where cameras at (K, 3) are by the plan after a turn: (K, 2) metres."""
+        if self._space is None:
+            return self.towards(positions, self.targets)
+        return self._space.on_way(positions[:, :2], self.targets, self.max_step)
 
     def _ahead(self, turns: int) -> bool:
         """Tell whether plans are made while the cameras move, in an episode of so many turns."""

@@ -2,15 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where cameras may be: over the floor of a room, at one height."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 
 import numpy as np
 from scipy import ndimage
 
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.geometry.plane_cells import close_near, moved_into, nearest_rows
-from ocp_ros.rig.motion import kept_inside, towards
+from ocp_ros.rig.motion import kept_inside, ROUNDING, towards
 from ocp_ros.scenes.scene import LARGEST
 
 #: Metres: edge of a cell of the floor, and how far below the cameras things are that count as it.
@@ -61,14 +63,47 @@ class Floor:
         moved_into(moved.reshape(-1, 2), self.low, self.edge, self._nearest)
         return moved
 
+    @property
+    def _middles(self) -> list[np.ndarray]:
+        """Return the x (X,) and the y (Y,) of the middles of the cells, metres."""
+        return [self.low[k] + self.edge * (np.arange(self.open.shape[k]) + 0.5) for k in (0, 1)]
+
     def within(self, low: np.ndarray, high: np.ndarray) -> 'Floor | None':
         """Keep the cells whose middle is in a rectangle; None if there is none."""
-        middles = [self.low[k] + self.edge * (np.arange(self.open.shape[k]) + 0.5)
-                   for k in (0, 1)]
+        middles = self._middles
         within = np.logical_and.outer(*((middles[k] > low[k]) & (middles[k] < high[k])
                                         for k in (0, 1)))
         floor = replace(self, open=self.open & within)
         return floor if floor.open.any() else None
+
+    def near(self, place: np.ndarray, reach: float) -> 'Floor':
+        """Keep the cells whose middle is no farther than a reach, metres, from a place (2,)."""
+        x, y = self._middles
+        away = np.hypot.outer(x - place[0], y - place[1])
+        return replace(self, open=self.open & (away <= reach + ROUNDING))
+
+    def nearest_middle(self, place: np.ndarray) -> np.ndarray:
+        """Return the middle of the open cell that is nearest to a place: (2,) metres."""
+        cell = np.floor((self.inside(place) - self.low) / self.edge)
+        return self.low + self.edge * (cell + 0.5)
+
+    def reached(self, place: np.ndarray, step: float) -> Iterator['Floor']:
+        """
+        Tell where a camera can be after one move, after two and so on.
+
+        A move ends over an open cell; what is on its way does not matter.
+
+        :param place: (2,) metres, where it is.
+        :param step: no move is longer, metres.
+        :returns: one after the other, until no cell is added any more; none where the first move
+            leads nowhere.
+        """
+        cells, count = self.near(place, step).open, 0
+        while np.count_nonzero(cells) > count:
+            yield replace(self, open=cells)
+            count = np.count_nonzero(cells)
+            away = ndimage.distance_transform_edt(~cells, sampling=self.edge)
+            cells = self.open & (away <= step + ROUNDING)
 
     def cleared(self, points: np.ndarray, heights: np.ndarray, clearance: float
                 ) -> 'Floor | None':
@@ -287,6 +322,55 @@ class FreePlane:
             if reached.any():
                 ended[camera] = places[np.argmax(reached)]
         return ended
+
+    def reached(self, position: np.ndarray, step: float, turns: int) -> 'FreePlane':
+        """
+        Return where a camera can be in time; all of the plane where its first move leads nowhere.
+
+        :param position: (2,) metres, where it is.
+        :param step: no move is longer, metres.
+        :param turns: that many moves at most, 1 or more.
+        """
+        floors = list(islice(self._cells.reached(position, step), turns))
+        return replace(self, floor=floors[-1]) if floors else self
+
+    def on_way(self, positions: np.ndarray, targets: np.ndarray, step: float) -> np.ndarray:
+        """
+        Go from positions (K, 2) to targets (K, 2), metres, by one move no longer than a step.
+
+        It is the straight one where no other leads there in fewer turns, and otherwise the one
+        next to it that does.
+
+        :returns: (K, 2) metres.
+        """
+        ended = self.moved(positions, towards(positions, targets, step) - positions, step)
+        for camera, target in enumerate(targets):
+            if not self._arrives(positions[camera], target, step):
+                ended[camera] = self._around(positions[camera], target, ended[camera], step)
+        return ended
+
+    def _arrives(self, position: np.ndarray, target: np.ndarray, step: float) -> bool:
+        """Tell whether a camera gets to a target (2,) straight on, in as few turns as can be."""
+        turns = int(np.ceil(np.linalg.norm(target - position) / step))
+        place, goal = position[None], target[None]
+        for _ in range(turns):
+            place = self.moved(place, towards(place, goal, step) - place, step)
+        return bool(np.linalg.norm(place - goal) <= self._cells.edge)
+
+    def _around(self, position: np.ndarray, target: np.ndarray, straight: np.ndarray, step: float
+                ) -> np.ndarray:
+        """Return the end of a move towards a target, next to a straight one: (2,) metres."""
+        for floor in self._cells.reached(target, step):
+            near = floor.near(position, step)
+            if near.open.any():
+                return near.nearest_middle(straight)
+        return straight
+
+    @cached_property
+    def _cells(self) -> Floor:
+        """Return the cells that cameras may be over."""
+        return (self.floor or _fine(None, self.low, self.high)
+                or Floor(self.low, np.ones((1, 1), dtype=bool), FINE_EDGE))
 
     def folded(self, positions: np.ndarray) -> np.ndarray:
         """Fold positions (..., 2) back at the rectangle's edges: a symmetric step stays so."""
