@@ -121,7 +121,7 @@ class MapActor(ThinksAhead):
     def end(self, known: MapTurn) -> np.ndarray:
         """Let cameras go where a turn has sent them: the next moves (K, 2), metres."""
         self._settle(known)
-        return self._goals(known.positions) - known.positions[:, :2]
+        return self.goals(known.positions) - known.positions[:, :2]
 
     def _settle(self, known: MapTurn) -> None:
         """Match the cameras with where a turn has sent them, so that they walk least."""

@@ -133,6 +133,12 @@ class Online(ABC):
         """
         return towards(positions[:, :2], targets, steps * self.max_step)
 
+    def goals(self, positions: np.ndarray) -> np.ndarray:
+        """Return where cameras at (K, 3) are by the plan after a turn: (K, 2) metres."""
+        if self.targets is None:
+            return positions[:, :2]
+        return self.towards(positions, self.targets)
+
     def wander(self, cloud: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """Move at random, for want of anything to plan with: (K, 2) metres."""
         moves = bounded_moves(self.rng.uniform(-1.0, 1.0, (len(positions), 2)), self.max_step)
@@ -185,10 +191,10 @@ class ThinksAhead(Online):
         :raises SceneError: if what has been seen is no room.
         """
 
-    def _goals(self, positions: np.ndarray) -> np.ndarray:
-        """Return where cameras at (K, 3) are by the plan after a turn: (K, 2) metres."""
-        if self._space is None:
-            return self.towards(positions, self.targets)
+    def goals(self, positions: np.ndarray) -> np.ndarray:
+        """Go around what is in the way; see :meth:`Online.goals`."""
+        if self._space is None or self.targets is None:
+            return super().goals(positions)
         return self._space.on_way(positions[:, :2], self.targets, self.max_step)
 
     def _ahead(self, turns: int) -> bool:
@@ -212,7 +218,7 @@ class ThinksAhead(Online):
                 self._think(cloud, positions, turn, turns)
         except SceneError:
             return self.wander(cloud, positions)
-        goals = self._goals(positions)
+        goals = self.goals(positions)
         if turn + 1 < turns and not self._waited_for(turn + 1, turns, len(positions)):
             self.think_of(PlannedTurn(cloud.copy(), np.column_stack([goals, positions[:, 2]]),
                                       turn + 1, turns, self.sight))
@@ -322,6 +328,10 @@ class ThenLookahead(Online):
     def headings(self) -> np.ndarray | None:
         """Return those of the planner that has played last; see :attr:`Online.headings`."""
         return self._playing.headings
+
+    def goals(self, positions: np.ndarray) -> np.ndarray:
+        """Return those of the planner that has played last; see :meth:`Online.goals`."""
+        return self._playing.goals(positions)
 
     def know(self, sight: RigState | None) -> None:
         """Tell both."""

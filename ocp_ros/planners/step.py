@@ -149,10 +149,8 @@ class OnlineStep:
         if self.aim is None or not self.limits.max_turn:
             return
         targets = state.placement[:, :3].copy()
-        if self.planner.targets is not None:
-            targets[:state.movable, :2] = towards(positions[:, :2], self.planner.targets,
-                                                  self.limits.max_step)
         try:
+            targets[:state.movable, :2] = self.planner.goals(positions)
             self.aim.think(cloud, state, targets, self.limits.max_turn, turn, turns,
                            self.planner.headings)
         except Exception as error:
