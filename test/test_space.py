@@ -170,6 +170,23 @@ def test_a_camera_goes_around_what_it_cannot_step_over():
     np.testing.assert_allclose(plane.on_way(here[None], there[None], 2.0)[0, 0], 3.5, atol=0.05)
 
 
+@pytest.mark.parametrize('step', [0.001, 0.04, 0.09])
+def test_steps_too_short_for_the_cells_are_straight_and_bounded(step):
+    plane = plane_over(np.ones((60, 60), dtype=bool))
+    here, there = np.ones(2), np.array([2.5, 1.0])
+    moved = plane.on_way(here[None], there[None], step)[0]
+    np.testing.assert_allclose(moved, here + [step, 0.0], atol=1e-5)
+    reached = plane.reached(here, step, 12).inside(there)
+    np.testing.assert_allclose(reached, here + [12.0 * step, 0.0], atol=1e-5)
+
+
+def test_a_room_without_width_still_has_ways():
+    plane = FreePlane(np.zeros(2), np.array([5.0, 0.0]), 1.9, 1)
+    here, there = np.array([0.3, 0.0]), np.array([3.0, 0.0])
+    np.testing.assert_array_equal(plane.on_way(here[None], there[None], STEP)[0], [0.8, 0.0])
+    np.testing.assert_array_equal(plane.reached(here, STEP, 2).inside(there), [1.3, 0.0])
+
+
 @settings(deadline=None, max_examples=40)
 @given(seed=strategies.integers(0, 2 ** 32 - 1), closed=strategies.floats(0.0, 0.6))
 def test_a_camera_is_there_as_soon_as_it_can_be(seed, closed):

@@ -5,9 +5,10 @@ The map actor: each camera goes to the place that a trained network finds best f
 
 The network reads a map of what was observed and values all places at once; see
 :mod:`ocp_ros.agent.observation_map`. Each camera has a target. Turn after turn some cameras choose
-again, given the targets of the others: among the places over the floor that was seen and that can
-be reached in the turns that are left. The few places that the network finds best are then tried on
-what was observed: of what has been seen the trial knows more, of all else the network does.
+again, given the targets of the others: among the places over the floor that was seen, no farther
+away than the turns that are left lead straight on. The few places that the network finds best are
+then tried on what was observed: of what has been seen the trial knows more, of all else the
+network does.
 """
 
 from typing import TYPE_CHECKING

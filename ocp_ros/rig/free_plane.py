@@ -29,6 +29,9 @@ CLEARANCE = 0.15
 #: Metres: edge of the cells that are closed near surfaces, and how much farther than the clearance
 #: these are, for rounding. Where there are more cells than so many, their edge is doubled.
 FINE_EDGE, SLACK, MOST_CELLS = 0.05, 1e-4, 100_000
+#: How many cells a step has to be long for ways over cells, and the moves of the longest way that
+#: is sought: who is farther away goes straight on.
+CELLS_A_STEP, MOST_MOVES = 2, 60
 #: Shares of a way that are tried one after the other where its end is too near to a surface.
 SHORTENED = (1.0, 0.75, 0.5, 0.25, 0.0)
 
@@ -203,6 +206,16 @@ def _fine(floor: Floor | None, low: np.ndarray, high: np.ndarray) -> Floor | Non
                  ).within(low, high)
 
 
+def _around(cells: Floor, position: np.ndarray, target: np.ndarray, straight: np.ndarray,
+            step: float) -> np.ndarray:
+    """Return the end of a move towards a target, next to a straight one: (2,) metres."""
+    for floor in islice(cells.reached(target, step), MOST_MOVES):
+        near = floor.near(position, step)
+        if near.open.any():
+            return near.nearest_middle(straight)
+    return straight
+
+
 @dataclass(frozen=True)
 class FreePlane:
     """
@@ -325,52 +338,61 @@ class FreePlane:
 
     def reached(self, position: np.ndarray, step: float, turns: int) -> 'FreePlane':
         """
-        Return where a camera can be in time; all of the plane where its first move leads nowhere.
+        Return where a camera can be in time, to about a cell.
+
+        Where steps are short for the cells, or where the first move leads nowhere, that is the
+        square around it with edges of twice so many steps.
 
         :param position: (2,) metres, where it is.
         :param step: no move is longer, metres.
         :param turns: that many moves at most, 1 or more.
         """
-        floors = list(islice(self._cells.reached(position, step), turns))
-        return replace(self, floor=floors[-1]) if floors else self
+        cells = self._cells_for(step)
+        floors = [] if cells is None else list(islice(cells.reached(position, step), turns))
+        if floors:
+            return replace(self, floor=floors[-1])
+        low, high = (np.clip(position + sign * turns * step, self.low, self.high)
+                     for sign in (-1.0, 1.0))
+        return replace(self, low=low, high=high)
 
     def on_way(self, positions: np.ndarray, targets: np.ndarray, step: float) -> np.ndarray:
         """
         Go from positions (K, 2) to targets (K, 2), metres, by one move no longer than a step.
 
-        It is the straight one where no other leads there in fewer turns, and otherwise the one
-        next to it that does.
+        It is the straight one where no other leads there in fewer turns, or where steps are short
+        for the cells, and otherwise the one next to it that does.
 
         :returns: (K, 2) metres.
         """
         ended = self.moved(positions, towards(positions, targets, step) - positions, step)
+        cells = self._cells_for(step)
+        if cells is None:
+            return ended
         for camera, target in enumerate(targets):
-            if not self._arrives(positions[camera], target, step):
-                ended[camera] = self._around(positions[camera], target, ended[camera], step)
+            if not self._arrives(positions[camera], target, step, cells.edge):
+                ended[camera] = _around(cells, positions[camera], target, ended[camera], step)
         return ended
 
-    def _arrives(self, position: np.ndarray, target: np.ndarray, step: float) -> bool:
-        """Tell whether a camera gets to a target (2,) straight on, in as few turns as can be."""
+    def _arrives(self, position: np.ndarray, target: np.ndarray, step: float, off: float) -> bool:
+        """Tell whether a camera gets straight on, in as few turns as can be, next to a target."""
         turns = int(np.ceil(np.linalg.norm(target - position) / step))
         place, goal = position[None], target[None]
         for _ in range(turns):
+            before = place
             place = self.moved(place, towards(place, goal, step) - place, step)
-        return bool(np.linalg.norm(place - goal) <= self._cells.edge)
+            if np.array_equal(place, before):
+                break
+        return bool(np.linalg.norm(place - goal) <= off)
 
-    def _around(self, position: np.ndarray, target: np.ndarray, straight: np.ndarray, step: float
-                ) -> np.ndarray:
-        """Return the end of a move towards a target, next to a straight one: (2,) metres."""
-        for floor in self._cells.reached(target, step):
-            near = floor.near(position, step)
-            if near.open.any():
-                return near.nearest_middle(straight)
-        return straight
+    def _cells_for(self, step: float) -> Floor | None:
+        """Return the cells that ways lead over; None where they are too large for such a step."""
+        cells = self._cells
+        return cells if cells is not None and step >= CELLS_A_STEP * cells.edge else None
 
     @cached_property
-    def _cells(self) -> Floor:
-        """Return the cells that cameras may be over."""
-        return (self.floor or _fine(None, self.low, self.high)
-                or Floor(self.low, np.ones((1, 1), dtype=bool), FINE_EDGE))
+    def _cells(self) -> Floor | None:
+        """Return the cells that cameras may be over; None if there is none."""
+        return self.floor or _fine(None, self.low, self.high)
 
     def folded(self, positions: np.ndarray) -> np.ndarray:
         """Fold positions (..., 2) back at the rectangle's edges: a symmetric step stays so."""
