@@ -289,7 +289,7 @@ def test_lookahead_in_the_last_turns_helps(outcomes):
 
 
 def test_lookahead_alone_in_the_last_turn_stays_within_reach():
-    # As dense as what cameras see: of 2,000 points, half of which a fold leaves out, few are left.
+    # As dense as what cameras see.
     room = made_room(8, 15000)
     online, positions = Lookahead(*settings()), np.array([[1.0, 1.0, 1.9], [2.0, 2.0, 1.9]])
     moves = online.move(room.points, positions, 29, 30)

@@ -122,16 +122,15 @@ class Online(ABC):
         return FreePlane.around(cloud, positions, self.wall_margin,
                                 clearance_of(self.sight, self.clearance))
 
-    def towards(self, positions: np.ndarray, targets: np.ndarray, steps: int = 1) -> np.ndarray:
+    def towards(self, positions: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """
-        Go from positions to targets as far as some steps reach.
+        Go from positions to targets as far as a turn reaches.
 
         :param positions: (K, 3) or (K, 2) metres.
         :param targets: (K, 2) metres.
-        :param steps: how many turns there are.
         :returns: (K, 2) metres.
         """
-        return towards(positions[:, :2], targets, steps * self.max_step)
+        return towards(positions[:, :2], targets, self.max_step)
 
     def goals(self, positions: np.ndarray) -> np.ndarray:
         """Return where cameras at (K, 3) are by the plan after a turn: (K, 2) metres."""

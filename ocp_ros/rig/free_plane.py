@@ -364,7 +364,7 @@ class FreePlane:
 
         :returns: (K, 2) metres.
         """
-        ended = self.moved(positions, towards(positions, targets, step) - positions, step)
+        ended = self._straight(positions, targets, step)
         cells = self._cells_for(step)
         if cells is None:
             return ended
@@ -373,13 +373,17 @@ class FreePlane:
                 ended[camera] = _around(cells, positions[camera], target, ended[camera], step)
         return ended
 
+    def _straight(self, positions: np.ndarray, targets: np.ndarray, step: float) -> np.ndarray:
+        """Go straight from positions (K, 2) to targets (K, 2), metres, by one move."""
+        return self.moved(positions, towards(positions, targets, step) - positions, step)
+
     def _arrives(self, position: np.ndarray, target: np.ndarray, step: float, off: float) -> bool:
         """Tell whether a camera gets straight on, in as few turns as can be, next to a target."""
         turns = int(np.ceil(np.linalg.norm(target - position) / step))
         place, goal = position[None], target[None]
         for _ in range(turns):
             before = place
-            place = self.moved(place, towards(place, goal, step) - place, step)
+            place = self._straight(place, goal, step)
             if np.array_equal(place, before):
                 break
         return bool(np.linalg.norm(place - goal) <= off)
