@@ -20,7 +20,7 @@ import pytest
 
 # Nothing here that takes long to import: the process that hands out the tests reads this too, and
 # the others begin when it has done so.
-from ocp_ros.agent.agent_config import AgentConfig, OF_MOVES
+from ocp_ros.agent.agent_config import AgentConfig, CLOUD, PAPER
 from ocp_ros.ros.runtime.exit_timer import leaving_within
 from ocp_ros.util.settings import ConfigurationError
 
@@ -72,12 +72,13 @@ def furnished():
 @pytest.fixture(scope='session')
 def small_agent():
     """Return sizes of a network that trains in milliseconds."""
-    return AgentConfig(points=64, keys_1=8, group_1=4, keys_2=4, group_2=4, channels=8, hidden=16)
+    return AgentConfig(CLOUD, points=64, keys_1=8, group_1=4, radius_1=1.5, keys_2=4, group_2=4,
+                       radius_2=3.0, channels=8, pooled=12, hidden=16)
 
 
-@pytest.fixture(scope='session', params=OF_MOVES)
+@pytest.fixture(scope='session', params=(CLOUD, PAPER))
 def agent(request, small_agent):
-    """Return such sizes for each kind of inputs."""
+    """Return such sizes for each network that reads a cloud."""
     return replace(small_agent, inputs=request.param)
 
 
@@ -97,13 +98,16 @@ def random_checkpoint(agent, seed=0, **known):
     return Checkpoint(agent, Actor(agent).state_dict(), **known)
 
 
-def observation(agent, cameras=4, seed=0):
+def observation(agent, seed=0):
     """Return an encoded observation of random points in a room around the origin."""
     from ocp_ros.agent.encoder import Encoder
+    from ocp_ros.agent.observation import encode
     rng = np.random.default_rng(seed)
     cloud = rng.uniform([-3, -2, 0], [3, 2, 3], (300, 3)).astype(np.float32)
-    positions = rng.uniform([-1, -1, 1.9], [1, 1, 1.9], (cameras, 3))
-    return Encoder(agent)(cloud, positions, 3, 30)
+    positions = rng.uniform([-1, -1, 1.9], [1, 1, 1.9], (4, 3))
+    if agent.one_by_one:
+        return Encoder(agent).turn(cloud, positions, 3, 30).inputs(0)
+    return encode(cloud, positions, agent)
 
 
 def batch(*encoded):

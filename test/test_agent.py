@@ -1,53 +1,34 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The agent: observation cache, networks, policy."""
+"""The agents that read the observed cloud: observation cache, networks, policy."""
 
-from conftest import around_z, assert_same, batch, box_room, observation, random_checkpoint
-from hypothesis import given
-from hypothesis import settings as budget
-from hypothesis import strategies as st
+from dataclasses import replace
+
+from conftest import assert_same, batch, made_room, observation, random_checkpoint, ROOT
 import numpy as np
 import pytest
 import torch
 
-from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.distributions import Choices
-from ocp_ros.agent.encoder import Encoder, order_of
-from ocp_ros.agent.move_effects import CHOICES, DIRECTIONS, LONGEST, MOVES
-from ocp_ros.agent.networks import (
-    Actor,
-    CriticHead,
-    ExtractionUnit,
-    Extractor,
-    GaussianHead,
-    WIDTH_FIRST,
-)
-from ocp_ros.agent.observation import encode
+from ocp_ros.agent.agent_config import AgentConfig, CLOUD, MAP, PAPER
+from ocp_ros.agent.encoder import Encoder
+from ocp_ros.agent.networks import Actor, ExtractionUnit, Extractor
+from ocp_ros.agent.observation import encode, OTHERS
 from ocp_ros.agent.policy import Policy
 from ocp_ros.agent.sampling import ball_query, farthest_points
-from ocp_ros.rig.motion import bounded_moves
-from ocp_ros.util.resources import find_model
+from ocp_ros.scenes.scene_source import make_room
+from ocp_ros.training.augmentation import SYMMETRIES, turn_observation
+from ocp_ros.training.encoded_environment import encoded_space
+from ocp_ros.training.run_folder import read_config
+from ocp_ros.util.settings import ConfigurationError
 
-seeds = st.integers(0, 2 ** 32 - 1)
-#: The moves that the network chooses among, in units of the longest step.
-CENTRES = torch.tensor(CHOICES / LONGEST, dtype=torch.float32)
-#: What has a row for each camera.
-PER_CAMERA = ('cameras', 'directions', 'own')
-
-
-def cloud_observation(agent, cameras, seed=0, count=500):
-    """Return an encoded cloud of random points."""
-    rng = np.random.default_rng(seed)
-    cloud = rng.uniform([0, 0, 0], [8, 6, 3], (count, 3)).astype(np.float32)
-    bounds = np.stack([cloud.min(0), cloud.max(0)])
-    return encode(cloud, rng.uniform([2, 2, 1.9], [6, 4, 1.9], (cameras, 3)), bounds, agent)
+AGENT = AgentConfig(CLOUD, points=128, keys_1=16, group_1=8, radius_1=2.0, keys_2=8, group_2=8,
+                    radius_2=4.0, channels=16, hidden=32, pooled=24)
 
 
-def parameters(moves):
-    """Return all that a distribution of moves is made of."""
-    if isinstance(moves, Choices):
-        return torch.cat([moves.logits, moves.log_std.expand(*moves.logits.shape[:2], 1)], dim=-1)
-    return torch.cat([moves.mean, moves.log_std], dim=-1)
+@pytest.fixture(scope='module')
+def cloud():
+    """Return the points of a room that is longer than cameras see."""
+    return made_room(8, 3000).points
 
 
 def seeded_actor(agent, seed=0):
@@ -56,18 +37,31 @@ def seeded_actor(agent, seed=0):
     return Actor(agent)
 
 
-def test_the_observation_cache_is_what_the_units_compute_on(small_agent):
-    encoded = cloud_observation(small_agent, 3)
+def turn_of(cloud, positions, agent=AGENT, max_range=2.0):
+    """Return an encoded turn of cameras that see so far."""
+    return Encoder(agent, max_range, 0.5).turn(cloud, np.array(positions), 3, 30)
+
+
+def corners(cloud):
+    """Return places near two corners of a room, and at both its height."""
+    low, high = cloud.min(axis=0), cloud.max(axis=0)
+    return [[*(low + 0.8)[:2], 1.5], [*(high - 0.8)[:2], 1.5]]
+
+
+def test_the_observation_cache_is_what_the_units_compute_on(small_agent, cloud):
+    agent = replace(small_agent, inputs=PAPER)
+    places = np.array(corners(cloud))
+    encoded = encode(cloud, places, agent)
     points, keys = encoded['points'], encoded['keys_1']
-    assert np.array_equal(keys, farthest_points(points, small_agent.keys_1))
+    assert np.array_equal(keys, farthest_points(points, agent.keys_1))
     assert np.array_equal(encoded['groups_1'], ball_query(
-        points, keys, small_agent.radius_1 / small_agent.length_scale, small_agent.group_1))
-    assert_same(encoded, cloud_observation(small_agent, 3))
+        points, keys, agent.radius_1 / agent.length_scale, agent.group_1))
+    assert_same(encoded, encode(cloud, places, agent))
 
 
 def test_an_extraction_unit_is_a_shared_perceptron_and_a_maximum():
     torch.manual_seed(0)
-    unit = ExtractionUnit(0, 8)
+    unit = ExtractionUnit(0, 8, False)
     points, centres = torch.randn(1, 20, 3), torch.randn(1, 2, 3)
     groups = torch.randint(20, (1, 2, 5))
     expected = torch.stack([
@@ -77,141 +71,144 @@ def test_an_extraction_unit_is_a_shared_perceptron_and_a_maximum():
 
 
 @pytest.mark.parametrize('cameras', [1, 2, 4, 7])
-def test_one_set_of_weights_serves_any_number_of_cameras(agent, cameras):
-    moves = seeded_actor(agent)(batch(observation(agent, cameras)))
-    for made in (moves.best(), moves.sample()):
-        assert made.shape == (1, cameras, 2) and torch.isfinite(made).all()
-    assert moves.log_prob(made).shape == (1, cameras)
-    assert torch.isfinite(parameters(moves)).all()
-
-
-@given(seed=seeds)
-@budget(max_examples=10, deadline=None)
-def test_the_order_of_the_cameras_does_not_matter(agent, seed):
-    actor, encoded = seeded_actor(agent), observation(agent, 4, seed)
-    order = np.random.default_rng(seed).permutation(4)
-    turned = {name: value[order] if name in PER_CAMERA else value
-              for name, value in encoded.items()}
-    one, other = actor(batch(turned)), actor(batch(encoded))
-    torch.testing.assert_close(parameters(one)[0], parameters(other)[0, order])
-    torch.testing.assert_close(one.best()[0], other.best()[0, order])
-
-
-def test_where_the_other_cameras_are_matters(agent, room):
-    actor, centre = seeded_actor(agent), room.bounds.mean(axis=0)
-    places = centre + [[0, 0, 0.4], [0.5, 0, 0.4], [0, 0.5, 0.4]]
-    moved = places + np.array([[0], [0.1], [0.2]])
-    one, other = (parameters(actor(batch(Encoder(agent)(room.points, positions, 0, 30))))
-                  for positions in (places, moved))
-    assert not torch.allclose(one[0, 0], other[0, 0], atol=1e-4)
+def test_one_set_of_weights_serves_any_number_of_cameras(small_agent, cloud, cameras):
+    places = cloud.mean(axis=0) + np.random.default_rng(0).uniform(-1.0, 1.0, (cameras, 3))
+    moves = Policy(random_checkpoint(small_agent)).act(cloud, places)
+    assert moves.shape == (cameras, 2) and np.isfinite(moves).all()
 
 
 def test_where_the_room_lies_in_the_map_does_not_matter(agent, room):
     policy = Policy(random_checkpoint(agent))
-    positions = room.bounds.mean(axis=0) + [[0, 0, 0.4], [1, 0, 0.4]]
+    positions = room.bounds.mean(axis=0) + [[0, 0, .4], [1, 0, .4], [0, 1, .4], [-1, 0, .4]]
     shift = np.array([64.0, -32.0, 0.0], np.float32)
     there = policy.act(room.points + shift, positions + shift)
     policy.reset()
     np.testing.assert_allclose(there, policy.act(room.points, positions), atol=1e-4)
 
 
-def test_moves_are_bounded_and_drawn_from_the_rng(agent, room):
+def test_moves_are_bounded_and_drawn_from_the_rng_alone(agent, room):
     policy = Policy(random_checkpoint(agent))
-    positions = room.bounds.mean(axis=0) + np.zeros((3, 3))
+    positions = room.bounds.mean(axis=0) + np.zeros((4, 3))
 
     def act(*seed):
         policy.reset()
         return policy.act(room.points, positions, 2, 30, *map(np.random.default_rng, seed))
 
-    still, one, two, three = act(), act(1), act(1), act(2)
-    assert np.array_equal(one, two) and not np.array_equal(one, three)
-    assert np.array_equal(still, act())
-    assert np.abs(still).max() <= 1.0 and still.shape == one.shape == (3, 2)
-    # A drawn move lies around a choice, whose width is at most exp(WIDTH_MAX).
-    assert np.abs(one).max() <= (1.0 + 5.0 * np.exp(WIDTH_FIRST) if agent.world else 1.0)
-
-
-@pytest.mark.parametrize('max_step', [0.1, 0.5, 2.0])
-def test_moves_are_those_it_was_told_of_however_long_the_longest_step(agent, max_step):
-    policy = Policy(random_checkpoint(agent), Encoder(agent, max_step=max_step))
-    cloud, positions = box_room().points, np.array([[3.0, 2.0, 1.9]])
-    for choice, centre in zip(CHOICES[::5], CENTRES[::5, None].numpy(), strict=True):
-        policy.choose = lambda encoded, rng, centre=centre: centre
-        found = bounded_moves(policy.act(cloud, positions), max_step)[0]
-        expected = max_step * centre[0]
-        if agent.world:
-            expected = choice * min(max_step / max(np.linalg.norm(choice), 1e-9), 1.0)
-        np.testing.assert_allclose(found, expected, atol=1e-6)
-
-
-def test_in_steps_as_long_as_in_training_the_answers_of_the_network_are_the_moves(room):
-    policy, twin = (Policy(Checkpoint.load(find_model('moves'))) for _ in range(2))
-    positions = room.bounds.mean(axis=0) + [[0, 0, 0.4], [0.5, 0, 0.4], [0, 0.5, 0.4]]
-    for turn in range(3):
-        encoded, expected = twin.encoder.turn(room.points, positions, turn, 30), {}
-        for camera in order_of(turn, 3):
-            (answer,) = twin.choose(encoded.inputs(camera))
-            expected[camera] = encoded.move(camera, answer).astype(np.float32)
-        found = policy.act(room.points, positions, turn, 30)
-        assert np.array_equal(found, [expected[camera] for camera in range(3)])
-        positions[:, :2] += bounded_moves(found, 0.5)
-
-
-def test_drawing_leaves_the_global_generator_alone(agent, room):
-    policy = Policy(random_checkpoint(agent))
     torch.manual_seed(4)
     before = torch.get_rng_state()
-    policy.act(room.points, room.bounds.mean(axis=0)[None], rng=np.random.default_rng(0))
+    still, one, two, three = act(), act(1), act(1), act(2)
     assert torch.equal(torch.get_rng_state(), before)
+    assert np.array_equal(one, two) and not np.array_equal(one, three)
+    assert np.array_equal(still, act())
+    assert max(np.abs(still).max(), np.abs(one).max()) <= 1.0
+    assert still.shape == one.shape == (4, 2)
 
 
-def with_absent(encoded, cameras, rng):
-    """Add rows of noise for cameras that there are not."""
-    filled, count = dict(encoded), 0
-    for name in PER_CAMERA:
-        if name in encoded:
-            count = len(encoded[name])
-            noise = rng.normal(size=(cameras - count, *encoded[name].shape[1:]))
-            filled[name] = np.concatenate([encoded[name], noise.astype(np.float32)])
-    return {**filled, 'present': (np.arange(cameras) < count).astype(np.float32)}
+def test_points_are_marked_by_who_sees_them_now(cloud):
+    places = corners(cloud)
+    told = turn_of(cloud, places)
+    for camera, other in ((0, 1), (1, 0)):
+        seen = told.inputs(camera)
+        points = AGENT.length_scale * (seen['points'] - seen['cameras'][0])
+        away = np.linalg.norm(points, axis=1)
+        away_other = np.linalg.norm(points - AGENT.length_scale * seen['others'][0, :3], axis=1)
+        own, others = seen['marks'].T
+        # Nobody sees farther than the range; next to a camera nothing hides a wall.
+        assert not own[away > 2.05].any() and not others[away_other > 2.05].any()
+        assert own[away < 1.2].mean() > 0.8 and others[away_other < 1.2].mean() > 0.8
+        assert set(np.unique(seen['marks'])) == {0, 1}
+        np.testing.assert_allclose(
+            AGENT.length_scale * seen['others'][0, :3], np.subtract(places[other], places[camera]),
+            atol=1e-5)
 
 
-def test_cameras_that_there_are_not_change_nothing(agent):
-    actor, encoded = seeded_actor(agent), observation(agent, 3)
-    full = batch(with_absent(encoded, 6, np.random.default_rng(0)))
-    torch.testing.assert_close(parameters(actor(full))[:, :3], parameters(actor(batch(encoded))))
-    torch.manual_seed(1)
-    extractor = Extractor(agent)
-    critic, moves = CriticHead(extractor.width, 16), torch.rand(1, 6, 2)
-    value = critic(extractor(full), moves, full['present'])
-    torch.testing.assert_close(value, critic(extractor(batch(encoded)), moves[:, :3],
-                                             torch.ones(1, 3)))
-    # It does depend on the moves of those that there are.
-    moves[0, 1] += 0.5
-    assert not torch.allclose(critic(extractor(full), moves, full['present']), value)
+def test_a_camera_is_told_what_those_before_it_will_do(cloud):
+    told = turn_of(cloud, corners(cloud))
+    before = told.inputs(1)
+    made = told.move(0, np.array([1.0, 0.0]))
+    after = told.inputs(1)
+    assert made[0] > 0.5
+    np.testing.assert_allclose(after['others'][0, :2] - before['others'][0, :2],
+                               made * 0.5 / AGENT.length_scale, atol=1e-5)
+    assert before['others'][0].tolist()[3:] == [1.0, 0.0]
+    assert after['others'][0].tolist()[3:] == [1.0, 1.0]
+    assert not before['others'][1:].any()
+    np.testing.assert_array_equal(before['marks'][:, 0], after['marks'][:, 0])
+    assert (before['marks'][:, 1] != after['marks'][:, 1]).any()
+    for name in ('points', 'groups_1', 'cameras', 'half_size', 'turn'):
+        np.testing.assert_array_equal(before[name], after[name])
 
 
-def test_a_shift_of_the_directions_turns_the_moves(small_agent):
-    actor, encoded = seeded_actor(small_agent), batch(observation(small_agent, 5))
-    straight = actor(encoded)
-    assert len({tuple(move) for move in straight.best()[0].tolist()}) > 1
-    for shift in range(1, DIRECTIONS):
-        turned = actor({**encoded, 'directions': encoded['directions'].roll(shift, dims=2)})
-        matrix = torch.tensor(around_z(360.0 * shift / DIRECTIONS), dtype=torch.float32)
-        torch.testing.assert_close(turned.best(), straight.best() @ matrix.T)
-        stay, moves = turned.logits.split([1, DIRECTIONS * MOVES], dim=-1)
-        torch.testing.assert_close(stay, straight.logits[..., :1])
-        torch.testing.assert_close(
-            moves.unflatten(-1, (DIRECTIONS, MOVES)),
-            straight.logits[..., 1:].unflatten(-1, (DIRECTIONS, MOVES)).roll(shift, dims=2))
+def test_the_turn_is_told_and_the_nearest_of_more_cameras_than_there_is_room_for(cloud):
+    (x, y, z), far = corners(cloud)
+    ways = np.random.default_rng(0).permutation(0.1 * np.arange(1, OTHERS + 1))
+    seen = turn_of(cloud, [[x, y, z], *([x + way, y, z] for way in ways), far]).inputs(0)
+    np.testing.assert_allclose(AGENT.length_scale * seen['others'][:, 0], np.sort(ways), atol=1e-5)
+    time, count, unseen = seen['turn']
+    assert (time, count) == (pytest.approx(0.1), pytest.approx((OTHERS + 2) / 4.0))
+    assert 0.0 < unseen < 1.0
 
 
-def test_a_gaussian_head_that_wants_too_much_stays_a_density():
-    head = GaussianHead(3, 8)
-    with torch.no_grad():
-        head.out.weight.mul_(1e6)
-        moves = head(torch.randn(64, 2, 3))
-        drawn = moves.sample()
-    assert (drawn.abs() <= 1.0).all() and (moves.best().abs() < 1.0).all()
-    # Where it is drawn from its density is neither nothing nor endless.
-    assert (moves.log_prob(drawn).abs() < 60.0).all()
+def test_where_nothing_is_seen_nothing_is_marked():
+    seen = turn_of(np.zeros((1, 3), np.float32), [[0.0, 0.0, 1.5], [0.5, 0.0, 1.5]]).inputs(0)
+    assert not seen['marks'].any() and seen['turn'][2] == 1.0
+    assert encoded_space(AGENT).contains(seen)
+
+
+@pytest.mark.parametrize('seed', [1000, 1002])
+def test_nearly_every_point_reaches_a_group(seed):
+    """In the network of the paper most do not: it is what repairs it that counts."""
+    scene, shares = make_room(str(seed), 0.0, 6000), {}
+    for name in (PAPER, CLOUD):
+        agent = read_config(ROOT / 'config' / 'train' / f'{name}.yaml').agent
+        seen = encode(scene.points, np.array([[*scene.bounds.mean(axis=0)[:2], 1.9]]), agent)
+        shares[name] = len(np.unique(seen['groups_1'])) / agent.points
+    assert shares[PAPER] < 0.4 and shares[CLOUD] > 0.95
+
+
+def test_symmetries_turn_the_ways_to_other_cameras(cloud):
+    seen = turn_of(cloud, corners(cloud)).inputs(0)
+    for matrix in SYMMETRIES:
+        turned = turn_observation(batch(seen), matrix[None])
+        expected = seen['others'].copy()
+        expected[:, :2] = expected[:, :2] @ matrix.numpy().T
+        np.testing.assert_allclose(turned['others'][0], expected, atol=1e-6)
+        np.testing.assert_array_equal(turned['marks'][0], seen['marks'])
+
+
+def test_a_policy_plays_camera_by_camera_as_it_was_trained(cloud):
+    policy, places = Policy(random_checkpoint(AGENT, seed=3)), np.array(corners(cloud))
+    moves = policy.act(cloud, places, 1, 30)
+    told = Encoder(AGENT).turn(cloud, places, 1, 30)
+    expected = np.zeros_like(moves)
+    for camera in (1, 0):
+        expected[camera] = told.move(camera, policy.choose(told.inputs(camera))[0])
+    np.testing.assert_allclose(moves, expected, atol=1e-6)
+
+
+def test_the_network_of_the_paper_reads_cloud_box_and_all_cameras(small_agent):
+    agent = replace(small_agent, inputs=PAPER)
+    encoded = batch(observation(agent))
+    features = Extractor(agent)(encoded)
+    assert features.shape == (1, agent.pooled + 3 + 3 + 3 * 4)
+    torch.testing.assert_close(features[0, -12:], encoded['cameras'].flatten())
+    torch.testing.assert_close(features[0, -15:-12], encoded['half_size'][0])
+
+
+def test_one_head_tells_cameras_in_one_place_apart(small_agent, cloud):
+    """Two cameras that read the same get moves of their own; a head of each cannot do this."""
+    agent = replace(small_agent, inputs=PAPER, cameras=2)
+    one, other = Policy(random_checkpoint(agent)).act(cloud, np.array([[1.0, 0.5, 1.9]] * 2))
+    assert np.abs(one - other).max() > 1e-3
+
+
+def test_one_head_serves_one_number_of_cameras(small_agent, cloud):
+    agent = replace(small_agent, inputs=PAPER, cameras=2)
+    with pytest.raises(ConfigurationError, match='found weights for 2 cameras, and 3 cameras'):
+        Policy(random_checkpoint(agent)).act(cloud, np.zeros((3, 3)))
+
+
+def test_settings_that_are_never_read_are_refused():
+    AgentConfig(MAP, headings=8)
+    with pytest.raises(ConfigurationError, match="headings: found 8 with agent.inputs 'cloud'"):
+        replace(AGENT, headings=8)

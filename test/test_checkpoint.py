@@ -70,13 +70,13 @@ def test_a_card_with_odd_values_is_refused_and_nothing_else_happens(small_agent,
 
 def test_weights_of_another_network_are_refused(small_agent):
     good = random_checkpoint(small_agent)
-    with pytest.raises(CheckpointError, match='missing .*head.out.bias'):
-        Checkpoint(small_agent, {n: v for n, v in good.weights.items() if n != 'head.out.bias'})
-    with pytest.raises(CheckpointError, match='head.out.bias as .*expected float32'):
-        Checkpoint(small_agent, {**good.weights, 'head.out.bias': torch.zeros(5)})
+    with pytest.raises(CheckpointError, match='missing .*mu.bias'):
+        Checkpoint(small_agent, {n: v for n, v in good.weights.items() if n != 'mu.bias'})
+    with pytest.raises(CheckpointError, match='mu.bias as .*expected float32'):
+        Checkpoint(small_agent, {**good.weights, 'mu.bias': torch.zeros(5)})
     for wrong in (torch.nan, -torch.inf, 3e38, -1e5):
-        with pytest.raises(CheckpointError, match='NaN, inf or more than 10000 in head.out.bias'):
-            Checkpoint(small_agent, {**good.weights, 'head.out.bias': torch.full((4,), wrong)})
+        with pytest.raises(CheckpointError, match='NaN, inf or more than 10000 in mu.bias'):
+            Checkpoint(small_agent, {**good.weights, 'mu.bias': torch.full((2,), wrong)})
 
 
 def test_huge_sizes_in_a_card_cost_nothing(small_agent):
@@ -110,9 +110,9 @@ def test_a_missing_file_is_named(tmp_path):
 
 
 def test_the_shipped_model_has_its_card():
-    checkpoint = Checkpoint.load(find_model('moves'))
+    checkpoint = Checkpoint.load(find_model('map'))
     test = checkpoint.provenance['test']
-    assert checkpoint.config == AgentConfig()
+    assert checkpoint.config == AgentConfig(headings=8)
     assert test['policy']['depth_error_end'] < test['random_moves']['depth_error_end']
     assert {'seed', 'date', 'interactions', 'training', 'seconds', 'curve'} <= (
         checkpoint.provenance.keys())

@@ -217,7 +217,7 @@ def test_a_camera_walks_round_a_panel_and_leaves_where_it_must_not_be(parted):
 
 @pytest.mark.parametrize('name', ['random', 'regular_grid', 'greedy_coverage', 'greedy_swap',
                                   'tdsa', 'bpso', 'bee_colony', 'differential_evolution',
-                                  'cma_es', 'learned_cma_es'])
+                                  'cma_es'])
 def test_no_planner_puts_a_camera_at_a_surface(validation, name):
     simulator = Simulator(Scene(validation, 'validation'), SimulationConfig(
         RigConfig(cameras=3), EngineConfig(preset='fast', error_rows=16, coverage_cell=1.0)))

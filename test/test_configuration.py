@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import yaml
 
-from ocp_ros.cli.main import parser
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.training.run_folder import read_config
 from ocp_ros.training.training_config import TrainingConfig
@@ -43,15 +42,6 @@ def test_a_bad_setting_is_named_with_what_was_expected(values, words):
         from_flat(SimulationConfig, values)
 
 
-def test_who_says_an_older_name_is_told_the_new_one(caplog):
-    values = {'demonstrations.expert': 'hand_rule', 'demonstrations.rounds': 1}
-    config = from_flat(TrainingConfig, values)
-    assert config.demonstrations.expert == 'greedy_step'
-    assert "found 'hand_rule'; going on with 'greedy_step', as it is called now" in caplog.text
-    asked = parser().parse_args(['evaluate', '--planners', 'learned,learned+lookahead'])
-    assert asked.planners == ('learned', 'learned_lookahead')
-
-
 def test_whole_numbers_are_welcome_where_yaml_forgot_the_point():
     assert from_flat(SimulationConfig, {'rig.max_range': 5}).rig.max_range == 5.0
 
@@ -79,19 +69,12 @@ def test_every_setting_has_a_default_in_its_own_range():
 
 @pytest.mark.parametrize(('values', 'words'), [
     ({'fewest_cameras': 5}, 'fewest_cameras: found 5 with simulation.rig.cameras 4'),
-    ({'interactions': 0}, 'interactions: found 0 and no demonstrations.rounds'),
-    ({'demonstrations': {'rounds': 1}, 'agent': {'inputs': 'cloud'}}, "agent.inputs 'cloud'"),
-    ({'simulation': {'episode': {'max_step': 2.0}}, 'agent': {'inputs': 'both'}},
-     "simulation.episode.max_step: found 2.0 with agent.inputs 'both'; expected 0.5, the longest"),
-    ({'demonstrations': {'expert': 'look_ahead'}}, "did you mean 'lookahead'")])
+    ({'agent': {'inputs': 'cloud'}}, 'interactions: found 0 and no dense values'),
+    ({'agent': {'inputs': 'paper'}, 'fewest_cameras': 2},
+     'agent.cameras: found weights for 4 cameras, and 2 cameras')])
 def test_settings_of_a_run_that_contradict_each_other_are_refused(values, words):
     with pytest.raises(ConfigurationError, match=words):
         from_nested(TrainingConfig, values)
-
-
-def test_who_reads_the_cloud_alone_may_learn_with_any_longest_step():
-    values = {'simulation': {'episode': {'max_step': 2.0}}, 'agent': {'inputs': 'cloud'}}
-    assert from_nested(TrainingConfig, values).simulation.episode.max_step == 2.0
 
 
 @pytest.mark.parametrize('path', sorted((ROOT / 'config' / 'train').glob('*.yaml')),

@@ -86,7 +86,7 @@ def logs(tmp_path, monkeypatch):
 @pytest.fixture
 def model():
     """Return soft actor-critic that begins with a value map."""
-    made = make_sac(SAC, AGENT, 1)
+    made = make_sac(SAC, AGENT)
     load_actor(made, Checkpoint(AGENT, network().state_dict()))
     return made
 
@@ -204,7 +204,7 @@ def test_what_is_rewarded_is_learned(model):
 def test_a_policy_is_drawn_back_to_the_value_map_it_began_with():
     first = network()
     near = NearValueMap(AGENT, first.state_dict(), torch.device('cpu'))
-    model = make_sac(SAC, AGENT, 1, seed=0)
+    model = make_sac(SAC, AGENT, seed=0)
     load_actor(model, Checkpoint(AGENT, first.state_dict()))
     seen = {name: torch.from_numpy(value)[None] for name, value in made_up(3).items()}
     assert near.loss_of(model.actor, seen).item() == pytest.approx(0.0, abs=1e-6)
@@ -253,7 +253,7 @@ def test_who_explores_tells_what_it_read_and_drew(room):
     middle = np.append(room.bounds.mean(axis=0)[:2], 1.9)
     positions = middle + np.array([[0.4, 0.1, 0.0], [-0.3, 0.5, 0.0], [0.1, -0.6, 0.0]])
     expected = {name: (space.shape, space.dtype)
-                for name, space in encoded_space(AGENT, 1).spaces.items()}
+                for name, space in encoded_space(AGENT).spaces.items()}
     for turn, count in ((0, 6), (1, 2)):
         moves = planner.move(room.points, positions, turn, 30)
         choices = planner.policy.take()

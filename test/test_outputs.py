@@ -10,10 +10,9 @@ import os
 import resource
 import sys
 
-from conftest import blank_report, made_room, observation, random_checkpoint
+from conftest import blank_report, made_room, random_checkpoint
 from markdown_it import MarkdownIt
 from matplotlib.figure import Figure
-import numpy as np
 import pytest
 
 from ocp_ros.cli import main as cli
@@ -23,11 +22,10 @@ from ocp_ros.report.comparison_page import write_page
 from ocp_ros.report.drawing.figure_files import save_figure
 from ocp_ros.report.viewer import write_view
 from ocp_ros.scenes.scene_files import load_scene, save_scene
-from ocp_ros.training.demonstration_rounds import save_round
+from ocp_ros.training.replay_file import save_replay
 from ocp_ros.training.run_folder import add_record, claim
-from ocp_ros.training.training_config import TrainingConfig
-from ocp_ros.training.transition_log import TransitionLog
-from ocp_ros.training.transitions import Transition
+from ocp_ros.training.sac import make_sac
+from ocp_ros.training.training_config import SacConfig, TrainingConfig
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.own_files import check_own, is_own, note_own, RECORD, remove_own
 from ocp_ros.util.settings import ConfigurationError
@@ -184,19 +182,15 @@ def full_disk(size=2000):
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def log_of(agent):
-    """Return a log of transitions that was not written yet."""
-    def write(path):
-        log = TransitionLog(path.parent, 100)
-        before = observation(agent, 1)
-        for _ in range(20):
-            log.append(Transition(before, np.zeros((1, 2), np.float32), 1.0, before, False))
-        log.save()
-    return write
+def replay_of(agent):
+    """Return what writes a replay buffer that is full."""
+    buffer = make_sac(SacConfig(buffer_size=100, device='cpu'), agent).replay_buffer
+    buffer.pos, buffer.full = 0, True
+    return lambda path: save_replay(buffer, path)
 
 
-@pytest.mark.parametrize('name', ['a.png', 'a.html', 'b.html', 'a.ply', 'a.safetensors', 'a.npz',
-                                  'progress.jsonl', '000000000000.safetensors'])
+@pytest.mark.parametrize('name', ['a.png', 'a.html', 'b.html', 'a.ply', 'a.safetensors',
+                                  'progress.jsonl', 'replay.safetensors'])
 def test_a_full_disk_leaves_what_was_there(room, small_agent, tmp_path, name):
     write = {
         'a.png': lambda path: save_figure(Figure(), path),
@@ -204,10 +198,9 @@ def test_a_full_disk_leaves_what_was_there(room, small_agent, tmp_path, name):
         'b.html': lambda path: write_page(path, 'title', {}),
         'a.ply': lambda path: save_scene(room, path),
         'a.safetensors': lambda path: random_checkpoint(small_agent).save(path),
-        'a.npz': lambda path: save_round(path, [{'a': np.random.default_rng(0).random(9000)}]),
         'progress.jsonl': lambda path: add_record(path.parent, {
             'phase': 'x' * 9000, 'interactions': 1, 'updates': 1, 'seconds': 1.0}),
-        '000000000000.safetensors': log_of(small_agent)}[name]
+        'replay.safetensors': replay_of(small_agent)}[name]
     path = tmp_path / name
     path.write_text('')
     with full_disk(), pytest.raises((OSError, ConfigurationError, ValueError)):

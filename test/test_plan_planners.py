@@ -13,7 +13,6 @@ import yaml
 
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.candidate_pool import Pool
 from ocp_ros.planners.online_planner import Online
@@ -215,7 +214,7 @@ def test_cameras_that_hardly_find_room_hang_packed(furnished):
     assert FeasibleRegion(furnished, rig).broken(plan.answer.poses) == []
 
 
-def test_planners_are_told_the_loss_the_coverage_and_what_is_seen(furnished):
+def test_planners_are_told_the_loss_and_the_coverage(furnished):
     rig = rig_of(2, 'd455', regions=[{'name': 'corner', 'box': [[0, 0, -0.1], [2, 2, 1]]}])
     decode = decoder_of(furnished, rig)
     placements = [np.array([[1.0, 1.0, 0.0], [5.0, 3.0, 0.0]]), np.array([[1.0, 1.0, 0.0]]),
@@ -226,10 +225,6 @@ def test_planners_are_told_the_loss_the_coverage_and_what_is_seen(furnished):
     assert scores.error[0] == worth.loss
     assert scores.error[0] < scores.error[1] < scores.error[2] == 2.0
     assert scores.space_coverage[0] == worth.space_coverage
-    order = decode.objective.simulator.visibility.order
-    views = decode.objective.look(poses)
-    seen = Subset(views[0].seen | views[1].seen, order).mask
-    assert np.array_equal(scores.cloud(0), furnished.points[seen]) and len(scores.cloud(2)) == 0
 
 
 @pytest.mark.parametrize('name', ['random', 'greedy_error', 'cma_es', 'learned', 'lookahead'])

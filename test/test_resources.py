@@ -30,7 +30,7 @@ def installed(prefix, code, share):
     module = prefix / code / 'ocp_ros' / 'util' / 'resources.py'
     module.parent.mkdir(parents=True)
     shutil.copy(resources.__file__, module)
-    for name in ('config/fastdds_local.xml', 'models/moves.safetensors'):
+    for name in ('config/fastdds_local.xml', 'models/map.safetensors'):
         path = prefix / share / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(name)
@@ -50,7 +50,7 @@ def test_files_are_found_in_every_layout(tmp_path, monkeypatch, layout):
     monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
     module, share = installed(tmp_path, *LAYOUTS[layout])
     assert module.share_folder() == share
-    assert module.find_model('moves') == share / 'models' / 'moves.safetensors'
+    assert module.find_model('map') == share / 'models' / 'map.safetensors'
 
 
 def test_links_to_files_elsewhere_are_those_of_the_prefix(tmp_path, monkeypatch):
@@ -88,7 +88,7 @@ def test_a_package_that_is_not_whole_says_so(tmp_path, monkeypatch):
     shutil.rmtree(share)
     with pytest.raises(FileNotFoundError, match='found no folder share/ocp_ros above .*; expected '
                        '.*; install the package again'):
-        module.find_model('moves')
+        module.find_model('map')
 
 
 def test_shipped_files_are_found_from_every_folder(tmp_path, monkeypatch, capsys):
@@ -96,7 +96,7 @@ def test_shipped_files_are_found_from_every_folder(tmp_path, monkeypatch, capsys
     shipped = Path('config', 'rig', 'four_d455.yaml')
     assert find_config(shipped) == ROOT / shipped
     assert find_config('none.yaml') == Path('none.yaml')
-    assert find_model('moves') == ROOT / 'models' / 'moves.safetensors'
+    assert find_model('map') == ROOT / 'models' / 'map.safetensors'
     # The rig file is read, and then the room is missed.
     assert main(['plan', 'none.ply', '--rig', str(shipped)]) == 2
     assert 'none.ply: found no such file' in capsys.readouterr().err

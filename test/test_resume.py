@@ -13,32 +13,26 @@ import subprocess
 import sys
 import time
 
-from conftest import Here, HUNG, observation, rows_for
+from conftest import Here, HUNG, rows_for
 import numpy as np
 import pytest
 import safetensors.numpy
 import safetensors.torch
 from stable_baselines3.common.vec_env import DummyVecEnv
-from test_demonstrations import SHOWN
+from test_training import TINY
 import torch
 
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.evaluation import task_runner
 from ocp_ros.evaluation.protocol import Protocol
 from ocp_ros.training import train as training
-from ocp_ros.training.replay_file import _rings, _written, load_replay
 from ocp_ros.training.training_config import TrainingConfig
-from ocp_ros.training.transition_log import TransitionLog
-from ocp_ros.training.transitions import Transition
 from ocp_ros.util.settings import ConfigurationError, from_nested, UserError
 from ocp_ros.util.worker_pool import WorkerPool
 
-#: A run that imitates, and then learns by itself.
-SETTINGS = {**SHOWN, 'interactions': 24, 'demonstrations': {**SHOWN['demonstrations'],
-                                                            'rounds': 1}}
+SETTINGS = {**TINY, 'interactions': 24}
 CONFIG, ROOMS, PROGRESS = 'config.yaml', 'rooms.json', 'progress.jsonl'
-BEST, STATE, ROUND = 'best.safetensors', 'state.safetensors', 'demonstrations/0000.npz'
-FITTED, REPLAY = 'demonstrations/0000.fitted', 'replay.safetensors'
+BEST, STATE, REPLAY = 'best.safetensors', 'state.safetensors', 'replay.safetensors'
 #: What may befall any file.
 DAMAGES = {
     'empty': lambda content: b'',
@@ -98,24 +92,6 @@ def without(start):
     def change(found):
         del found[next(name for name in sorted(found) if name.startswith(start))]
     return tensors(change)
-
-
-def arrays(change):
-    """Return a damage of the arrays of a round."""
-    def damage(content):
-        import io
-        with np.load(io.BytesIO(content)) as file:
-            found = dict(file)
-        change(found)
-        buffer = io.BytesIO()
-        np.savez_compressed(buffer, **found)
-        return buffer.getvalue()
-    return damage
-
-
-def put(name, value):
-    """Return a damage of one array of a round."""
-    return arrays(lambda found: found.update({name: value(found[name])}))
 
 
 #: What is damaged, how, and what has to be said of it; nothing where the run just goes on.
@@ -182,25 +158,9 @@ CASES = [
         rewards=found['rewards'].to(torch.float64))), 'rewards is float64'),
     (REPLAY, 'fewer moves', tensors(lambda found: found.update(
         rewards=found['rewards'][:-1].clone())), 'rewards is float32'),
-    (REPLAY, 'huge', filled('rewards', float('inf')), 'rewards has inf'),
-    (REPLAY, 'filled too far', filled('ring.pos', 1 << 40), 'how far it is filled'),
-    (REPLAY, 'gone', None, ''),
-    *((ROUND, name, damage, 'remove the file, and the round is played again')
-      for name, damage in DAMAGES.items()),
-    (ROUND, 'NaN', put('rewards', lambda value: value * np.nan), 'rewards has numbers'),
-    (ROUND, 'NaN in an input', put('own', lambda value: value * np.nan), 'own has numbers'),
-    (ROUND, 'huge', put('expert', lambda value: value + 6e4), 'expert has numbers'),
-    (ROUND, 'another type', put('own', lambda value: value.astype(np.int64)), 'own is int64'),
-    (ROUND, 'another shape', put('own', lambda value: value[:, :, :-1]), 'own is float16'),
-    (ROUND, 'other rows', put('rewards', lambda value: value[:-1]), 'rewards is float16'),
-    (ROUND, 'missing', arrays(lambda found: found.pop('rewards')), 'rewards is missing'),
-    (ROUND, 'unknown', arrays(lambda found: found.update(odd=np.zeros(3))), 'odd is unknown'),
-    (ROUND, 'pickled', arrays(lambda found: found.update(
-        own=np.array([{}] * 3, dtype=object))), 'found no whole round'),
-    (ROUND, 'without an end', put('last', np.zeros_like), 'no end'),
-    (ROUND, 'gone', None, ''),
-    *((FITTED, name, damage, '') for name, damage in (
-        ('no text', DAMAGES['no text']), ('gone', None)))]
+    (REPLAY, 'huge', filled('rewards', float('inf')), 'rewards has NaN or inf'),
+    (REPLAY, 'filled too far', filled('filled', 1 << 40), ', not float32 ('),
+    (REPLAY, 'gone', None, '')]
 
 
 @pytest.fixture(scope='module')
@@ -235,9 +195,8 @@ def test_a_damaged_run_goes_on_or_says_what_is_lost_and_what_to_do(
     if not words:
         again = training.train(config, tmp_path / 'run')
         assert again.run == first.run and again.updates > 0
-        # Nothing was left to learn: the best weights are those there were, or the last ones. A
-        # round that nobody knows to be fitted is fitted again.
-        if name not in (BEST, FITTED):
+        # Nothing was left to learn: the best weights are those there were, or the last ones.
+        if name != BEST:
             assert again.updates == first.updates
             assert all(torch.equal(again.weights[key], value)
                        for key, value in first.weights.items())
@@ -252,51 +211,32 @@ def test_a_damaged_run_goes_on_or_says_what_is_lost_and_what_to_do(
     assert all(one.read_bytes() == content for one, content in before.items())
 
 
-def rings_of(buffer):
-    """Return copies of all that a replay buffer holds, by name, and how far it is filled."""
-    return {name: ring[:_written(buffer)].copy() for name, ring in _rings(buffer).items()}, (
-        np.array(buffer.pos).tolist(), np.array(buffer.full).tolist())
-
-
-def test_a_run_that_goes_on_has_the_moves_that_it_had(begun, tmp_path, monkeypatch):
-    """None is lost, and those of the demonstrations are not there twice."""
-    folder, _ = begun
-    copytree(folder, tmp_path / 'run')
+@pytest.mark.parametrize('inputs', ['cloud', 'paper'])
+def test_a_run_that_goes_on_has_the_moves_that_it_had(here, tmp_path, monkeypatch, inputs):
+    settings = {**SETTINGS, 'agent': {**SETTINGS['agent'], 'inputs': inputs, 'cameras': 3},
+                'fewest_cameras': 3}
+    training.train(from_nested(TrainingConfig, settings), tmp_path)
     buffers, starts = [], []
 
-    def learn(model, *arguments, **settings):
-        buffers.append(rings_of(model.replay_buffer))
+    def learn(model, *arguments, **_):
+        buffers.append(model.replay_buffer)
         starts.append(model.learning_starts)
 
-    monkeypatch.setattr(training.RigSac, 'learn', learn)
-    for damage in (lambda path: None, lambda path: path.unlink()):
-        damage(tmp_path / 'run' / REPLAY)
-        training.train(from_nested(TrainingConfig, {**SETTINGS, 'interactions': 48}),
-                       tmp_path / 'run')
-    saved = safetensors.numpy.load_file(folder / REPLAY)
-    kept, (position, full) = buffers[0]
-    assert position == saved['ring.position'][0] and not full
-    for name, ring in kept.items():
-        np.testing.assert_array_equal(ring, saved[name])
-    # Without the file, only the demonstrations are there, and some moves are played first. A run
-    # is saved before the moves of its last step are stored.
-    assert buffers[1][1][0] == position - (24 // SETTINGS['environments'] - 1)
-    assert starts[1] > starts[0]
-
-
-def test_clouds_are_replayed_by_a_run_that_goes_on(here, tmp_path, monkeypatch):
-    """Each environment has a ring of its own, and scenes may have more words than expected."""
-    settings = {**SETTINGS, 'agent': {'inputs': 'cloud', 'points': 64}, 'environments': 2,
-                'fewest_cameras': SETTINGS['simulation']['rig']['cameras'],
-                'demonstrations': {'rounds': 0}}
-    training.train(from_nested(TrainingConfig, settings), tmp_path)
-    model = training._model(from_nested(TrainingConfig, settings), tmp_path, None)
-    model.replay_buffer.words, model.replay_buffer.observed = 1, np.zeros(
-        (model.replay_buffer.slots, 2, 1), dtype=np.uint64)
-    load_replay(model.replay_buffer, tmp_path / REPLAY)
-    assert model.replay_buffer.size() == 24 - 2 and not model.replay_buffer.waiting.any()
-    batch = model.replay_buffer.sample(8)
-    assert torch.isfinite(batch.rewards).all() and batch.observations['points'].abs().max() > 0
+    monkeypatch.setattr(training.AgentSac, 'learn', learn)
+    longer = from_nested(TrainingConfig, {**settings, 'interactions': 48})
+    training.train(longer, tmp_path)
+    # A run is saved before the moves of its last step are stored.
+    count = (24 - settings['environments']) // settings['environments']
+    saved = safetensors.numpy.load_file(tmp_path / REPLAY)
+    assert buffers[0].pos == count and not buffers[0].full
+    np.testing.assert_array_equal(buffers[0].rewards[:count], saved['rewards'])
+    np.testing.assert_array_equal(buffers[0].observations['points'][:count],
+                                  saved['observations.points'])
+    assert torch.isfinite(buffers[0].sample(8).rewards).all()
+    # Without the file some moves are played first.
+    (tmp_path / REPLAY).unlink()
+    training.train(longer, tmp_path)
+    assert buffers[1].pos == 0 and starts[1] == starts[0] + 24
 
 
 def test_best_weights_that_no_line_tells_of_are_judged_anew(begun, tmp_path):
@@ -405,8 +345,8 @@ def test_a_damaged_record_of_a_comparison_is_said_to_be_so(compared, tmp_path, d
 
 def test_the_weights_that_come_with_the_package_are_no_larger_than_weights_are():
     from ocp_ros.util.resources import find_model
-    largest = max(float(value.abs().max()) for name in ('moves',)
-                  for value in Checkpoint.load(find_model(name)).weights.values())
+    largest = max(float(value.abs().max())
+                  for value in Checkpoint.load(find_model('map')).weights.values())
     assert largest < 1e3
 
 
@@ -415,30 +355,12 @@ def test_a_process_that_dies_while_it_works_is_told_of():
         list(pool.map(os._exit, [1]))
 
 
-@pytest.mark.parametrize(('damage', 'words'), [
-    *((damage, 'found no transitions') for damage in DAMAGES.values()),
-    (tensors(lambda found: found.update(actions=found['actions'] * float('nan'))), 'actions has'),
-    (tensors(lambda found: found.update(reward=found['reward'][:-1].clone())), 'reward has the'),
-    (tensors(lambda found: found.update(actions=torch.zeros(()))), 'found no transitions'),
-    (without('actions'), "'actions'")])
-def test_damaged_transitions_of_a_trainer_are_told_of(small_agent, tmp_path, damage, words):
-    log, seen = TransitionLog(tmp_path, 100), observation(small_agent, 1)
-    for _ in range(3):
-        log.append(Transition(seen, np.zeros((1, 2), np.float32), 1.0, seen, False))
-    log.save()
-    (path,) = tmp_path.glob('*.safetensors')
-    path.write_bytes(damage(path.read_bytes()))
-    with pytest.raises(UserError, match='remove the file: its transitions are lost') as caught:
-        list(TransitionLog(tmp_path, 100).load())
-    assert words in str(caught.value)
-
-
 @pytest.mark.system
 @pytest.mark.parametrize('times', [1, 2])
 def test_a_training_that_is_interrupted_once_or_twice_ends_and_says_how_to_go_on(tmp_path, times):
     """All processes get what a terminal sends; those who are impatient send it again."""
-    settings = {**SHOWN, 'workers': 2, 'demonstrations': {
-        **SHOWN['demonstrations'], 'episodes': 500, 'expert': 'lookahead'}}
+    settings = {'workers': 2, 'agent': {'inputs': 'map'}, 'values': {'rooms': 500},
+                'rooms': {**TINY['rooms'], 'training': 500}}
     (tmp_path / 'long.yaml').write_text(json.dumps(settings))
     process = subprocess.Popen(
         [sys.executable, '-m', 'ocp_ros.cli.main', 'train', '--config', 'long.yaml', '--out',

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """``trainer_node`` on real DDS, and the loop of all three nodes."""
 
+from dataclasses import replace
 import threading
 
 from conftest import assert_same, HUNG, observation, random_checkpoint
@@ -14,8 +15,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray
 from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
 
-from ocp_ros.agent.agent_config import AgentConfig
-from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
+from ocp_ros.agent.agent_config import AgentConfig, CLOUD, PAPER
+from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.policy import Policy
 from ocp_ros.rig.free_plane import CLEARANCE
 from ocp_ros.ros.interface import qos, topics
@@ -34,15 +35,16 @@ from ocp_ros.ros.training_source import topic_of
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
-from ocp_ros.training.encoded_environment import CameraByCamera, EncodedObservation
+from ocp_ros.training.encoded_environment import encoded
 from ocp_ros.training.experience import Choice, Experience, to_bytes
 from ocp_ros.training.transitions import Transition
 from ocp_ros.util.settings import ConfigurationError
 
 SIM = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
        'engine__coverage_cell': 0.5}
-AGENT = {'agent__points': 64, 'agent__keys_1': 8, 'agent__group_1': 4, 'agent__keys_2': 4,
-         'agent__group_2': 4, 'agent__channels': 8, 'agent__hidden': 16}
+AGENT = {'agent__inputs': 'cloud', 'agent__points': 64, 'agent__keys_1': 8, 'agent__group_1': 4,
+         'agent__radius_1': 1.5, 'agent__keys_2': 4, 'agent__group_2': 4, 'agent__radius_2': 3.0,
+         'agent__channels': 8, 'agent__pooled': 12, 'agent__hidden': 16}
 SAC = {'sac__learning_starts': 12, 'sac__batch_size': 8, 'sac__buffer_size': 400,
        'sac__device': 'cpu', 'publish_every': 8, 'save_every': 8}
 POSITIONS = np.array([[4.0, 4.0, 1.9], [5.0, 4.0, 1.9]])
@@ -57,10 +59,10 @@ def start(graph, tmp_path):
     return starter
 
 
-def made_up(agent, seed=0, cameras=1):
+def made_up(agent, seed=0):
     """Return a transition between random observations."""
-    before, after = (observation(agent, cameras, seed + turn) for turn in (0, 1))
-    return Transition(before, np.zeros((cameras, 2), np.float32), 1.0, after, False)
+    before, after = (observation(agent, seed + turn) for turn in (0, 1))
+    return Transition(before, np.zeros((1, 2), np.float32), 1.0, after, False)
 
 
 class Loop:
@@ -77,7 +79,7 @@ class Loop:
 
     def experience(self, stamp, turn, targets=POSITIONS, spoil=lambda experience: None):
         """Send what a policy chose, maybe spoilt."""
-        choices = [Choice(observation(self.agent, 1, 10 * stamp + number),
+        choices = [Choice(observation(self.agent, 10 * stamp + number),
                           np.full((1, 2), 0.1 * number, np.float32))
                    for number in range(len(targets))]
         made = Experience(stamp, turn, targets, choices)
@@ -128,7 +130,7 @@ def test_a_turn_is_one_transition_per_camera(loop, monkeypatch):
     for stamp in (1, 2):
         loop.turn(stamp)
     loop.graph.until(lambda: len(learned) == 2)
-    expected = [observation(loop.agent, 1, seed) for seed in (10, 11, 20)]
+    expected = [observation(loop.agent, seed) for seed in (10, 11, 20)]
     for number, found in enumerate(learned):
         assert_same(found.observation, expected[number])
         assert_same(found.next_observation, expected[number + 1])
@@ -140,18 +142,18 @@ def test_a_turn_is_one_transition_per_camera(loop, monkeypatch):
 def recorded(graph, tmp_path, monkeypatch, small_agent):
     """Return a function that plays an episode over ROS; the sim, weights and what was learned."""
     def play(inputs, cameras, turns=3):
-        config = AgentConfig(**{**vars(small_agent), 'inputs': inputs})
+        config = replace(small_agent, inputs=inputs, cameras=cameras)
         weights = random_checkpoint(config)
         weights.save(tmp_path / 'm.safetensors')
-        trainer = graph.add(TrainerNode, folder=str(tmp_path / 'run'), cameras=cameras,
-                            agent__inputs=inputs, **AGENT, **SAC)
+        trainer = graph.add(TrainerNode, folder=str(tmp_path / 'run'),
+                            **{**AGENT, 'agent__inputs': inputs, 'agent__cameras': cameras}, **SAC)
         learned = []
         trainer.sources['/']._learn = lambda one: learned.append(one) or True
-        # A policy that reads the cloud alone knows of no clearance: its commands would be changed.
+        # The policy of the paper knows of no clearance: its commands would be changed.
         graph.add(PolicyNode, model=str(tmp_path / 'm.safetensors'), explore=True, turns=turns,
-                  clearance=0.0 if inputs == 'cloud' else CLEARANCE)
+                  clearance=0.0 if inputs == PAPER else CLEARANCE)
         sim = graph.add(SimNode, seed=3, rig__cameras=cameras, episode__turns=turns, **SIM)
-        count = turns * (1 if inputs == 'cloud' else cameras)
+        count = turns * (1 if inputs == PAPER else cameras)
         graph.until(lambda: len(learned) >= count)
         assert counts_of(trainer)['/'] == {
             'turns': turns, 'transitions': count, 'incomplete': 0, 'inconsistent': 0,
@@ -160,17 +162,17 @@ def recorded(graph, tmp_path, monkeypatch, small_agent):
     return play
 
 
-@pytest.mark.parametrize('inputs', ['world', 'both', 'cloud'])
+@pytest.mark.parametrize('inputs', [CLOUD, PAPER])
 def test_what_is_learned_over_ros_is_what_is_learned_in_one_process(recorded, inputs):
     sim, weights, learned = recorded(inputs, 3)
     env = CameraPlacementEnv([sim.simulator.scene], sim.config)
-    kind = EncodedObservation if inputs == 'cloud' else CameraByCamera
-    wrapped = kind(env, weights.config)
+    wrapped = encoded(env, weights.config)
     wrapped.reset()
     # The same episode: where it starts is drawn as the node draws it.
     env.episode = Episode(PlaneProblem(sim.simulator), np.random.default_rng(3))
-    wrapped._encoder.reset()
-    before = wrapped._encoded() if inputs == 'cloud' else wrapped._begin()
+    if inputs == CLOUD:
+        wrapped._encoder.turns.reset()
+    before = wrapped._encoded() if inputs == PAPER else wrapped._begin()
     policy, rng = Policy(weights), np.random.default_rng(0)
     for found in learned:
         action = policy.choose(before, rng)
@@ -193,10 +195,8 @@ fixed: [{sensor: realsense_d455, position: [1.0, 1.0, 1.9], yaw: 45, pitch: 25}]
 def test_turns_of_a_rig_file_are_learned_from(graph, tmp_path, small_agent):
     (tmp_path / 'rig.yaml').write_text(RIG)
     rig_file, model = str(tmp_path / 'rig.yaml'), str(tmp_path / 'm.safetensors')
-    random_checkpoint(AgentConfig(**{**vars(small_agent), 'inputs': 'world'})).save(
-        tmp_path / 'm.safetensors')
-    trainer = graph.add(TrainerNode, folder=str(tmp_path / 'run'), agent__inputs='world',
-                        **AGENT, **SAC)
+    random_checkpoint(small_agent).save(tmp_path / 'm.safetensors')
+    trainer = graph.add(TrainerNode, folder=str(tmp_path / 'run'), **AGENT, **SAC)
     graph.add(PolicyNode, model=model, explore=True, turns=6, rig_file=rig_file)
     sim = graph.add(SimNode, scene__seed=8, episode__turns=6, rig_file=rig_file, **SIM)
     graph.until(lambda: sim.episode.turn.truncated)
@@ -208,7 +208,7 @@ def test_turns_of_a_rig_file_are_learned_from(graph, tmp_path, small_agent):
 
 
 def test_a_policy_of_other_sizes_is_refused_with_a_reason(loop, probe, capfd):
-    other = Loop(probe, AgentConfig(inputs='both'))
+    other = Loop(probe, AgentConfig(CLOUD))
     other.experience(1, 0)
     loop.graph.until(lambda: loop.source.counts['refused'] == 1)
     assert 'give policy and trainer the same agent settings' in capfd.readouterr().err
@@ -234,14 +234,14 @@ def test_malformed_parts_are_refused_and_the_node_lives(loop):
 
 @pytest.mark.parametrize(('name', 'wrong'), [
     ('keys_1', 64), ('groups_1', -1), ('keys_2', 8), ('groups_2', 500), ('points', 3e38),
-    ('directions', 1e20), ('own', -3e38), ('actions', 1e30), ('actions', -20.0)])
+    ('others', 1e20), ('turn', -3e38), ('actions', 1e30), ('actions', -20.0)])
 def test_numbers_that_no_policy_reads_or_chooses_are_refused(probe, start, name, wrong):
     def spoil(experience):
         choice = experience.choices[1]
         array = choice.actions if name == 'actions' else choice.observation[name]
         array.flat[0] = wrong
 
-    trainer = start(agent__inputs='both')
+    trainer = start()
     Loop(probe, trainer.config.agent).experience(1, 0, spoil=spoil)
     probe.graph.until(lambda: trainer.sources['/'].counts['refused'] == 1)
 
@@ -365,7 +365,7 @@ def test_the_default_trainer_fits_models_of_the_default_sizes():
 def test_weights_go_from_the_trainer_to_the_policy(graph, probe, start, agent, tmp_path):
     random_checkpoint(agent).save(tmp_path / 'm.safetensors')
     probe.listen(DiagnosticArray, '/diagnostics', 10)
-    trainer = start(cameras=4, agent__inputs=agent.inputs)
+    trainer = start(agent__inputs=agent.inputs)
     policy = graph.add(PolicyNode, model=str(tmp_path / 'm.safetensors'), explore=True)
     graph.add(SimNode, auto_reset=True, resend_period=0.1, episode__turns=5, **SIM)
     graph.until(lambda: policy._counts['weights_swapped'] >= 2)
@@ -424,12 +424,9 @@ def test_a_folder_that_cannot_be_written_is_named(graph, tmp_path):
         graph.add(TrainerNode, folder=str(tmp_path / 'taken' / 'run'))
 
 
-def test_a_trainer_starts_from_a_model_of_its_own_sizes(start, small_agent, tmp_path):
+def test_a_trainer_that_starts_from_a_model_has_its_sizes(start, small_agent, tmp_path):
     path = tmp_path / 'm.safetensors'
-    random_checkpoint(AgentConfig()).save(path)
-    with pytest.raises(CheckpointError, match="expected the trainer's own agent settings"):
-        start(model=str(path))
-    random_checkpoint(small_agent, updates=5, run='a').save(path)
+    random_checkpoint(replace(small_agent, points=32, hidden=8), updates=5, run='a').save(path)
     weights = start(model=str(path)).learner.checkpoint().weights
     assert_same({name: value.numpy() for name, value in weights.items()},
                 {name: value.numpy() for name, value in Checkpoint.load(path).weights.items()})

@@ -77,8 +77,8 @@ TINY = {'interactions': 48, 'environments': 2, 'evaluate_every': 24, 'workers': 
         'simulation': {'rig': {'cameras': 3},
                        'engine': {'preset': 'fast', 'error_rows': 16, 'coverage_cell': 1.0},
                        'episode': {'turns': 6}},
-        'agent': {'points': 64, 'keys_1': 8, 'group_1': 4, 'keys_2': 4, 'group_2': 4,
-                  'channels': 8, 'hidden': 16},
+        'agent': {'inputs': 'cloud', 'points': 64, 'keys_1': 8, 'group_1': 4, 'keys_2': 4,
+                  'group_2': 4, 'channels': 8, 'hidden': 16},
         'sac': {'learning_starts': 12, 'batch_size': 8, 'buffer_size': 400, 'device': 'cpu'}}
 
 

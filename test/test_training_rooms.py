@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.evaluation.benchmark_rooms import rooms_in
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_files import save_scene
@@ -15,8 +14,7 @@ from ocp_ros.scenes.scene_source import make_room
 from ocp_ros.scenes.splits import FRESH, SEEDS, TEST, TRAINING, VALIDATION
 from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.training import training_rooms
-from ocp_ros.training.demonstrations import _room
-from ocp_ros.training.train import _replay, trials_of
+from ocp_ros.training.train import trials_of
 from ocp_ros.training.training_config import RoomsConfig, TrainingConfig
 from ocp_ros.training.training_rooms import PARTS, room_names, Rooms
 from ocp_ros.training.validation import _prepared
@@ -99,15 +97,13 @@ def test_scans_in_other_units_are_read_alike_by_all_who_play_in_them(tmp_path):
         # Millimetres, y up.
         points = 1000.0 * expected.points[:, [0, 2, 1]] * [1.0, 1.0, -1.0]
         np.save(tmp_path / f'scan_{number}.npy', points + number)
-    config = TrainingConfig(agent=AgentConfig(inputs='cloud'), rooms=RoomsConfig(
+    config = TrainingConfig(rooms=RoomsConfig(
         source='folder', folder=str(tmp_path), scale=0.001, up='y', rotations='0'))
     (name,) = room_names(config.rooms, 'training')
-    rebuild = _replay(config)['replay_buffer_kwargs']['rebuild']
     (trial,) = trials_of(config, 'validation')
     scene = _prepared(
         trial.rooms, trial.room, trial.rotation, trial.simulation).simulator.scene
-    for points in (Rooms([name], config.rooms)[0].points, _room(config.rooms, name).points,
-                   scene.points, rebuild._points(0)[0]):
+    for points in (Rooms([name], config.rooms)[0].points, scene.points):
         np.testing.assert_allclose(np.ptp(points, axis=0), expected.size, atol=1e-3)
 
 

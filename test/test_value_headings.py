@@ -195,7 +195,7 @@ def test_only_the_map_of_headings_is_learned_where_there_are_any(small, here, tm
 
 def test_headings_are_refused_where_they_mean_nothing():
     with pytest.raises(ConfigurationError, match='agent.headings: found 8 with agent.inputs'):
-        AgentConfig(headings=8)
+        AgentConfig('cloud', headings=8)
     with pytest.raises(ConfigurationError, match='model: found none with agent.headings 8'):
         from_nested(TrainingConfig, TINY | {'agent': {'inputs': 'map', 'headings': 8}})
     with pytest.raises(CheckpointError, match='found other layers'):

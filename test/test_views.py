@@ -231,7 +231,7 @@ def test_foxglove_shows_every_topic_that_can_be_shown():
 def test_the_types_of_topics_are_those_that_nodes_publish(graph, tmp_path):
     graph.add(SimNode, **SMALL)
     graph.add(PolicyNode, cloud_topics='points', manual=True)
-    policy = graph.add(PolicyNode, planner='learned', model='moves', explore=True)
+    policy = graph.add(PolicyNode, planner='learned', explore=True)
     graph.add(TrainerNode, folder=str(tmp_path))
 
     def found():

@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ocp_ros.agent.move_effects import curiosity
-from ocp_ros.agent.partial_map import KeptModel, LookHistory, PartialMap
+from ocp_ros.agent.partial_map import curiosity, KeptModel, LookHistory, PartialMap
 from ocp_ros.agent.rig_state import AROUND, directions, RigState
 from ocp_ros.geometry.cameras import CameraModel, Frustum
 from ocp_ros.geometry.packed_bits import count_bits

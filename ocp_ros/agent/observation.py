@@ -1,7 +1,7 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The observation cache: what the network reads, computed once per observation.
+The observation cache: what the network reads of a cloud, computed once per observation.
 
 Sampling and grouping only depend on the cloud, so their indices are stored with the observation
 and never computed again at a gradient step.
@@ -9,9 +9,12 @@ and never computed again at a gradient step.
 
 import numpy as np
 
-from ocp_ros.agent.agent_config import AgentConfig
+from ocp_ros.agent.agent_config import AgentConfig, PAPER
 from ocp_ros.agent.sampling import ball_query, farthest_points, nearest_in_ball
+from ocp_ros.geometry.clouds import corners_of
 
+#: The other cameras that one camera is told of at most, the nearest ones.
+OTHERS = 7
 #: What is told of each other camera: the way to it, whether there is one, and whether it has
 #: chosen already. What is told of the turn: the share of the turns that is over, cameras / 4, and
 #: the share of the air that no camera has covered.
@@ -20,26 +23,29 @@ OF_OTHERS, OF_TURN = 5, 3
 MARKS = 2
 
 
-def encode(cloud: np.ndarray, camera_positions: np.ndarray, bounds: np.ndarray,
-           config: AgentConfig) -> dict[str, np.ndarray]:
+def encode(cloud: np.ndarray, positions: np.ndarray, config: AgentConfig
+           ) -> dict[str, np.ndarray]:
     """
     Turn an observation into the network's inputs, in units of ``length_scale``.
 
     The origin is the middle of the observed cloud's bounding box.
 
-    :param cloud: (N, 3) float32, metres, map frame, N >= 1: the points seen so far.
-    :param camera_positions: (K, 3), metres, map frame.
-    :param bounds: (2, 3), metres: bounding box of all points seen so far.
+    :param cloud: (M, 3) float32, metres, map frame: the points seen so far, in any order.
+    :param positions: (K, 3), metres, map frame: where the cameras are.
     :param config: sizes.
     :returns: ``points`` (P, 3), ``keys_1`` (K1,), ``groups_1`` (K1, G1), ``keys_2`` (K2,),
         ``groups_2`` (K2, G2), all indices int16, ``cameras`` (K, 3) and ``half_size`` (3,).
     """
+    positions = positions.astype(np.float32)
+    # Where nothing is seen, the cameras themselves are all that is known to be there.
+    cloud = cloud if len(cloud) else positions
+    bounds = corners_of(cloud)
     centre, scale = bounds.mean(axis=0), config.length_scale
     points = ((chosen(cloud, config) - centre) / scale).astype(np.float32)
     keys_1 = farthest_points(points, config.keys_1)
     key_points = points[keys_1]
     keys_2 = farthest_points(key_points, config.keys_2)
-    grouped = nearest_in_ball if config.nearest else ball_query
+    grouped = ball_query if config.inputs == PAPER else nearest_in_ball
     indices = {
         'keys_1': keys_1,
         'groups_1': grouped(points, keys_1, config.radius_1 / scale, config.group_1),
@@ -49,7 +55,7 @@ def encode(cloud: np.ndarray, camera_positions: np.ndarray, bounds: np.ndarray,
         'points': points,
         # Half the memory where they are kept: there are never more than 32767 points.
         **{name: value.astype(np.int16) for name, value in indices.items()},
-        'cameras': ((camera_positions - centre) / scale).astype(np.float32),
+        'cameras': ((positions - centre) / scale).astype(np.float32),
         'half_size': (0.5 * (bounds[1] - bounds[0]) / scale).astype(np.float32)}
 
 
@@ -66,12 +72,12 @@ def told_of_others(camera: int, positions: np.ndarray, has_chosen: np.ndarray,
     :param camera: its number.
     :param positions: (K, 3) metres: where cameras are, or will be after the turn.
     :param has_chosen: (K,) bool.
-    :param config: how many are told of at most, and the unit of length.
-    :returns: (others, ``OF_OTHERS``) float32, zeros where there are fewer.
+    :param config: with the unit of length.
+    :returns: (``OTHERS``, ``OF_OTHERS``) float32, zeros where there are fewer.
     """
-    told = np.zeros((config.others, OF_OTHERS), dtype=np.float32)
+    told = np.zeros((OTHERS, OF_OTHERS), dtype=np.float32)
     ways = (np.delete(positions, camera, axis=0) - positions[camera]) / config.length_scale
-    nearest = np.argsort(np.linalg.norm(ways, axis=1), kind='stable')[:config.others]
+    nearest = np.argsort(np.linalg.norm(ways, axis=1), kind='stable')[:OTHERS]
     told[:len(nearest), :3], told[:len(nearest), 3] = ways[nearest], 1.0
     told[:len(nearest), 4] = np.delete(has_chosen, camera)[nearest]
     return told

@@ -14,7 +14,7 @@ from ocp_ros.agent.room_rectangle import inset, smallest_rectangle, with_corners
 from ocp_ros.geometry.cameras import CameraModel, Frustum, OMNIDIRECTIONAL, Pose
 from ocp_ros.geometry.clouds import cell_numbers, cells_numbered, fixed_size
 from ocp_ros.geometry.depth_error import DepthError
-from ocp_ros.geometry.packed_bits import no_bits, pack, unpack
+from ocp_ros.geometry.packed_bits import count_bits, no_bits, pack, unpack
 from ocp_ros.geometry.surfels import SurfelSettings
 from ocp_ros.geometry.visibility import FAST, SurfelVisibility
 from ocp_ros.geometry.voxels import thinned_to
@@ -37,6 +37,9 @@ GROWTH = 0.01
 #: Views of a model that are remembered: a camera that weighs the same places turn after turn looks
 #: from each once.
 MOST_VIEWS = 4096
+#: What covering all unseen cells is worth at first, as a share of the error of seeing nothing, and
+#: the share of the turns after which it is worth nothing.
+CURIOSITY, EXPLORING = 2.0, 0.55
 #: Metres: how far one looks for a corner of the room, and how many cameras do.
 FAR, LOOKING = 100.0, 2
 
@@ -242,6 +245,16 @@ class LookHistory:
             self._seen, self._edge = numbers[parts >= 4], 2.0 * self._edge
         if self._edge > edge:
             self._seen, self._edge = np.empty(0, dtype=np.int64), edge
+
+
+def curiosity(time: float) -> float:
+    """Return what covering all unseen cells is worth, in errors of seeing nothing."""
+    return CURIOSITY * max(1.0 - time / EXPLORING, 0.0)
+
+
+def cell_weight(model: PartialMap, unseen: np.ndarray, turn: int, turns: int) -> float:
+    """Return what covering one of a model's unseen cells is worth, metres of depth error."""
+    return curiosity(turn / turns) * model.depth_error.worst / max(int(count_bits(unseen)), 1)
 
 
 def thinned(cloud: np.ndarray, most: int) -> np.ndarray:

@@ -6,14 +6,16 @@ import numpy as np
 import torch
 
 from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.encoder import Encoder, order_of
+from ocp_ros.agent.encoder import Encoder
 from ocp_ros.agent.networks import Actor
+from ocp_ros.agent.observation import encode
 from ocp_ros.agent.value_policy import ValuePolicy
+from ocp_ros.rig.motion import order_of
 
 
 class Policy:
     """
-    Run a checkpoint; stable-baselines3 is not needed.
+    Run a checkpoint that reads the observed cloud; stable-baselines3 is not needed.
 
     :param checkpoint: weights and sizes.
     :param encoder: what the rig is; by default that of the weights' own training.
@@ -28,7 +30,7 @@ class Policy:
 
     def reset(self) -> None:
         """Forget the last episode."""
-        self.encoder.reset()
+        self.encoder.turns.reset()
 
     def replaced(self, checkpoint: Checkpoint) -> 'Policy':
         """Return what runs other weights; what the encoder remembers is the episode's."""
@@ -49,26 +51,25 @@ class Policy:
         """
         self.checkpoint.config.check_cameras(len(camera_positions))
         if not self.checkpoint.config.one_by_one:
-            return self.choose(self.encoder(cloud, camera_positions, turn, turns), rng)
+            return self.choose(encode(cloud, camera_positions, self.checkpoint.config), rng)
         moves = np.empty((len(camera_positions), 2), dtype=np.float32)
         encoded = self.encoder.turn(cloud, camera_positions, turn, turns)
         for camera in order_of(turn, len(moves)):
             (chosen,) = self.choose(encoded.inputs(camera), rng)
-            # It was told of metres: another longest step cuts its moves, it stretches none.
-            moves[camera] = encoded.move(camera, self.encoder.unit * chosen)
+            moves[camera] = encoded.move(camera, chosen)
         return moves
 
     def choose(self, encoded: dict[str, np.ndarray], rng: np.random.Generator | None = None
                ) -> np.ndarray:
-        """Choose the next moves, (K, 2) in the network's own unit, from an encoded observation."""
+        """Choose the next moves of C cameras, (C, 2), from an encoded observation."""
         batch = {name: torch.from_numpy(value)[None] for name, value in encoded.items()}
         with torch.inference_mode():
-            moves = self.actor(batch)
-            if rng is None:
-                return moves.best()[0].numpy()
-            with torch.random.fork_rng(devices=[]):
-                torch.manual_seed(int(rng.integers(1 << 62)))
-                return moves.sample()[0].numpy()
+            mean, log_std = self.actor(batch)
+            if rng is not None:
+                with torch.random.fork_rng(devices=[]):
+                    torch.manual_seed(int(rng.integers(1 << 62)))
+                    mean = mean + log_std.exp() * torch.randn_like(mean)
+            return torch.tanh(mean)[0].unflatten(0, (-1, 2)).numpy()
 
 
 def make_policy(checkpoint: Checkpoint) -> Policy | ValuePolicy:

@@ -15,7 +15,6 @@ from typing import Any
 from ocp_ros import __version__
 from ocp_ros.evaluation.protocol import BenchmarkTask, Protocol, run_task
 from ocp_ros.evaluation.task_rows import check_rows
-from ocp_ros.planners.registry import PAPER
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import ConfigurationError
@@ -122,5 +121,4 @@ def _rig(protocol: Protocol) -> dict[str, str]:
 
 def _weights(model: str) -> dict[str, str]:
     """Return the SHA-256 of the weights that may play: under the same name there may be others."""
-    return {name: hashlib.sha256(find_model(name).read_bytes()).hexdigest()
-            for name in dict.fromkeys((model, PAPER))}
+    return {model: hashlib.sha256(find_model(model).read_bytes()).hexdigest()}

@@ -13,9 +13,7 @@ import logging
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from ocp_ros.planners.online_planner import Online
-from ocp_ros.planners.planner import nothing_seen, Planner, Search
-from ocp_ros.simulation.simulation_config import EpisodeConfig
+from ocp_ros.planners.planner import Planner, Search
 
 #: Placements of a generation, how many of the best may lead, and the chance to take a camera over.
 POPULATION, LEADERS, CROSSOVER = 24, 0.2, 0.5
@@ -23,8 +21,6 @@ POPULATION, LEADERS, CROSSOVER = 24, 0.2, 0.5
 ALIKE = 1e-3
 #: Standard deviation that CMA-ES starts with, as a share of the rectangle's edges.
 SIGMA = 0.25
-#: The same where an online planner has been before.
-WARM_SIGMA = 0.1
 
 
 def matched(base: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -74,25 +70,15 @@ class CmaEs(Planner):
 
     def search(self) -> Search:
         """Run and restart until the budget ends."""
-        yield from self.evolve(self.space.random(self.rng), SIGMA)
-
-    def evolve(self, first: np.ndarray, sigma: float) -> Search:
-        """
-        Run and restart until the budget ends.
-
-        :param first: (K, 2) metres, where the first run begins; the others begin anywhere.
-        :param sigma: standard deviation that the first run starts with, as a share of the
-            rectangle's edges.
-        """
         # It brings all of matplotlib: nobody waits for that who does not search with it.
         import cma
         logging.getLogger('cma').setLevel(logging.ERROR)
         space, restarts = self.space, 0
         scale = np.maximum(space.size, 1e-9)
         while True:
-            mean = ((first - space.low) / scale).ravel()
+            mean = ((space.random(self.rng) - space.low) / scale).ravel()
             size = int(4 + 3 * np.log(len(mean))) * 2 ** min(restarts, 3)
-            strategy = cma.CMAEvolutionStrategy(mean, sigma, {
+            strategy = cma.CMAEvolutionStrategy(mean, SIGMA, {
                 'bounds': [0.0, 1.0], 'verbose': -9, 'popsize': size, 'tolfun': 1e-4,
                 'tolx': 1e-4, 'seed': np.nan, 'randn': self._normal})
             while not strategy.stop():
@@ -101,38 +87,7 @@ class CmaEs(Planner):
                                 for row in shares]
                 strategy.tell(shares, list(scores.error))
             restarts += 1
-            first, sigma = space.random(self.rng), SIGMA
 
     def _normal(self, *shape: int) -> np.ndarray:
         """Draw for pycma, which would otherwise draw from NumPy's global generator."""
         return self.rng.standard_normal(shape)
-
-
-class WarmCmaEs(CmaEs):
-    """
-    CMA-ES that begins where an online planner has gone.
-
-    :param online: plays an episode from the middle of the space; a turn costs an evaluation.
-    :param episode: how long that is and how near the middle it begins.
-    :param settings: of :class:`~ocp_ros.planners.planner.Planner`.
-    """
-
-    def __init__(self, online: Online, episode: EpisodeConfig, *settings) -> None:
-        self.online, self.episode = online, episode
-        super().__init__(*settings)
-
-    def search(self) -> Search:
-        """Play, then evolve from the best of the turns."""
-        space, near, turns = self.space, self.episode.start_radius, self.episode.turns
-        positions = space.inside(0.5 * (space.low + space.high)
-                                 + self.rng.uniform(-near, near, (space.cameras, 2)))
-        best, error, seen = positions, np.inf, nothing_seen(0)
-        self.online.reset()
-        for turn in range(turns):
-            scores = yield [positions]
-            if scores.error[0] < error:
-                best, error = positions, scores.error[0]
-            seen = np.unique(np.concatenate([seen, scores.cloud(0)]), axis=0)
-            moves = self.online.move(seen, space.placement(positions), turn, turns)
-            positions = space.inside(positions + moves)
-        yield from self.evolve(best, WARM_SIGMA)

@@ -19,8 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ocp_ros.agent.move_effects import cell_weight
-from ocp_ros.agent.partial_map import KeptModel, PartialMap
+from ocp_ros.agent.partial_map import cell_weight, KeptModel, PartialMap
 from ocp_ros.agent.rig_state import (
     AROUND,
     clearance_of,

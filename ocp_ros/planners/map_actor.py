@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from ocp_ros.agent.encoder import order_of
 from ocp_ros.agent.observation_map import at_yaws, CELLS, FLOOR, Window
 from ocp_ros.agent.partial_map import KeptModel, NO_CELL, PartialMap
 from ocp_ros.agent.rig_state import clearance_of, remember, RigState
@@ -25,6 +24,7 @@ from ocp_ros.geometry.visibility import FAST
 from ocp_ros.planners.candidate_sites import kinds_of, PITCHES, YAWS
 from ocp_ros.planners.map_turn import MapTurn
 from ocp_ros.planners.online_planner import matched, ThinksAhead
+from ocp_ros.rig.motion import order_of
 from ocp_ros.scenes.scene import SceneError
 
 if TYPE_CHECKING:

@@ -13,9 +13,6 @@ from typing import NamedTuple, TYPE_CHECKING
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from ocp_ros.agent.agent_config import AgentConfig
-from ocp_ros.agent.encoder import Encoder, order_of
-from ocp_ros.agent.move_effects import CHOICES, greedy
 from ocp_ros.agent.partial_map import LookHistory
 from ocp_ros.agent.rig_state import clearance_of, remember, RigState
 from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
@@ -257,7 +254,7 @@ class Learned(Online):
     def know(self, sight: RigState | None) -> None:
         """Tell what the policy reads; see :meth:`Online.know`."""
         super().know(sight)
-        self.policy.encoder.know(sight)
+        self.policy.encoder.turns.sight = sight
 
     def reset(self) -> None:
         """Forget the last episode."""
@@ -270,38 +267,6 @@ class Learned(Online):
         flat = positions[:, :2]
         moves = bounded_moves(self.policy.act(cloud, positions, turn, turns), self.max_step)
         return self.space(cloud, positions).moved(flat, moves, self.max_step) - flat
-
-
-class GreedyStep(Online):
-    """
-    One camera after the other takes the best of a few moves, one turn ahead.
-
-    It reads what the policy reads and chooses among the same moves: a control for learning.
-    """
-
-    def __init__(self, *settings) -> None:
-        super().__init__(*settings)
-        self._encoder = Encoder(AgentConfig(inputs='world'), self.max_range, self.max_step,
-                                self.wall_margin, self.clearance)
-
-    def know(self, sight: RigState | None) -> None:
-        """Tell what is read; see :meth:`Online.know`."""
-        super().know(sight)
-        self._encoder.know(sight)
-
-    def reset(self) -> None:
-        """Forget what has been seen."""
-        self._encoder.reset()
-
-    def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
-        """Choose the next moves; see :meth:`Online.move`."""
-        encoded = self._encoder.turn(cloud, positions, turn, turns)
-        if not encoded.known:
-            return self.wander(cloud, positions)
-        for camera in order_of(turn, len(positions)):
-            best = int(np.argmin(greedy(encoded.inputs(camera))))
-            encoded.move(camera, CHOICES[best] / self.max_step)
-        return (encoded.positions - positions)[:, :2]
 
 
 class ThenLookahead(Online):

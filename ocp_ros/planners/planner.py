@@ -3,17 +3,12 @@
 """What a planner is: asked for placements, told what they are worth."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
 from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from ocp_ros.rig.free_plane import FreePlane
-
-
-def nothing_seen(number: int) -> np.ndarray:
-    """Return the cloud of cameras that see nothing: (0, 3)."""
-    return np.empty((0, 3), dtype=np.float32)
 
 
 class Scores(NamedTuple):
@@ -22,13 +17,10 @@ class Scores(NamedTuple):
 
     :ivar error: (B,) what a planner minimises: the depth error in metres, or the loss of a rig.
     :ivar space_coverage: (B,) cubic metres.
-    :ivar cloud: returns what the placement of a number sees, (M, 3) float32, metres, map frame;
-        for the few planners that look rather than count.
     """
 
     error: np.ndarray
     space_coverage: np.ndarray
-    cloud: Callable[[int], np.ndarray] = nothing_seen
 
 
 #: What a search hands out and gets back: positions (n, 2) each, and their scores.

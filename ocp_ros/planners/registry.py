@@ -22,15 +22,16 @@ from ocp_ros.agent.encoder import Encoder
 from ocp_ros.planners.annealing import FixedAnnealing, TransDimensionalAnnealing
 from ocp_ros.planners.baselines import Random, RegularGrid
 from ocp_ros.planners.bee_colony import BeeColony
-from ocp_ros.planners.evolution import CmaEs, DifferentialEvolution, WarmCmaEs
+from ocp_ros.planners.evolution import CmaEs, DifferentialEvolution
 from ocp_ros.planners.greedy import GreedyCoverage, GreedyError, GreedySwap
+from ocp_ros.planners.greedy_step import GreedyStep
 from ocp_ros.planners.lookahead import Lookahead
 from ocp_ros.planners.map_actor import MapActor
-from ocp_ros.planners.online_planner import GreedyStep, Learned, Online, ThenLookahead
+from ocp_ros.planners.online_planner import Learned, Online, ThenLookahead
 from ocp_ros.planners.particle_swarm import BinaryParticleSwarm
 from ocp_ros.planners.planner import Planner
 from ocp_ros.rig.free_plane import FreePlane
-from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
+from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.resources import DEFAULT_MODEL, find_model
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
@@ -39,8 +40,6 @@ if TYPE_CHECKING:
     from ocp_ros.agent.policy import Policy
     from ocp_ros.agent.value_policy import ValuePolicy
 
-#: The weights of ``learned_paper``.
-PAPER = 'paper'
 #: Entry points of packages that bring planners, and names that mean something else.
 GROUP = 'ocp_ros.planners'
 #: Environment variable with the names of those that cannot be used, once somebody was told so.
@@ -86,11 +85,6 @@ def _learned(config: SimulationConfig, rng: np.random.Generator, model: str = DE
     return planned_by(make_policy(Checkpoint.load(find_model(model))), settings_of(config, rng))
 
 
-def _learned_paper(config: SimulationConfig, rng: np.random.Generator, model: str = '') -> Online:
-    """Return the policy that learned as the paper's did, whatever other weights are named."""
-    return _learned(config, rng, PAPER)
-
-
 def _lookahead(config: SimulationConfig, rng: np.random.Generator, model: str = '') -> Lookahead:
     """Return the lookahead planner; it has no weights."""
     return Lookahead(*settings_of(config, rng))
@@ -100,12 +94,6 @@ def _learned_lookahead(config: SimulationConfig, rng: np.random.Generator,
                        model: str = DEFAULT_MODEL) -> ThenLookahead:
     """Return a policy with lookahead in the last turns."""
     return ThenLookahead(_learned(config, rng, model), _lookahead(config, rng))
-
-
-def _learned_cma_es(space: FreePlane, rng: np.random.Generator, budget: int) -> WarmCmaEs:
-    """Return CMA-ES that begins where the policy has gone, in the turns it was trained for."""
-    config = SimulationConfig(episode=EpisodeConfig(clearance=space.clearance))
-    return WarmCmaEs(_learned(config, rng), config.episode, space, rng, budget)
 
 
 OFFLINE: dict[str, Callable[[FreePlane, np.random.Generator, int], Planner]] = {
@@ -120,7 +108,6 @@ OFFLINE: dict[str, Callable[[FreePlane, np.random.Generator, int], Planner]] = {
     'bee_colony': BeeColony,
     'differential_evolution': DifferentialEvolution,
     'cma_es': CmaEs,
-    'learned_cma_es': _learned_cma_es,
 }
 
 #: What planners know of a room; what is not named here knows the scores of its placements.
@@ -129,14 +116,12 @@ KNOWS = {
     'greedy_swap': 'scores of positions on a grid, later of any positions',
     'tdsa': 'scores, also of placements with fewer cameras',
     'bpso': 'scores of positions on a grid',
-    'learned_cma_es': 'scores, and what its placements see',
 }
 
 #: A rig, the source of chance, and the weights of those that have learned: path or name.
 ONLINE: dict[str, Callable[..., Online]] = {
     'greedy_step': _greedy_step,
     'learned': _learned,
-    'learned_paper': _learned_paper,
     'lookahead': _lookahead,
     'learned_lookahead': _learned_lookahead,
 }

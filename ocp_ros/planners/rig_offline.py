@@ -12,9 +12,8 @@ import time
 
 import numpy as np
 
-from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.planners.budget import Budget
-from ocp_ros.planners.candidate_pool import check_room, Pool, Site
+from ocp_ros.planners.candidate_pool import check_room, Pool
 from ocp_ros.planners.planner import Scores
 from ocp_ros.planners.pose_decoder import Decoder
 from ocp_ros.planners.registry import OFFLINE
@@ -56,27 +55,18 @@ class RigScorer:
         :param placements: B placements, (n, 3) or (n, 2) metres; heights do not matter.
         :returns: scores of all, or of the first where the budget is used up.
         """
-        hung, worths = [], []
+        worths = []
         for placement in placements:
             if self.evaluations and self.used >= 1.0:
                 break
-            hung.append(self.decoder(placement[:, :2]))
-            worths.append(self.decoder.objective.judge(views_of(hung[-1])))
+            sites = self.decoder(placement[:, :2])
+            worths.append(self.decoder.objective.judge(views_of(sites)))
             self.evaluations += 1
             self.least = min(self.least, worths[-1].loss)
             if self._progress is not None:
                 self._progress(self.used, self.least)
         return Scores(np.array([worth.loss for worth in worths]),
-                      np.array([worth.space_coverage for worth in worths]),
-                      lambda number: self._cloud(hung[number]))
-
-    def _cloud(self, sites: Sequence[Site]) -> np.ndarray:
-        """Return the points that any camera sees: (M, 3) float32, metres, map frame."""
-        problem = self.decoder.problem
-        simulator, seen = problem.simulator, problem.nothing()
-        for view in views_of(sites):
-            seen |= Subset(view.seen, simulator.visibility.order)
-        return simulator.scene.points[seen.mask]
+                      np.array([worth.space_coverage for worth in worths]))
 
 
 def search_offline(name: str, problem: Problem, pool: Pool, budget: Budget, seed: int,

@@ -8,8 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from ocp_ros.geometry.packed_bits import Subset
-from ocp_ros.planners.planner import nothing_seen, Scores
+from ocp_ros.planners.planner import Scores
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.simulation.simulator import Simulator, View
 
@@ -64,14 +63,8 @@ class Scorer:
             result = self.simulator.judge(views_of(placement))
             return result.depth_error, result.space_coverage
 
-        def cloud(number: int) -> np.ndarray:
-            if len(placements[number]) == 0:
-                return nothing_seen(number)
-            seen = np.bitwise_or.reduce([view.seen for view in views_of(placements[number])])
-            return self.simulator.scene.points[Subset(seen, self.simulator.visibility.order).mask]
-
         errors, coverage = np.array(self._map(judge, placements)).reshape(-1, 2).T
-        return Scores(errors, coverage, cloud)
+        return Scores(errors, coverage)
 
     def _key(self, camera: int, pose: np.ndarray) -> tuple[int, bytes]:
         """Return what a view is remembered by."""

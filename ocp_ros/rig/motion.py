@@ -26,6 +26,11 @@ def bounded_moves(actions: np.ndarray, max_step: float) -> np.ndarray:
     return actions / np.maximum(length, 1.0) * max_step
 
 
+def order_of(turn: int, cameras: int) -> np.ndarray:
+    """Return the order in which cameras are asked at a turn: nobody is always the first."""
+    return np.roll(np.arange(cameras), turn)
+
+
 def drawn_near(rng: np.random.Generator, count: int, radius: float) -> np.ndarray:
     """Draw ways (count, 2), metres, evenly from a disc."""
     length, angle = radius * np.sqrt(rng.random(count)), rng.uniform(-np.pi, np.pi, count)

@@ -19,8 +19,8 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64, Float64MultiArray, Header
 from std_srvs.srv import Trigger
 
-from ocp_ros.agent.encoder import order_of
 from ocp_ros.geometry.cameras import heading_of, Pose
+from ocp_ros.rig.motion import order_of
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import (
     cloud_to_msg,

@@ -61,7 +61,9 @@ class TrainerNode(Node):
         folder_to_write(Path(self.config.folder), 'folder')
         torch.set_num_threads(self.config.threads)
         start = Checkpoint.load(find_model(self.config.model)) if self.config.model else None
-        self.learner = Learner(self.config, self.config.agent, self.config.sac, start)
+        # Weights bring the settings of their network.
+        self.agent = self.config.agent if start is None else start.config
+        self.learner = Learner(self.config, self.agent, self.config.sac, start)
         write_atomically(self.learner.folder / 'config.yaml',
                          yaml.safe_dump(to_nested(self.config), sort_keys=False))
         self.sources: dict[str, Source] = {}
@@ -81,7 +83,7 @@ class TrainerNode(Node):
     def _add(self, namespace: str) -> None:
         """Learn from a namespace from now on."""
         source = self.sources[namespace] = Source(
-            self, namespace, self.config.agent, self.learner.cameras, self.learner.add)
+            self, namespace, self.agent, self.learner.add)
         if self._blob:
             source.send_weights(self._blob)
 

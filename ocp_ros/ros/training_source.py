@@ -23,8 +23,7 @@ from ocp_ros.ros.interface.conversions import (
     stamp_to_ns,
 )
 from ocp_ros.ros.interface.qos import LATCHED, RECORDER
-from ocp_ros.training.encoded_environment import encoded_space, index_counts
-from ocp_ros.training.encoded_environment import LARGEST as LARGEST_INPUT
+from ocp_ros.training.encoded_environment import cameras_of, encoded_space
 from ocp_ros.training.experience import Experience, ExperienceError, from_bytes
 from ocp_ros.training.transitions import Assembler, Reward, Transition
 
@@ -40,17 +39,16 @@ LARGEST_ACTION = 10.0
 
 
 def arrays_of(agent: AgentConfig) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
-    """Return shape, for one camera, and type of each array of an observation."""
+    """Return shape and type of each array of an observation."""
     return {name: (space.shape, space.dtype)
-            for name, space in encoded_space(agent, 1).spaces.items() if name != 'present'}
+            for name, space in encoded_space(agent).spaces.items()}
 
 
 def ends_of(agent: AgentConfig) -> dict[str, tuple[float, float]]:
     """Return the lowest and the highest number of each array of an experience."""
-    counts = index_counts(agent)
     return {'actions': (-LARGEST_ACTION, LARGEST_ACTION), **{
-        name: (0, counts[name] - 1) if name in counts else (-LARGEST_INPUT, LARGEST_INPUT)
-        for name in arrays_of(agent)}}
+        name: (space.low.min(), space.high.max())  # type: ignore[attr-defined]
+        for name, space in encoded_space(agent).spaces.items()}}
 
 
 def check_ends(experience: Experience, ends: dict[str, tuple[float, float]]) -> Experience:
@@ -83,16 +81,15 @@ class Source:
     :param node: gets the subscriptions and publishers, and tells its log what goes wrong.
     :param namespace: full name.
     :param agent: what the policies read.
-    :param together: how many cameras choose together.
     :param learn: takes a transition; returns whether there was room for it.
     :ivar counts: what was heard.
     """
 
-    def __init__(self, node: Node, namespace: str, agent: AgentConfig, together: int,
+    def __init__(self, node: Node, namespace: str, agent: AgentConfig,
                  learn: Callable[[Transition], bool]) -> None:
         self._node, self.namespace, self._learn = node, namespace, learn
         self._expected, self._ends = arrays_of(agent), ends_of(agent)
-        self._together = None if agent.map else together
+        self._together = None if agent.map else cameras_of(agent)
         self.assembler = Assembler(last=agent.map)
         self.counts = {'transitions': 0, 'refused': 0, 'dropped': 0}
         self._newest = 0

@@ -85,8 +85,6 @@ class CameraPlacementEnv(gym.Env):
         self.observation_points, self.rotations = observation_points, tuple(rotations)
         self.problem = lru_cache(maxsize=KEPT)(self._make_problem)
         self.episode: Episode | None = None
-        #: Scene and rotation of the episode: scene x rotations + rotation.
-        self.number = 0
         cameras = self.config.rig.cameras
         self.fewest = cameras if fewest is None else fewest
         if not 1 <= self.fewest <= cameras:
@@ -125,15 +123,11 @@ class CameraPlacementEnv(gym.Env):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         """Begin an episode; ``options`` may choose the scene, its rotation and the cameras."""
         super().reset(seed=seed)
-        turned_by = int(self.np_random.integers(len(self.rotations)))
-        drawn = {'scene': int(self.np_random.integers(len(self.scenes))),
-                 'rotation': self.rotations[turned_by],
+        drawn = {'rotation': self.rotations[int(self.np_random.integers(len(self.rotations)))],
+                 'scene': int(self.np_random.integers(len(self.scenes))),
                  'cameras': int(self.np_random.integers(self.fewest,
                                                         self.config.rig.cameras + 1))}
         chosen = {**drawn, **(options or {})}
-        if chosen['rotation'] in self.rotations:
-            turned_by = self.rotations.index(chosen['rotation'])
-        self.number = chosen['scene'] * len(self.rotations) + turned_by
         self.episode = Episode(self.problem(chosen['scene'], chosen['rotation']),
                                self.np_random, chosen['cameras'])
         return self._observation(), self._info()

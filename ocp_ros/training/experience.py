@@ -17,7 +17,6 @@ from safetensors import SafetensorError
 import safetensors.numpy
 
 from ocp_ros.agent.checkpoint import read_metadata
-from ocp_ros.agent.encoder import PER_CAMERA
 
 KEY = 'ocp_ros-experience-1'
 #: The most choices and cameras of a turn that are read.
@@ -76,7 +75,7 @@ def from_bytes(blob: bytes, expected: Mapping[str, tuple[tuple[int, ...], np.dty
     Read and check a blob.
 
     :param blob: of :func:`to_bytes`.
-    :param expected: shape, for a single camera, and type of each array of an observation.
+    :param expected: shape and type of each array of an observation.
     :param together: how many cameras choose together; None for choices of single cameras of which
         there may be more, or fewer, than cameras.
     :raises ExperienceError: if it is torn, not finite or of another network.
@@ -92,7 +91,7 @@ def from_bytes(blob: bytes, expected: Mapping[str, tuple[tuple[int, ...], np.dty
             f'experience: found no readable one ({type(error).__name__}: {error}); expected a '
             'whole safetensors blob of a policy that explores') from error
     count = _choices(actions, targets, together)
-    shapes = {f'observation.{name}': ((count, *_shape(name, shape, together or 1)), np.dtype(kind))
+    shapes = {f'observation.{name}': ((count, *shape), np.dtype(kind))
               for name, (shape, kind) in expected.items()}
     found = {name: (value.shape, value.dtype) for name, value in arrays.items()}
     if found != shapes:
@@ -124,8 +123,3 @@ def _choices(actions: np.ndarray, targets: np.ndarray, together: int | None) -> 
             f'experience: found actions as {actions.dtype} {actions.shape} of {len(targets)} '
             f'cameras; expected float32 choices of {together} at a time')
     return count
-
-
-def _shape(name: str, shape: tuple[int, ...], cameras: int) -> tuple[int, ...]:
-    """Return the shape of an array for so many cameras."""
-    return (cameras, *shape[1:]) if name in PER_CAMERA else shape

@@ -13,34 +13,31 @@ import numpy as np
 from stable_baselines3.common.logger import configure
 
 from ocp_ros.agent.agent_config import AgentConfig
-from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
-from ocp_ros.training.encoded_environment import padded
+from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.training.replay_file import load_replay, save_replay
+from ocp_ros.training.run_folder import REPLAY, STATE
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
 from ocp_ros.training.sac_state import load_state, new_run, save_state
 from ocp_ros.training.training_config import SacConfig
-from ocp_ros.training.transition_log import TransitionLog
 from ocp_ros.training.transitions import Transition
-from ocp_ros.util.settings import LARGEST_SEED, MOST_CAMERAS, setting
+from ocp_ros.util.settings import LARGEST_SEED, setting
 
 #: Gradient steps between two looks at the world: short enough to stop at once.
 BURST = 4
 #: Transitions that may wait to be stored; the learner stores them between two bursts.
 INBOX = 4096
-STATE, ACTOR, TRANSITIONS = 'state.safetensors', 'actor.safetensors', 'transitions'
+ACTOR = 'actor.safetensors'
+#: By what share the transitions grow before they are saved anew: to write them takes a while.
+NEW = 0.1
 
 
 @dataclass(frozen=True)
 class LearnerConfig:
     """How a learner keeps pace with its transitions and what it leaves on disk."""
 
-    cameras: int = setting(
-        4, 'with agent.inputs: cloud, number of cameras in the transitions; other inputs allow '
-           'any number', 1, MOST_CAMERAS)
     updates_per_turn: float = setting(1.0, 'gradient steps per transition', 0.0, 100.0)
     publish_every: int = setting(50, 'gradient steps between two sets of weights', 1, 1 << 31)
-    save_every: int = setting(
-        200, 'gradient steps between two checkpoints, and number of transitions in each file of '
-             'transitions', 1, 1 << 31)
+    save_every: int = setting(200, 'gradient steps between two checkpoints', 1, 1 << 31)
     folder: str = setting('out/trainer', 'folder of checkpoints and TensorBoard files')
     model: str = setting('', 'first weights: path or name; empty: random')
     seed: int = setting(0, 'seed of networks and batches', 0, LARGEST_SEED)
@@ -53,7 +50,8 @@ class Learner:
     Train SAC from transitions in a thread of its own.
 
     It goes on from what is in its folder: networks and optimisers as they were saved last, and the
-    transitions up to then. Each file is whole or absent, whenever the process ends.
+    transitions up to then; of a process that was killed the latest tenth of these may be missing.
+    Each file is whole or absent, whenever the process ends.
 
     :param config: pace and folder.
     :param agent: sizes of the networks.
@@ -67,19 +65,17 @@ class Learner:
                  start: Checkpoint | None = None) -> None:
         self.config, self.agent, self.sac = config, agent, sac
         self.folder = Path(config.folder)
-        #: How many cameras choose together.
-        self.cameras = 1 if agent.one_by_one else config.cameras
-        self.model = make_sac(sac, agent, self.cameras, seed=config.seed)
+        self.model = make_sac(sac, agent, seed=config.seed)
         if start is not None:
             load_actor(self.model, start)
             self.model.warm = True
         self.model.set_logger(configure(str(self.folder / 'tensorboard'), ['tensorboard']))
-        self.log = TransitionLog(self.folder / TRANSITIONS, sac.buffer_size)
         self.run = self._resume()
         self.dropped = 0
         self.losses: deque[float] = deque(maxlen=max(config.publish_every // BURST, 1))
         self.failure: BaseException | None = None
-        self._first_update = self.updates
+        #: What was in the files when it began or was closed.
+        self._closed = self.transitions, self.updates
         self._fresh: deque[Checkpoint] = deque(maxlen=1)
         if self.updates:
             # Those who were told by a process that is gone may have gone as well.
@@ -91,19 +87,16 @@ class Learner:
 
     def _resume(self) -> str:
         """Go on from what is in the folder; returns the name of the run."""
-        for folder in (self.folder, self.log.folder):
-            # What was being written when a process was killed.
-            for path in folder.glob('.*.safetensors.*'):
-                path.unlink(missing_ok=True)
-        state = self.folder / STATE
+        # What was being written when a process was killed.
+        for path in self.folder.glob('.*.safetensors.*'):
+            path.unlink(missing_ok=True)
+        state, replay = self.folder / STATE, self.folder / REPLAY
         run = load_state(self.model, state) if state.exists() else new_run()
-        for transition in self.log.load():
-            try:
-                self._store(transition)
-            except (KeyError, ValueError) as error:
-                raise CheckpointError(
-                    f'{self.log.folder}: found transitions of another network ({error}); expected '
-                    'those of the same agent settings; name another folder') from error
+        if replay.exists():
+            load_replay(self.model.replay_buffer, replay)
+        #: Transitions so far when all were saved last, and those that are not in memory any more.
+        self._saved = self.transitions
+        self._lost = max(self.transitions - self.model.replay_buffer.size(), 0)
         # Steps that nobody owes any more: the transitions for them are gone.
         self._paid = max(self.updates - max(self._owed(self.transitions), 0.0), 0.0)
         return run
@@ -111,7 +104,7 @@ class Learner:
     @property
     def transitions(self) -> int:
         """Return the transitions of this run so far."""
-        return self.log.total
+        return int(self.model.num_timesteps)
 
     @property
     def updates(self) -> int:
@@ -129,7 +122,8 @@ class Learner:
 
     def _owed(self, transitions: int) -> float:
         """Return the gradient steps that so many transitions get."""
-        return (transitions - self.sac.learning_starts) * self.config.updates_per_turn
+        new = transitions - self._lost - self.sac.learning_starts
+        return new * self.config.updates_per_turn
 
     def add(self, transition: Transition) -> bool:
         """
@@ -164,11 +158,9 @@ class Learner:
         self._thread.join()
         # What is still in its memory is to be in its files.
         self.model.logger.close()
-        if self.failure is None:
-            self.log.save()
-            if self.updates > self._first_update:
-                self._save()
-                self._first_update = self.updates
+        if self.failure is None and (self.transitions, self.updates) != self._closed:
+            self._save(whole=True)
+            self._closed = self.transitions, self.updates
 
     def _work(self) -> None:
         """Train whenever there is something to learn from."""
@@ -190,17 +182,15 @@ class Learner:
             if transition is None:
                 return False
             self._store(transition)
-            self.log.append(transition)
             self.model.num_timesteps += 1
-            if self.log.waiting >= self.config.save_every:
-                self.log.save()
         return True
 
     def _store(self, transition: Transition) -> None:
         """Put a transition into the replay buffer."""
+        before, after = ({name: value[None] for name, value in observation.items()}
+                         for observation in (transition.observation, transition.next_observation))
         self.model.replay_buffer.add(
-            self._batched(transition.observation), self._batched(transition.next_observation),
-            transition.actions[None], np.array([transition.reward]),
+            before, after, transition.actions[None], np.array([transition.reward]),
             np.array([transition.terminated]), [{}])
 
     def _behind(self) -> bool:
@@ -222,14 +212,15 @@ class Learner:
                                       'seed': self.config.seed}
         return actor_checkpoint(self.model, self.run, provenance)
 
-    def _save(self) -> None:
-        """Write transitions, actor and state, each whole or not at all."""
-        self.log.save()
+    def _save(self, whole: bool = False) -> None:
+        """
+        Write actor and state, each whole or not at all.
+
+        :param whole: write the transitions as well, though few of them are new.
+        """
+        # In this order: transitions that the state does not count yet do no harm.
+        if whole or self.transitions >= (1.0 + NEW) * self._saved:
+            save_replay(self.model.replay_buffer, self.folder / REPLAY)
+            self._saved = self.transitions
         self.checkpoint().save(self.folder / ACTOR)
         save_state(self.model, self.folder / STATE, self.run)
-
-    def _batched(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Say which cameras there are and give each array a leading axis of one environment."""
-        if 'present' not in observation and not self.agent.map:
-            observation = padded(observation, self.cameras)
-        return {name: value[None] for name, value in observation.items()}

@@ -11,13 +11,12 @@ from ocp_ros.planners.map_turn import MapTurn
 from ocp_ros.planners.registry import settings_of
 from ocp_ros.planners.rollout import state_of
 from ocp_ros.simulation.environment import CameraPlacementEnv
-from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.reward import NO_REWARD
 from ocp_ros.training.encoded_environment import (
     action_space,
     encoded,
     encoded_space,
-    PlaneMoves,
+    on_plane,
     unwrapped,
 )
 
@@ -36,7 +35,7 @@ class MapChoices(gym.Wrapper):
 
     def __init__(self, env: gym.Env, agent: AgentConfig) -> None:
         super().__init__(env)
-        self.observation_space, self.action_space = encoded_space(agent, 1), action_space(1)
+        self.observation_space, self.action_space = encoded_space(agent), action_space(1)
         self._actor: MapActor | None = None
         self._known: MapTurn | None = None
         self._left: list[int] = []
@@ -83,4 +82,4 @@ def playable(env: CameraPlacementEnv, agent: AgentConfig) -> gym.Env:
     """Return an environment as the agent plays it, whatever its inputs are."""
     if not agent.map:
         return encoded(env, agent)
-    return MapChoices(env if env.axes == PlaneProblem.axes else PlaneMoves(env), agent)
+    return MapChoices(on_plane(env), agent)

@@ -19,15 +19,13 @@ from ocp_ros.util.shown_text import printable
 from ocp_ros.util.yaml_files import read_plain
 
 CONFIG, ROOMS, PROGRESS = 'config.yaml', 'rooms.json', 'progress.jsonl'
-BEST, STATE, SHOWN = 'best.safetensors', 'state.safetensors', 'demonstrations'
+BEST, STATE = 'best.safetensors', 'state.safetensors'
 #: The moves that soft actor-critic learns from.
 REPLAY = 'replay.safetensors'
 #: The state of dense values, which come before soft actor-critic, and what lines of them say.
 VALUES_STATE, VALUES = 'values_state.safetensors', 'values'
 #: Settings with which a run may go on though it was begun with others.
 MAY_CHANGE = ('interactions', 'workers', 'evaluate_every')
-#: The same for one that has not begun with soft actor-critic.
-MAY_STILL_CHANGE = (*MAY_CHANGE, 'demonstrations.rounds')
 #: Numbers that every line of progress has.
 COUNTED = ('interactions', 'updates', 'seconds')
 _log = logging.getLogger(__name__)
@@ -60,15 +58,14 @@ def claim(folder: Path, config: TrainingConfig) -> None:
     sets = {part: [Path(name).name for name in room_names(config.rooms, part)] for part in PARTS}
     asked = _flat(to_nested(config))
     before = _flat(to_nested(_settings(path))) if path.exists() else asked
-    free = MAY_CHANGE if before['interactions'] else MAY_STILL_CHANGE
     wrong = [f'{name} {before[name]!r}' for name in asked
-             if name not in free and asked[name] != before[name]]
+             if name not in MAY_CHANGE and asked[name] != before[name]]
     if rooms.exists() and _sets(rooms) != sets:
         wrong.append('other rooms')
     if wrong:
         raise ConfigurationError(
             f'{folder}: found a run with {", ".join(wrong)}; expected one with the settings '
-            f'asked for, but for {", ".join(free)}; name another folder, or remove '
+            f'asked for, but for {", ".join(MAY_CHANGE)}; name another folder, or remove '
             'this one to begin anew')
     if not rooms.exists():
         write_atomically(rooms, json.dumps(sets) + '\n')
@@ -99,7 +96,7 @@ def _write_settings(path: Path, config: TrainingConfig) -> None:
 
 def _refuse_strangers(folder: Path) -> None:
     """Refuse a folder that is no run's and has files that a run would replace."""
-    found = [name for name in (BEST, 'best.json', STATE, REPLAY, PROGRESS, SHOWN)
+    found = [name for name in (BEST, 'best.json', STATE, REPLAY, PROGRESS)
              if (folder / name).exists()]
     if found:
         raise ConfigurationError(

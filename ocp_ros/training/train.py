@@ -3,11 +3,11 @@
 """
 Train a policy: read from top to bottom, this is the whole run.
 
-First the policy imitates an expert, then it learns by itself with soft actor-critic; either part
-may be left out. A run's folder holds ``config.yaml`` (the effective settings), ``rooms.json``
-(which rooms are in each set), ``progress.jsonl`` (one line per evaluation), ``best.safetensors``
-with its card, ``state.safetensors`` and ``replay.safetensors`` to resume from, ``demonstrations/``
-with the episodes of each round, and TensorBoard's files.
+The map actor learns dense values first, see :mod:`ocp_ros.training.value_training`; then, or from
+the start, soft actor-critic plays and learns. A run's folder holds ``config.yaml`` (the effective
+settings), ``rooms.json`` (which rooms are in each set), ``progress.jsonl`` (one line per
+evaluation), ``best.safetensors`` with its card, ``state.safetensors`` and ``replay.safetensors``
+to resume from, and TensorBoard's files.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,6 @@ from datetime import date
 import logging
 from pathlib import Path
 import time
-from typing import Any
 
 import numpy as np
 from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -29,14 +28,8 @@ import torch
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.errors import CheckpointError
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.geometry.packed_bits import no_bits
-from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.environment import CameraPlacementEnv
-from ocp_ros.training import demonstrations
-from ocp_ros.training.demonstration_rounds import ENDS, LAST, load_rounds, save_round
 from ocp_ros.training.map_environment import playable
-from ocp_ros.training.map_networks import NearValueMap
-from ocp_ros.training.replay_buffer import Rebuild, TurnReplay
 from ocp_ros.training.replay_file import load_replay, save_replay
 from ocp_ros.training.run_folder import (
     add_record,
@@ -44,14 +37,13 @@ from ocp_ros.training.run_folder import (
     claim,
     records,
     REPLAY,
-    SHOWN,
     STATE,
     VALUES,
 )
-from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac, RigSac, start_critics
+from ocp_ros.training.sac import actor_checkpoint, AgentSac, load_actor, make_sac
 from ocp_ros.training.sac_state import load_state, new_run, save_state
 from ocp_ros.training.training_config import TrainingConfig
-from ocp_ros.training.training_rooms import make, room_names, Rooms
+from ocp_ros.training.training_rooms import room_names, Rooms
 from ocp_ros.training.validation import evaluate, RANDOM_MOVES, ValidationTrial
 from ocp_ros.training.value_training import learn_values, ValueRun
 from ocp_ros.util.resources import find_model
@@ -61,6 +53,8 @@ from ocp_ros.util.threads import cores
 from ocp_ros.util.worker_pool import WorkerPool
 
 _log = logging.getLogger(__name__)
+#: What lines of soft actor-critic say.
+SAC = 'sac'
 #: Terms of the reward that are logged one by one.
 TERMS = ('delta_space_coverage', 'delta_depth_error', 'penalty')
 
@@ -80,7 +74,7 @@ class Run:
 
     config: TrainingConfig
     folder: Path
-    model: RigSac
+    model: AgentSac
     pool: WorkerPool
     progress: Progress
     name: str
@@ -154,8 +148,7 @@ class Run:
         :raises CheckpointError: if the state or the best weights cannot be used; the message says
             what is lost and how to go on.
         """
-        begun = any(line['phase'] != VALUES for line in self.past) or any(
-            (self.folder / SHOWN).glob('*.fitted'))
+        begun = any(line['phase'] != VALUES for line in self.past)
         if self.state.exists():
             self.name = load_state(self.model, self.state)
             if self.replay.exists():
@@ -209,62 +202,28 @@ def trials_of(config: TrainingConfig, part: str) -> list[ValidationTrial]:
             for index, room in enumerate(room_names(rooms, part))]
 
 
-def imitate(run: Run) -> None:
-    """Play rounds of demonstrations and fit the actor to what the expert did, all so far."""
-    settings, model = run.config.demonstrations, run.model
-    folder = run.folder / SHOWN
-    task = run.progress.add_task('demonstrations', total=settings.rounds, error='')
-    for number in range(settings.rounds):
-        run.progress.update(task, completed=number)
-        path, fitted = folder / f'{number:04}.npz', folder / f'{number:04}.fitted'
-        if not path.exists():
-            tasks = demonstrations.tasks_of(run.config, run.rooms, number,
-                                            run.checkpoint().to_bytes())
-            save_round(path, list(run.pool.map(demonstrations.demonstrate, tasks)))
-        if fitted.exists():
-            continue
-        last = number + 1 == settings.rounds
-        steps = load_rounds(folder, number + 1, run.config.agent)
-        loss = demonstrations.fit(model, steps, settings,
-                                  settings.last_epochs if last else settings.epochs)
-        model.num_timesteps = demonstrations.turns_played(steps)
-        ends = steps[ENDS][steps[LAST]][-settings.episodes:]
-        model.logger.record('demonstrations/loss', loss)
-        model.logger.record('demonstrations/depth_error_end', float(ends[:, 0].mean()))
-        if last or (number + 1) % settings.evaluate_every == 0:
-            ratio = run.evaluate('demonstrations')
-            run.progress.update(task, error=f'validation {ratio:.4f}, loss {loss:.3f}')
-        else:
-            run.save()
-            run.note('demonstrations')
-        model.logger.dump(model.num_timesteps)
-        fitted.touch()
-    run.progress.update(task, completed=settings.rounds)
-
-
 class TrainingWatch(BaseCallback):
     """Log the terms of the reward and evaluate as SAC learns."""
 
-    def __init__(self, run: Run, last: int) -> None:
+    def __init__(self, run: Run) -> None:
         super().__init__()
-        self.run, self.last = run, last
+        self.run = run
         self.due = self.evaluated = 0
 
     def _on_training_start(self) -> None:
         """Show the bar."""
-        self.evaluated, first = self.num_timesteps, self.last - self.run.config.interactions
+        self.evaluated = self.num_timesteps
         self.due = self.num_timesteps + self.run.config.evaluate_every
         self.task = self.run.progress.add_task(
             'soft actor-critic', total=self.run.config.interactions,
-            completed=self.num_timesteps - first, error='')
+            completed=self.num_timesteps, error='')
 
     def _on_step(self) -> bool:
         """Move the bar, and evaluate when it is time."""
         for name in TERMS:
             self.logger.record_mean(
                 f'reward/{name}', float(np.mean([info[name] for info in self.locals['infos']])))
-        self.run.progress.update(self.task, completed=self.num_timesteps
-                                 - self.last + self.run.config.interactions)
+        self.run.progress.update(self.task, completed=self.num_timesteps)
         if self.num_timesteps >= self.due:
             self.due += self.run.config.evaluate_every
             self._evaluate()
@@ -277,7 +236,7 @@ class TrainingWatch(BaseCallback):
 
     def _evaluate(self) -> None:
         """Play the validation rooms."""
-        ratio = self.run.evaluate('sac')
+        ratio = self.run.evaluate(SAC)
         self.evaluated = self.num_timesteps
         self.run.progress.update(self.task, error=f'validation {ratio:.4f}')
 
@@ -292,43 +251,22 @@ def environments(config: TrainingConfig, rooms: Sequence[str]) -> VecMonitor:
     return VecMonitor(SubprocVecEnv([make] * config.environments, start_method='spawn'))
 
 
-def learn(run: Run, start: Checkpoint | None = None) -> None:
-    """
-    Let SAC play and learn, from where imitation has led.
-
-    :param start: the weights that the run began with, if any: a map actor is kept near them.
-    """
-    config, model = run.config, run.model
-    folder, rounds = run.folder / SHOWN, config.demonstrations.rounds
-    shown = load_rounds(folder, rounds, config.agent) if rounds else None
-    first = 0 if shown is None else demonstrations.turns_played(shown)
-    last = first + config.interactions
+def learn(run: Run) -> None:
+    """Let SAC play and learn."""
+    config, model, last = run.config, run.model, run.config.interactions
     if model.num_timesteps >= last:
         return
-    model.warm = (shown is not None or bool(config.model) or config.agent.map
-                  or model.num_timesteps > 0)
-    remembers = model.replay_buffer.size() > 0
+    model.warm = bool(config.model) or config.agent.map or model.num_timesteps > 0
     # Where the moves so far are lost, some are played before learning from them.
-    if not remembers and (shown is None or model.num_timesteps > first):
+    if not model.replay_buffer.size():
         model.learning_starts += model.num_timesteps
-    if shown is not None:
-        if not remembers:
-            demonstrations.fill(model, shown)
-        if model.num_timesteps == first:
-            start_critics(model)
-        imitation = demonstrations.Imitation(shown, model.device)
-        model.imitation_loss = lambda size: imitation.loss_of(model.actor, size)
-    if config.agent.map and start is not None:
-        near = NearValueMap(config.agent, start.weights, model.device)
-        model.imitation_loss = lambda size: near.loss_of(
-            model.actor, model.replay_buffer.sample(size).observations)
     model.set_env(environments(config, run.rooms))
     # Of the number of moves as well: a run that goes on sees other episodes than at first.
     sequence = np.random.SeedSequence([config.seed, model.num_timesteps])
     model.env.seed(int(sequence.generate_state(1)[0]) >> 1)
     try:
-        model.learn(last - model.num_timesteps, callback=TrainingWatch(run, last),
-                    reset_num_timesteps=False, tb_log_name='sac')
+        model.learn(last - model.num_timesteps, callback=TrainingWatch(run),
+                    reset_num_timesteps=False, tb_log_name=SAC)
     except (EOFError, ConnectionError) as error:
         raise ConfigurationError(
             f'environments: found that one of the {config.environments} processes that play has '
@@ -363,11 +301,10 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
                 return _report_values(values, command)
         run = Run(config, folder, _model(config, folder, start), pool, progress, new_run())
         run.resume()
-        imitate(run)
-        learn(run, start)
+        learn(run)
         if not (folder / BEST).exists():
             # It was lost after the last evaluation.
-            run.evaluate('sac' if config.interactions else 'demonstrations')
+            run.evaluate(SAC)
         return report(run, command)
 
 
@@ -382,34 +319,19 @@ def _report_values(run: ValueRun, command: str) -> Checkpoint:
     return report(run, command)
 
 
-def _model(config: TrainingConfig, folder: Path, start: Checkpoint | None) -> RigSac:
+def _model(config: TrainingConfig, folder: Path, start: Checkpoint | None) -> AgentSac:
     """Build SAC; its actor may start from given weights."""
     # Of all environments together; less than one means to wait for more of them.
     steps = config.updates_per_turn * config.environments
-    cameras = 1 if config.agent.one_by_one else config.simulation.rig.cameras
-    model = make_sac(config.sac, config.agent, cameras, seed=config.seed,
+    model = make_sac(config.sac, config.agent, seed=config.seed,
                      environments=config.environments,
                      train_freq=1 if steps == 0.0 else max(round(1.0 / steps), 1),
                      gradient_steps=max(round(steps), 1) if steps else 0,
-                     tensorboard=str(folder / 'tensorboard'), **_replay(config))
+                     tensorboard=str(folder / 'tensorboard'))
     model.set_logger(configure(str(folder / 'tensorboard'), ['tensorboard']))
     if start is not None:
         load_actor(model, start)
     return model
-
-
-def _replay(config: TrainingConfig) -> dict[str, Any]:
-    """Choose the replay buffer: clouds are rebuilt, what moves would change is small enough."""
-    if config.agent.one_by_one:
-        return {}
-    rooms, angles = room_names(config.rooms, 'training'), config.rooms.angles
-
-    def scene(number: int) -> Scene:
-        room, angle = divmod(number, len(angles))
-        return make(config.rooms, rooms[room], angles[angle])
-
-    return {'replay_buffer_class': TurnReplay, 'replay_buffer_kwargs': {
-        'rebuild': Rebuild(scene, config.agent), 'words': len(no_bits(config.rooms.points))}}
 
 
 def report(run: Run | ValueRun, command: str) -> Checkpoint:

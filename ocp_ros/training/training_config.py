@@ -5,21 +5,11 @@
 from dataclasses import dataclass
 
 from ocp_ros.agent.agent_config import AgentConfig
-from ocp_ros.agent.move_effects import LONGEST
-from ocp_ros.planners.registry import OFFLINE, ONLINE
-from ocp_ros.planners.rig_methods import EXACT
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.up_axis import UP_CHOICES
 from ocp_ros.simulation.problem import settings_for
 from ocp_ros.simulation.simulation_config import SimulationConfig
-from ocp_ros.util.settings import (
-    check_known,
-    ConfigurationError,
-    group,
-    LARGEST_SEED,
-    MOST_CAMERAS,
-    setting,
-)
+from ocp_ros.util.settings import ConfigurationError, group, LARGEST_SEED, MOST_CAMERAS, setting
 
 
 @dataclass(frozen=True)
@@ -28,7 +18,7 @@ class SacConfig:
 
     learning_rate: float = setting(5e-4, 'step size of Adam', 1e-7, 1.0)
     batch_size: int = setting(64, 'transitions per gradient step', 1, 65536)
-    buffer_size: int = setting(40000, 'transitions the replay buffer holds', 100, 10000000)
+    buffer_size: int = setting(40000, 'transitions the replay buffer holds', 100, 1000000)
     learning_starts: int = setting(1000, 'transitions before the first gradient step', 1, 1000000)
     gamma: float = setting(0.95, 'discount per interaction', 0.0, 1.0)
     tau: float = setting(0.01, 'share of the targets replaced per gradient step', 1e-6, 1.0)
@@ -38,15 +28,10 @@ class SacConfig:
     burn_in: int = setting(
         0, 'gradient steps of the critics alone before the actor learns', 0, 1 << 31)
     imitation: float = setting(
-        0.1, 'weight of the imitation loss: with demonstrations, the distance from these; of the '
-             'map actor, the divergence from the value map that it began with', 0.0, 1000.0)
+        0.1, 'with agent.inputs map: weight of the imitation loss, the divergence from the value '
+             'map that the actor began with', 0.0, 1000.0)
     imitation_fades: int = setting(10000, 'gradient steps until the imitation loss is '
                                           'zero', 1, 1 << 31)
-    shared_extractor: bool = setting(
-        False, "whether the critics share the actor's features")
-    critics_train: bool = setting(
-        False, 'whether the loss of the critics trains the shared features; otherwise the loss of '
-               'the actor does')
     device: str = setting('auto', 'auto, cpu or cuda', choices=('auto', 'cpu', 'cuda'))
 
 
@@ -96,31 +81,6 @@ class RoomsConfig:
 
 
 @dataclass(frozen=True)
-class DemonstrationsConfig:
-    """Episodes in which an expert is imitated; see :mod:`ocp_ros.training.demonstrations`."""
-
-    rounds: int = setting(0, 'rounds of episodes, each followed by a fit; 0 for none', 0, 100000)
-    episodes: int = setting(32, 'episodes of a round', 1, 100000)
-    expert: str = setting('greedy_step', 'planner to imitate: online, offline or exact')
-    budget: int = setting(
-        1000, 'evaluations of an offline expert; candidates of exact', 1, 1000000)
-    seconds: float = setting(10.0, 'most time that exact takes in a room', 0.1, 3600.0)
-    alone: int = setting(1, 'first rounds in which the expert alone moves the cameras', 1, 1000)
-    expert_moves: float = setting(0.3, 'chance that a camera does what the expert says', 0.0, 1.0)
-    fading: float = setting(0.8, 'factor of this chance from round to round', 0.0, 1.0)
-    stray: float = setting(0.08, 'chance that a camera moves at random', 0.0, 1.0)
-    epochs: int = setting(4, 'passes over all turns so far after a round', 1, 1000)
-    last_epochs: int = setting(20, 'the same after the last round', 1, 1000)
-    evaluate_every: int = setting(4, 'rounds between evaluations', 1, 100000)
-    batch_size: int = setting(1024, 'steps per gradient step', 1, 65536)
-    learning_rate: float = setting(1e-3, 'largest step size of AdamW', 1e-7, 1.0)
-
-    def __post_init__(self) -> None:
-        """Refuse experts that do not exist."""
-        check_known([self.expert], (*OFFLINE, *ONLINE, EXACT), 'demonstrations.expert')
-
-
-@dataclass(frozen=True)
 class ValuesConfig:
     """Dense values that the map actor learns first; see :mod:`ocp_ros.training.value_states`."""
 
@@ -144,12 +104,12 @@ class TrainingConfig:
 
     seed: int = setting(0, 'seed of networks, exploration and order of rooms', 0, LARGEST_SEED)
     interactions: int = setting(
-        40000, 'interactions of soft actor-critic: turns, or moves of one camera where cameras '
-        'choose one after the other', 0, 1 << 40)
+        0, 'interactions of soft actor-critic: choices of one camera, or with agent.inputs paper '
+           'turns; 0 for dense values alone', 0, 1 << 40)
     environments: int = setting(4, 'episodes played side by side', 1, 1024)
     workers: int = setting(0, 'processes that play; 0 for one on each core', 0, 1024)
-    ray: str = setting('', 'a Ray cluster that plays demonstrations and evaluations instead, such '
-                       'as auto; empty for none')
+    ray: str = setting('', 'a Ray cluster that plays evaluations and walks through rooms instead, '
+                       'such as auto; empty for none')
     fewest_cameras: int = setting(
         4, 'episodes have from so many to simulation.rig.cameras cameras', 1, MOST_CAMERAS)
     updates_per_turn: float = setting(1.0, 'gradient steps per interaction', 0.0, 100.0)
@@ -158,7 +118,6 @@ class TrainingConfig:
     rooms: RoomsConfig = group(RoomsConfig)
     simulation: SimulationConfig = group(SimulationConfig)
     agent: AgentConfig = group(AgentConfig)
-    demonstrations: DemonstrationsConfig = group(DemonstrationsConfig)
     values: ValuesConfig = group(ValuesConfig)
     sac: SacConfig = group(SacConfig)
 
@@ -176,31 +135,17 @@ class TrainingConfig:
                 f'simulation.rig.sensors: found {self.simulation.rig.sensors!r}; expected '
                 'omnidirectional: a policy learns positions, and policy_node chooses the headings '
                 'of all other cameras')
-        longest = self.simulation.episode.max_step
-        if self.agent.world and longest != LONGEST:
-            raise ConfigurationError(
-                f'simulation.episode.max_step: found {longest} with agent.inputs '
-                f'{self.agent.inputs!r}; expected {LONGEST}, the longest of the moves that these '
-                'try; leave it out, or read the cloud alone')
         for count in (self.fewest_cameras, self.simulation.rig.cameras):
             self.agent.check_cameras(count)
-        shown = self.values.steps if self.agent.map else self.demonstrations.rounds
-        if not (shown or self.interactions):
+        if not (self.interactions or (self.agent.map and self.values.steps)):
             raise ConfigurationError(
-                f'interactions: found 0 and no {"values.steps" if self.agent.map else ""}'
-                f'{"" if self.agent.map else "demonstrations.rounds"}; expected something to '
-                'learn from')
+                'interactions: found 0 and no dense values to learn; expected something to learn '
+                'from: interactions, or values.steps with agent.inputs map')
         if self.agent.headings and not self.model:
             raise ConfigurationError(
                 f'model: found none with agent.headings {self.agent.headings}; expected weights '
                 'of the map actor to begin with: the value map of cameras that do not see all '
                 'around begins as that of those that do; train one without headings first')
-        if self.demonstrations.rounds and (self.agent.map or not self.agent.one_by_one):
-            raise ConfigurationError(
-                f'demonstrations.rounds: found {self.demonstrations.rounds} with agent.inputs '
-                f'{self.agent.inputs!r}; expected 0: what is shown are moves of one camera after '
-                'the other; set agent.others with the cloud; the map actor learns dense values '
-                'first, see values')
 
     def _read_rig(self) -> None:
         """Take the number of cameras from a rig file, and refuse what does not go with one."""
@@ -209,7 +154,3 @@ class TrainingConfig:
         object.__setattr__(self, 'fewest_cameras', len(rig.cameras))
         rig.check_rotations(self.rooms.angles,
                             f'rooms.rotations: found {self.rooms.rotations!r}', "'0'")
-        if self.demonstrations.rounds and self.demonstrations.expert not in ONLINE:
-            raise ConfigurationError(
-                f'demonstrations.expert: found {self.demonstrations.expert!r} with a rig file; '
-                f'expected one of {", ".join(ONLINE)}: the others place cameras on a plane')

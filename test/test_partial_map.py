@@ -1,0 +1,215 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is known of a room: the engine on what was seen, and what is tried in it."""
+
+from conftest import around_z, box_room, flat_clouds, l_shaped, made_room
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from ocp_ros.agent import partial_map
+from ocp_ros.agent.observed_turn import ObservedTurns
+from ocp_ros.agent.partial_map import KeptModel, PartialMap, smallest_rectangle
+from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.geometry.packed_bits import unpack
+from ocp_ros.geometry.visibility import FAST, FINE
+from ocp_ros.planners.greedy_step import GreedyStep, MOVES, POINTS, ROWS
+from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.scenes.scene import SceneError, turned
+
+MAX_RANGE, MARGIN = 4.0, 0.1
+
+
+@pytest.fixture(scope='module')
+def room():
+    """Return a generated room that is small and densely scanned."""
+    return made_room(8, 5000)
+
+
+def placed(room, cameras=3):
+    """Return places near the middle of a room: (K, 3) metres."""
+    middle = np.append(room.bounds.mean(axis=0)[:2], 1.9)
+    offsets = [[0, 0], [1.0, 0.3], [-0.8, 0.5], [0.3, -0.9], [-0.5, -0.6], [1.2, 1.1]]
+    return middle + np.pad(np.array(offsets[:cameras], dtype=float), ((0, 0), (0, 1)))
+
+
+def test_a_model_is_kept_while_little_is_added(room):
+    kept, positions, cloud = KeptModel(MAX_RANGE, MARGIN, 2000, 16), placed(room), room.points
+    count = int(len(cloud) / 1.02)
+    model, space = kept(cloud[:count], positions, FAST)
+    assert len(model.visibility.order) <= 2000
+    assert space.area == FreePlane.of(cloud[:count], 1.9, 3, MARGIN).area
+    assert kept(cloud[:count + count // 200], positions, FAST)[0] is model
+    assert kept(cloud[:count], positions + [0.3, -0.2, 0.0], FAST)[0] is model
+    larger = kept(cloud, positions, FAST)[0]
+    assert larger is not model
+    # It is made anew for fewer points, other cameras and another height.
+    for others, where in [(cloud[:-1], positions), (cloud[:-1], positions[:2]),
+                          (cloud[:-1], positions[:2] - [0.0, 0.0, 0.1])]:
+        fresh = kept(others, where, FAST)[0]
+        assert fresh is not larger
+        assert kept(others, where, FAST)[0] is fresh
+        larger = fresh
+
+
+def test_a_model_looks_from_a_pose_once_and_forgets_what_it_saw_by_other_rules(room, monkeypatch):
+    positions = room.bounds.mean(axis=0)[None]
+    model = PartialMap(room.points, positions, MAX_RANGE, 2000, 16)
+    views = [model.look(positions[0]) for _ in range(2)]
+    assert views[0] is views[1]
+    lens = CameraModel(max_range=1.0).lens
+    assert (model.look(positions[0], lens).seen != views[0].seen).any()
+    model.follow(FINE)
+    fresh = PartialMap(room.points, positions, MAX_RANGE, 2000, 16, FINE).look(positions[0])
+    np.testing.assert_array_equal(model.look(positions[0]).seen, fresh.seen)
+    monkeypatch.setattr(partial_map, 'MOST_VIEWS', 2)
+    for step in range(5):
+        model.look(positions[0] + 0.01 * step)
+    assert len(model._views) <= 2
+
+
+def test_a_kept_model_follows_other_rules_and_sees_as_one_made_by_them(room):
+    kept, positions = KeptModel(MAX_RANGE, MARGIN, 2000, 16), placed(room)
+    model, _ = kept(room.points, positions, FAST)
+    fast = model.look(positions[0])
+    assert kept(room.points, positions, FINE)[0] is model
+    fine = model.look(positions[0])
+    made = PartialMap(room.points, positions, MAX_RANGE, 2000, 16, FINE)
+    np.testing.assert_array_equal(fine.seen, made.look(positions[0]).seen)
+    np.testing.assert_array_equal(fine.covered, made.look(positions[0]).covered)
+    assert (fine.seen != fast.seen).any()
+    kept(room.points, positions, FAST)
+    np.testing.assert_array_equal(model.look(positions[0]).seen, fast.seen)
+
+
+def observed(cloud, positions, turn=0):
+    """Return what is known at a turn."""
+    return ObservedTurns(MAX_RANGE, MARGIN, points=POINTS, rows=ROWS)(cloud, positions, turn, 30)
+
+
+def test_a_camera_that_has_chosen_is_where_it_will_be_for_the_others(room):
+    positions = placed(room)
+    known, place = observed(room.points, positions), positions[1] + [0.6, 0.9, 0.0]
+    before = known.error
+    known.place(1, place)
+    np.testing.assert_array_equal(known.positions, [positions[0], place, positions[2]])
+    looks = [known.model.look(at) for at in (positions[0], place, positions[2])]
+    assert known.error == known.model.error(looks) != before
+    seen, covered = known.beside(0)
+    np.testing.assert_array_equal(seen, looks[1].seen | looks[2].seen)
+    np.testing.assert_array_equal(covered, looks[1].covered | looks[2].covered)
+    own, others = known.seen_now(0)
+    count = len(known.model.points)
+    np.testing.assert_array_equal(own, unpack(looks[0].seen, count))
+    np.testing.assert_array_equal(others, sum(
+        unpack(look.seen, count).astype(int) for look in looks[1:]))
+
+
+def test_where_cameras_have_been_is_remembered_until_the_episode_ends(room):
+    turns = ObservedTurns(MAX_RANGE, MARGIN, points=POINTS, rows=ROWS)
+    first = placed(room, 1)
+    last = first + [[1.0, 0.8, 0.0]]
+    shares = [turns(room.points, place, turn, 30).unseen_share
+              for turn, place in enumerate((first, last, first))]
+    alone = observed(room.points, first, 2).unseen_share
+    assert shares[1] < shares[0] and shares[2] <= shares[1] < alone == shares[0]
+    turns.reset()
+    assert turns(room.points, first, 0, 30).unseen_share == alone
+
+
+@pytest.mark.parametrize('kind', flat_clouds())
+def test_what_is_no_room_is_refused_and_where_cameras_were_counts(kind, room):
+    turns = ObservedTurns(MAX_RANGE, MARGIN, points=POINTS, rows=ROWS)
+    positions, away = placed(room, 1), placed(room, 1) + [[1.0, 0.8, 0.0]]
+    with pytest.raises(SceneError):
+        turns(flat_clouds()[kind].astype(np.float32), positions, 0, 30)
+    assert turns(room.points, away, 1, 30).unseen_share < observed(
+        room.points, away, 1).unseen_share
+
+
+def test_the_greedy_step_takes_the_best_move_by_the_engine(room):
+    """Late in an episode unseen air is worth nothing, and the error alone decides."""
+    positions = placed(room, 1)
+    planner = GreedyStep(np.random.default_rng(0), 0.5, MAX_RANGE, MARGIN)
+    moves = planner.move(room.points, positions, 29, 30)
+    known = observed(room.points, positions, 29)
+    errors = []
+    for move in MOVES:
+        place = known.space.inside((positions[0, :2] + move)[None])[0]
+        errors.append(known.model.error([known.model.look(np.append(place, 1.9))]))
+    assert known.model.error([known.model.look(positions[0] + np.append(moves[0], 0.0))]) == \
+        pytest.approx(min(errors))
+    assert min(errors) < known.error
+
+
+@settings(max_examples=40, deadline=None)
+@given(width=st.floats(0.5, 20.0), share=st.floats(0.1, 1.0), degrees=st.floats(0.0, 360.0),
+       seed=st.integers(0, 1000))
+def test_the_smallest_rectangle_is_that_of_a_turned_one(width, share, degrees, seed):
+    size = np.array([width, share * width])
+    corners = np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * size
+    inner = np.random.default_rng(seed).uniform(0.0, 1.0, (50, 2)) * size
+    matrix, shift = around_z(degrees), np.array([3.0, -7.0])
+    found = smallest_rectangle(np.concatenate([inner, corners]) @ matrix.T + shift)
+    expected = corners @ matrix.T + shift
+    away = np.linalg.norm(found[:, None] - expected[None], axis=2)
+    assert away.min(axis=0).max() < 1e-6 * width and away.min(axis=1).max() < 1e-6 * width
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10000))
+def test_the_smallest_rectangle_holds_all_points_and_none_is_smaller(seed):
+    points = np.random.default_rng(seed).normal(size=(30, 2)) @ [[2.0, 0.3], [0.0, 1.0]]
+    corners = smallest_rectangle(points)
+    sides = corners[[1, 2]] - corners[0]
+    lengths = np.linalg.norm(sides, axis=1)
+    assert abs(sides[0] @ sides[1]) < 1e-9 * lengths.prod()
+    shares = (points - corners[0]) @ sides.T / lengths ** 2
+    assert shares.min() > -1e-9 and shares.max() < 1.0 + 1e-9
+    for degrees in np.arange(0.0, 90.0, 0.5):
+        assert np.prod(np.ptp(points @ around_z(degrees), axis=0)) > lengths.prod() - 1e-9
+
+
+def looking(room_positions, degrees):
+    """Return where cameras are in a room that was turned: (K, 3) metres."""
+    return np.column_stack([np.array(room_positions) @ around_z(degrees).T,
+                            np.full(len(room_positions), 1.9)])
+
+
+def model_of(cloud, positions):
+    """Return the engine on some points."""
+    return PartialMap(cloud, positions, MAX_RANGE, POINTS, ROWS)
+
+
+@pytest.mark.parametrize('corner', [(6.0, 4.0), (0.0, 0.0), (6.0, 0.0), (0.0, 4.0)])
+@pytest.mark.parametrize('degrees', [30.0, 60.0])
+def test_a_corner_that_nobody_has_seen_belongs_to_the_room(degrees, corner):
+    scene = turned(box_room(), degrees)
+    away = np.linalg.norm(scene.points[:, :2] - around_z(degrees) @ corner, axis=1)
+    cloud = scene.points[away > 1.2]
+    seen = np.stack([cloud.min(axis=0), cloud.max(axis=0)])
+    assert np.abs(seen - scene.bounds).max() > 0.5
+    model = model_of(cloud, looking([[2.5, 2.0], [3.5, 2.2]], degrees))
+    np.testing.assert_allclose(model.bounds, scene.bounds, atol=0.15)
+    # Cells are those of the whole box: as many as when all was seen.
+    whole = model_of(scene.points, looking([[2.5, 2.0], [3.5, 2.2]], degrees))
+    assert np.count_nonzero(model.cells >= 0) == pytest.approx(
+        np.count_nonzero(whole.cells >= 0), rel=0.1)
+
+
+@pytest.mark.parametrize('degrees', [0.0, 30.0, 60.0])
+def test_the_corner_that_an_l_shaped_room_lacks_does_not(degrees):
+    scene = turned(l_shaped(), degrees)
+    model = model_of(scene.points, looking([[1.5, 3.0], [4.5, 1.0]], degrees))
+    np.testing.assert_allclose(model.bounds, scene.bounds, atol=0.1)
+    corners = smallest_rectangle(scene.points[:, :2])
+    if degrees:
+        # The rectangle alone would reach beyond.
+        assert (corners.max(axis=0) - scene.bounds[1, :2]).max() > 0.5
+
+
+def test_a_room_that_was_seen_whole_keeps_its_box(room):
+    model = model_of(room.points, placed(room))
+    np.testing.assert_allclose(model.bounds, room.bounds, atol=0.1)
+    assert set(model_of(room.points, placed(room, 1)).cells) == set(model.cells)
