@@ -244,7 +244,7 @@ def test_scores_are_those_of_the_engine(room, threads):
     places = rng.uniform(*room.bounds, (6, 3))
     placements = [places[rng.permutation(6)[:count]] for count in (0, 1, 3, 3, 2)]
     scores = score(placements)
-    for k, (placement, error, coverage) in enumerate(zip(placements, *scores)):
+    for placement, error, coverage in zip(placements, *scores, strict=True):
         if len(placement):
             assert [*simulator.evaluate(placement)][1:] == [coverage, error]
         else:
