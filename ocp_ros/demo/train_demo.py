@@ -18,17 +18,14 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
-from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.demo.demo import START_TIMEOUT
 from ocp_ros.demo.node_processes import NodeProcess, stopped_at_the_end
 from ocp_ros.demo.watcher import run_watched, Watch
-from ocp_ros.util.resources import DEFAULT_MODEL, find_model
-from ocp_ros.util.settings import to_nested
+from ocp_ros.util.resources import DEFAULT_MODEL
 
-#: How the trainer learns from moves, and from places on maps, whose batches take longer: so that
-#: the demo takes a few minutes.
-OF_MOVES = {'updates_per_turn': 0.125}
-OF_MAPS = {'updates_per_turn': 0.0625, 'sac.batch_size': 16, 'sac.buffer_size': 4000,
+#: How the trainer learns: so that the demo takes a few minutes.
+TRAINER = {'publish_every': 20, 'updates_per_turn': 0.0625, 'sac.learning_starts': 100,
+           'sac.burn_in': 20, 'sac.batch_size': 16, 'sac.buffer_size': 4000,
            'sac.learning_rate': 1e-4, 'sac.gamma': 0.99}
 
 
@@ -57,25 +54,16 @@ def pair_of(number: int, seed: int, model: str) -> dict[str, dict[str, Any]]:
             'sim_node': {'scene.seed': seed + number, 'seed': number, 'auto_reset': True}}
 
 
-def start_all(options: argparse.Namespace, domain: int, trainer: dict[str, Any],
-              processes: list[NodeProcess]) -> None:
+def start_all(options: argparse.Namespace, domain: int, processes: list[NodeProcess]) -> None:
     """Start the trainer first, so that it hears every turn, and then all pairs."""
     names, logs = namespaces(options.pairs), options.out / 'logs'
     processes.append(NodeProcess('trainer_node', domain, logs / 'trainer_node.log', {
         'model': options.model, 'folder': str(options.out / 'trainer'),
-        'sources': ','.join(names), **trainer}))
+        'sources': ','.join(names), **TRAINER}))
     for number, namespace in enumerate(names):
         for name, parameters in pair_of(number, options.seed, options.model).items():
             log = logs / namespace / f'{name}.log'
             processes.append(NodeProcess(name, domain, log, parameters, namespace))
-
-
-def trainer_of(model: str) -> dict[str, Any]:
-    """Return the trainer's parameters for weights: settings of their network, and a quick pace."""
-    agent = Checkpoint.load(find_model(model)).config
-    return {'publish_every': 20, 'sac.learning_starts': 100, 'sac.burn_in': 20,
-            **{f'agent.{name}': value for name, value in to_nested(agent).items()},
-            **(OF_MAPS if agent.map else OF_MOVES)}
 
 
 def policies_of(watch: Watch, pairs: int) -> list[dict[str, str]]:
@@ -96,7 +84,7 @@ def play(options: argparse.Namespace, domain: int, watch: Watch) -> dict[str, fl
     with stopped_at_the_end(processes), \
             Progress(*columns, console=Console(stderr=True)) as progress:
         task = progress.add_task('starting nodes', total=options.turns, state='')
-        start_all(options, domain, trainer_of(options.model), processes)
+        start_all(options, domain, processes)
 
         losses: list[float] = []
 
