@@ -18,7 +18,7 @@ class SacConfig:
 
     learning_rate: float = setting(5e-4, 'step size of Adam', 1e-7, 1.0)
     batch_size: int = setting(64, 'transitions per gradient step', 1, 65536)
-    buffer_size: int = setting(40000, 'transitions the replay buffer holds', 100, 1000000)
+    buffer_size: int = setting(20000, 'transitions the replay buffer holds', 100, 1000000)
     learning_starts: int = setting(1000, 'transitions before the first gradient step', 1, 1000000)
     gamma: float = setting(0.95, 'discount per interaction', 0.0, 1.0)
     tau: float = setting(0.01, 'share of the targets replaced per gradient step', 1e-6, 1.0)
