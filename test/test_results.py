@@ -31,12 +31,12 @@ TABLES = [
     (RESULTS, '| rooms', 'fresh test_two test_six d455 scans_two scans_four scans_rotated',
      'few_turns_{row}/summary/{key}/ratio_to_best',
      '8x2/learned_lookahead 8x2/lookahead 30x0.5/learned_lookahead 30x0.5/lookahead'),
-    (RESULTS, '| case', 'four thousand d455 six', 'certificates/value/{row}/{key}',
-     'rooms_proved largest_gap_percent median_seconds'),
-    (RESULTS, '| room |', 'room_5 room_8 room_12 room_21 room_40', 'counting/value/{row}/{key}',
-     'needed needed_anew shares/1 shares/2 shares/3'),
-    (RESULTS, '| scan |', 'tripod/realsense tripod/azure hand/realsense hand/azure real/realsense '
-     'real/azure', 'calibration/value/{row}/30cm/{key}', 'within_1cm_05deg refused wrong'),
+    (RESULTS, '| case', 'four thousand d455 six', 'certificates/cases/{row}/{key}',
+     'proved seconds worst_gap'),
+    (RESULTS, '| room |', '0 1 2 3 4', 'camera_counts/rooms/{row}/{key}',
+     'counted_up each_anew shares_counted_up/1 shares_counted_up/2 shares_counted_up/3'),
+    (RESULTS, '| scan |', 'tripod.realsense tripod.azure hand.realsense hand.azure real.realsense '
+     'real.azure', 'calibration/shares/{row}.30cm.{key}', 'within_1cm_05deg refused wrong'),
     (RESULTS, '| planner | median', 'learned_lookahead lookahead learned paper',
      'nodes/value/{row}/{key}',
      'points_25000_ms/0 points_25000_ms/1 rig_of_four_d455_ms/0 rig_of_four_d455_ms/1'),
