@@ -3,6 +3,7 @@
 """README and docs/results.md show what the files in docs/results hold."""
 
 from decimal import Decimal
+from functools import cache
 import json
 import re
 
@@ -78,10 +79,16 @@ SENTENCES = [
      'training/map_sac/value/8x2/{key}', 'seed_0/0 seed_0/1 seed_0/2 seed_1/0 seed_1/1 seed_1/2')]
 
 
+@cache
+def content(name):
+    """Return what a file of results holds."""
+    return json.loads((ROOT / 'docs' / 'results' / f'{name}.json').read_text())
+
+
 def value(path):
     """Return the number at FILE/KEY/KEY, or None where the file does not have it."""
     name, *keys = path.split('/')
-    found = json.loads((ROOT / 'docs' / 'results' / f'{name}.json').read_text())
+    found = content(name)
     for key in keys:
         found = found[int(key)] if isinstance(found, list) else found.get(key, {})
     return None if found == {} else found
