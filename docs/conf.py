@@ -11,7 +11,7 @@ copyright = 'The ocp_ros authors'  # noqa: A001 (Sphinx names it so)
 html_theme = 'furo'
 extensions = ['myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.autosummary']
 # rosdoc2 puts an index and copies of README, licence and so on beside these pages.
-exclude_patterns = ['few_turns', 'index.rst', 'standard_docs', '__*', '[A-Z]*.*']
+exclude_patterns = ['index.rst', 'standard_docs', '__*', '[A-Z]*.*']
 
 # Pages are written as GitHub shows them: headings are anchors, and code is indented shell.
 myst_heading_anchors = 4
@@ -21,13 +21,12 @@ autodoc_default_options = {'members': True}
 autodoc_member_order = 'bysource'
 autodoc_typehints_format = 'short'
 
-COMMENT = re.compile(r'<!--.*?-->', re.S)
 LINK = re.compile(r'(?<!!)\[([^\]]*)\]\((?!https?:)([^)#\s]+)([^)\s]*)\)')
 
 
 def shown(app, docname, source):
     """Make a page ready for the site: Sphinx calls this with the text of each one."""
-    text = COMMENT.sub('', source[0])
+    text = source[0]
     source[0] = LINK.sub(lambda link: link_of_the_site(docname, link), text)
     if docname == 'index':
         source[0] += contents(text)

@@ -1,0 +1,135 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""README and docs/results.md show what the files in docs/results hold."""
+
+from decimal import Decimal
+from functools import cache
+import json
+import re
+
+from conftest import ROOT
+import pytest
+
+README, RESULTS = 'README.md', 'docs/results.md'
+NUMBER = r'(?<![\w.])-?\d[\d,]*(?:\.\d+)?(?:e-?\d+)?'
+
+#: Tables: page, how the line with the columns begins, the name of each row in the file, and where
+#: the number of each column is: FILE/KEY/KEY for one row, and its keys.
+TABLES = [
+    (README, '| with a scan', 'differential_evolution tdsa cma_es greedy_coverage',
+     'benchmark/planners/{row}/10000/{key}', 'regret seconds'),
+    (README, '| without a scan', 'learned_lookahead lookahead greedy_step',
+     'few_turns_test/summary/{key}/{row}/ratio_to_best', '5x2 8x2 30x0.5'),
+    (RESULTS, '| method', 'fine fast paper hidden_point_removal',
+     'engine/{key}', 'f1/{row}.15000 f1/{row}.40000 f1/{row}.100000 ms/{row}.40000'),
+    (RESULTS, '| planner | regret', 'differential_evolution tdsa cma_es greedy_swap annealing '
+     'bpso random greedy_coverage', 'benchmark/planners/{row}/{key}',
+     '1000/regret 10000/regret 10000/sum 10000/promise_over_delivered 10000/seconds'),
+    (RESULTS, '| planner | 3 turns', 'learned_lookahead lookahead learned greedy_step',
+     'few_turns_test/summary/{key}/{row}/ratio_to_best', '3x2 5x2 8x2 14x2 30x0.5'),
+    (RESULTS, '| rooms', 'fresh test_two test_six d455 scans_two scans_four scans_rotated',
+     'few_turns_{row}/summary/{key}/ratio_to_best',
+     '8x2/learned_lookahead 8x2/lookahead 30x0.5/learned_lookahead 30x0.5/lookahead'),
+    (RESULTS, '| cameras', 'four thousand d455 six', 'certificates/cases/{row}/{key}',
+     'proved seconds worst_gap'),
+    (RESULTS, '| scan |', 'tripod.realsense tripod.azure hand.realsense hand.azure real.realsense '
+     'real.azure', 'calibration/shares/{row}.30cm.{key}', 'within_1cm_05deg refused wrong'),
+    (RESULTS, '| planner | median', 'learned_lookahead lookahead', 'nodes/value/{row}/{key}',
+     'points_25000_ms/0 points_25000_ms/1 rig_of_four_d455_ms/0 rig_of_four_d455_ms/1'),
+    (RESULTS, '| network', 'paper cloud', 'training/{row}/value/{key}',
+     'over_tdsa_100 over_bpso_1000 rooms_won')]
+#: Numbers in sentences: page, words around them, and where they are.
+SENTENCES = [
+    (README, 'trained in {} minutes', 'training/map/value/{key}', 'minutes'),
+    (README, 'F1 score of {} in {} ms', 'engine/{key}/fine.40000', 'f1 ms'),
+    (RESULTS, 'F1 is {} for `fine`, {} for `paper` and {} for rays',
+     'engine/fused_f1/{key}.100000', 'fine paper mesh'),
+    (RESULTS, 'evaluates {} placements', 'engine/{key}', 'evaluations_per_s'),
+    (RESULTS, '{} m in {} s, `tdsa` {} m in {} s. `lookahead` without a scan delivers {} m',
+     'benchmark_four_d455/planners/{key}', 'rig_search/300/sum rig_search/300/seconds '
+     'tdsa/300/sum tdsa/300/seconds lookahead/0/sum'),
+    (RESULTS, 'five rooms need {}, {}, {}, {} and {} cameras',
+     'camera_counts/rooms/{key}/counted_up', '0 1 2 3 4'),
+    (RESULTS, 'in {} after 8 turns (p = {}), and in {} after 30 (p = {})',
+     'few_turns_fresh/summary/{key}',
+     '8x2/lookahead/wins 8x2/lookahead/p 30x0.5/lookahead/wins 30x0.5/lookahead/p'),
+    (RESULTS, 'in {} of {} cases (p = {})',
+     'few_turns_scans_rotated/summary/30x0.5/lookahead/{key}', 'wins rooms p'),
+    (RESULTS, '{} m in four rooms, and {} m', 'aiming/value/together/lookahead_{key}_m',
+     'turned not_turned'),
+    (RESULTS, '{} ms (median) and {} ms at most, with four D455 {} and {} ms',
+     'nodes/thought_meanwhile_ms/{key}',
+     'without_rig/0 without_rig/1 rig_of_four_d455/0 rig_of_four_d455/1'),
+    (RESULTS, '{} malformed messages among {} valid',
+     'drills/fuzz/value/{key}', 'malformed_messages valid_messages'),
+    (RESULTS, '{} turns, {} nodes killed, {} malformed messages',
+     'drills/soak/value/{key}', 'turns kills malformed_messages'),
+    (RESULTS, '{} s (median), {} s at most; memory grew by {} MB', 'drills/soak/value/{key}',
+     'back_after_a_kill_s_median back_after_a_kill_s_most trainer_memory_growth_mb'),
+    (RESULTS, '{} faulty', 'drills/inputs/value/{key}', 'inputs_tried'),
+    (RESULTS, 'for {} interactions ({} minutes',
+     'training/paper_run/value/{key}', 'interactions minutes'),
+    (RESULTS, '`map` is {} for the position of an omnidirectional camera, and {} for',
+     'training/{key}/value/regret', 'map map_aimed'),
+    (RESULTS, 'was {} (95 % interval {} to {}) and {} ({} to {}) times',
+     'training/map_sac/value/8x2/{key}', 'seed_0/0 seed_0/1 seed_0/2 seed_1/0 seed_1/1 seed_1/2')]
+
+
+@cache
+def content(name):
+    """Return what a file of results holds."""
+    return json.loads((ROOT / 'docs' / 'results' / f'{name}.json').read_text())
+
+
+def value(path):
+    """Return the number at FILE/KEY/KEY, or None where the file does not have it."""
+    name, *keys = path.split('/')
+    found = content(name)
+    for key in keys:
+        found = found[int(key)] if isinstance(found, list) else found.get(key, {})
+    return None if found == {} else found
+
+
+def compare(shown, where, keys, row=''):
+    """Compare numbers of a page with those of a file, rounded to the digits shown."""
+    values = [value(where.format(row=row, key=key.format(row=row))) for key in keys.split()]
+    values = [found for found in values if found is not None]
+    assert len(shown) == len(values), (shown, values)
+    for text, found in zip(shown, values):
+        number = Decimal(text.replace(',', ''))
+        digit = Decimal(1).scaleb(number.as_tuple().exponent)
+        assert 2 * abs(number - Decimal(str(found))) <= digit, (text, found)
+
+
+@pytest.mark.parametrize('page, head, rows, where, keys', TABLES)
+def test_tables_show_the_files(page, head, rows, where, keys):
+    lines = (ROOT / page).read_text().split(f'\n{head}', 1)[1].split('\n\n', 1)[0].splitlines()[2:]
+    assert len(lines) == len(rows.split())
+    for line, row in zip(lines, rows.split()):
+        label, *cells = line.strip('| ').split('|')
+        names = re.findall(r'`(\w+)`', label)
+        assert not names or row in names, line
+        compare(re.findall(NUMBER, ' '.join(cells)), where, keys, row)
+
+
+@pytest.mark.parametrize('page, words, where, keys', SENTENCES)
+def test_sentences_show_the_files(page, words, where, keys):
+    text = ' '.join((ROOT / page).read_text().split())
+    found = re.search(re.escape(words).replace(r'\{\}', f'({NUMBER})'), text)
+    assert found, words
+    compare(found.groups(), where, keys)
+
+
+def test_the_readme_shows_few_numbers():
+    shown = [len(keys.split()) for page, *_, keys in SENTENCES if page == README]
+    shown += [len(rows.split()) * len(keys.split())
+              for page, _, rows, _, keys in TABLES if page == README]
+    assert sum(shown) <= 20
+
+
+@pytest.mark.parametrize('path', sorted((ROOT / 'docs' / 'results').glob('*.json')),
+                         ids=lambda path: path.stem)
+def test_each_file_says_how_it_was_measured(path):
+    document = json.loads(path.read_text())
+    for part in [document] if 'date' in document else document.values():
+        assert part['command'] and part['date'] and (part.get('commit') or part.get('commits'))
