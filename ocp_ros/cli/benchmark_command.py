@@ -11,7 +11,6 @@ import json
 import os
 from pathlib import Path
 import platform
-import shlex
 from typing import Any
 
 import numpy as np
@@ -220,11 +219,6 @@ def _draw(path: Path, summary: dict[str, Any], chosen: Shown) -> None:
                 simulator.scene.points, simulator.evaluate(paths[-1]).visible, paths))
     reach = float(next(iter(chosen.values()))[0].config.rig.ranges.max())
     draw_examples(path, examples, reach, 'Where the best planners put the cameras')
-
-
-def command_of(argv: list[str]) -> str:
-    """Return a command line as one types it."""
-    return shlex.join(['ocp', *argv])
 
 
 def _write(folder: Path, rows: Rows, summary: dict[str, Any]) -> None:

@@ -11,6 +11,7 @@ import json
 import math
 import os
 from pathlib import Path
+import shlex
 import sys
 from typing import Any, NoReturn
 import warnings
@@ -205,6 +206,11 @@ def show_written(found: Found) -> None:
     """Print which files were written."""
     for path in found['written']:
         print(f'wrote {printable(str(path))}')
+
+
+def command_of(argv: Sequence[str]) -> str:
+    """Return a command line as one types it."""
+    return shlex.join(['ocp', *argv])
 
 
 def inputs_of(arguments: argparse.Namespace) -> list[Path]:

@@ -23,6 +23,7 @@ from ocp_ros.cli.arguments import (
 from ocp_ros.cli.calibrate_parser import add_calibrate
 from ocp_ros.cli.common import (
     claim_file,
+    command_of,
     Commands,
     COMPARE,
     Found,
@@ -79,13 +80,12 @@ def _show_training(found: Found) -> None:
 
 def _benchmark(arguments: argparse.Namespace) -> Found:
     """Compare planners, write the results and, where it is wanted, a report."""
-    from ocp_ros.cli.benchmark_command import command_of, compare
+    from ocp_ros.cli.benchmark_command import compare
     return compare(arguments, command_of(arguments.argv))
 
 
 def _evaluate(arguments: argparse.Namespace) -> Found:
     """Compare a policy with other planners, room by room."""
-    from ocp_ros.cli.benchmark_command import command_of
     from ocp_ros.cli.evaluate_command import evaluate
     return evaluate(arguments, command_of(arguments.argv))
 
@@ -96,7 +96,6 @@ def _show_nothing(found: Found) -> None:
 
 def _score(arguments: argparse.Namespace) -> Found:
     """Judge a placement of a rig in a room."""
-    from ocp_ros.cli.benchmark_command import command_of
     from ocp_ros.cli.score_command import score
     return score(arguments, command_of(arguments.argv))
 
@@ -109,7 +108,6 @@ def _show_score(found: Found) -> None:
 
 def _view(arguments: argparse.Namespace) -> Found:
     """Write a page of a room that can be turned around, and open it where that is wanted."""
-    from ocp_ros.cli.benchmark_command import command_of
     from ocp_ros.cli.view_command import view
     claim_file(arguments, arguments.out, 'a page')
     return view(arguments, command_of(arguments.argv))
