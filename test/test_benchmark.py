@@ -9,11 +9,12 @@ from conftest import Here, rows_for
 import numpy as np
 import pytest
 
+from benchmarks.benchmark_report import page
 from ocp_ros.cli import benchmark_command
 from ocp_ros.cli import main as cli
-from ocp_ros.evaluation import task_runner
-from ocp_ros.evaluation.benchmark_rooms import rooms_in, TEST_ROOMS
-from ocp_ros.evaluation.protocol import (
+from ocp_ros.compare import task_runner
+from ocp_ros.compare.benchmark_rooms import rooms_in, TEST_ROOMS
+from ocp_ros.compare.protocol import (
     BenchmarkTask,
     CONTROL,
     CONTROLS,
@@ -23,9 +24,8 @@ from ocp_ros.evaluation.protocol import (
     TRUTH,
     YARDSTICKS,
 )
-from ocp_ros.evaluation.summary import interval, ranks, summarise
+from ocp_ros.compare.summary import interval, ranks, summarise
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.report.benchmark_report import page
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.scene import SceneError, turned

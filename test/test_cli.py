@@ -148,7 +148,7 @@ def test_ctrl_c_ends_quietly_whatever_is_going_on(files, capsys, monkeypatch):
 
 @pytest.mark.system
 def test_bench_measures_every_method_and_writes_a_page(files, capsys, monkeypatch):
-    from ocp_ros.evaluation import engine_bench, fused_bench
+    from benchmarks import engine_bench, fused_bench
     monkeypatch.setitem(engine_bench.EXTENTS, 'smoke', engine_bench.Extent((engine_bench.MIDDLE,),
                                                                            1, 1, (2000,)))
     monkeypatch.setitem(fused_bench.EXTENTS, 'smoke', fused_bench.FusedExtent((2000,), 1, 80, 8))

@@ -15,7 +15,6 @@ from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.move_effects import CHOICES, OF_CAMERAS
 from ocp_ros.agent.policy import Policy
-from ocp_ros.evaluation.benchmark_rooms import space_of
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.planners.online_planner import GreedyStep, Learned
 from ocp_ros.planners.registry import settings_of
@@ -24,7 +23,7 @@ from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.scenes.scene_source import make_room
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.problem import PlaneProblem
+from ocp_ros.simulation.problem import PlaneProblem, space_of
 from ocp_ros.simulation.reward import potential
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator

@@ -233,7 +233,7 @@ def words(text):
 
 
 def test_no_page_is_longer_than_a_sitting():
-    from ocp_ros.evaluation.published_figures import load
+    from ocp_ros.compare.published_figures import load
     longest = max(words((ROOT / page).read_text()) for page in PAGES)
     assert longest <= 1500
     # Small changes need no new figure: tools/figures set docs.longest_page_words ...

@@ -9,11 +9,11 @@ import runpy
 import numpy as np
 import pytest
 
+from benchmarks.training_curves import band, grouped
+from benchmarks.training_curves import main as draw
 from ocp_ros.cli.main import main
-from ocp_ros.evaluation.paired import NEGLIGIBLE, pairs
-from ocp_ros.evaluation.protocol import CONTROL
-from ocp_ros.report.drawing.training_curves import band, grouped
-from ocp_ros.report.drawing.training_curves import main as draw
+from ocp_ros.compare.paired import NEGLIGIBLE, pairs
+from ocp_ros.compare.protocol import CONTROL
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.scenes.synthetic.generator import generate_room
 

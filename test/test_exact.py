@@ -10,10 +10,9 @@ from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
 
+from benchmarks.certificates import CASES
+from benchmarks.certificates import main as write_certificates
 from ocp_ros.cli.main import main
-from ocp_ros.evaluation.benchmark_rooms import space_of
-from ocp_ros.evaluation.certificates import CASES
-from ocp_ros.evaluation.certificates import main as write_certificates
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import no_bits
 from ocp_ros.planners.benders import Benders
@@ -26,7 +25,7 @@ from ocp_ros.planners.subproblem import ChoiceRules
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.scenes.scene_files import save_scene
-from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.problem import Problem, space_of
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.settings import ConfigurationError
@@ -269,7 +268,7 @@ def test_a_plan_without_a_bound_says_why(files, capsys):
 
 
 def test_the_page_of_certificates(tmp_path, monkeypatch):
-    monkeypatch.setattr('ocp_ros.evaluation.certificates.POINTS', 2000)
+    monkeypatch.setattr('benchmarks.certificates.POINTS', 2000)
     monkeypatch.setitem(CASES, 'four', CASES['four']._replace(candidates=30))
     path = tmp_path / 'certificates.md'
     assert write_certificates(['--out', str(path), '--seeds', '8', '--cases', 'four']) == 0

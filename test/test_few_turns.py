@@ -7,7 +7,7 @@ import json
 from conftest import Here, ROOT
 import pytest
 
-from ocp_ros.evaluation import few_turns
+from benchmarks import few_turns
 from ocp_ros.util.settings import ConfigurationError
 
 COMMAND = ['--rooms', '8', '--lengths', '2x1,3x0.5', '--planners', 'greedy_step,lookahead',
@@ -37,7 +37,7 @@ def test_what_was_played_is_not_played_again(tmp_path, played):
                       ('greedy_step', 3, 0.5), ('lookahead', 3, 0.5)]
     record = json.loads(out.read_text())
     assert record['command'] == (
-        'python -m ocp_ros.evaluation.few_turns --rooms SCAN ... --lengths 2x1,3x0.5 --planners '
+        'python -m benchmarks.few_turns --rooms SCAN ... --lengths 2x1,3x0.5 --planners '
         'greedy_step,lookahead --cameras 2 --truths 0')
     row = record['summary']['2x1']['greedy_step']
     assert (row['sum'], row['wins'], row['rooms']) == (3.0, 1, 1)

@@ -6,15 +6,9 @@ from conftest import made_room
 import numpy as np
 import pytest
 
-from ocp_ros.evaluation.engine_bench import agreement, confusion, free_places
-from ocp_ros.evaluation.fused_bench import LENS, looks, view_of
-from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose, rotation_matrix
-from ocp_ros.geometry.packed_bits import Subset
-from ocp_ros.geometry.visibility import PRESETS, SurfelVisibility
-from ocp_ros.scenes.mesh_rays import MeshRays
-from ocp_ros.scenes.ray_casting import RayCaster
-from ocp_ros.scenes.scene import Mesh, Scene
-from ocp_ros.scenes.synthetic.fused_scan import (
+from benchmarks.engine_bench import agreement, confusion, free_places
+from benchmarks.fused_bench import LENS, looks, view_of
+from benchmarks.fused_scan import (
     CAMERA,
     exact_depth,
     FOCAL,
@@ -27,6 +21,12 @@ from ocp_ros.scenes.synthetic.fused_scan import (
     scan_by_hand,
     WIDTH,
 )
+from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose, rotation_matrix
+from ocp_ros.geometry.packed_bits import Subset
+from ocp_ros.geometry.visibility import PRESETS, SurfelVisibility
+from ocp_ros.scenes.mesh_rays import MeshRays
+from ocp_ros.scenes.ray_casting import RayCaster
+from ocp_ros.scenes.scene import Mesh, Scene
 from ocp_ros.scenes.synthetic.generator import mesh_of, plan_of
 
 NOWHERE = np.empty((0, 3), np.float32)

@@ -16,10 +16,10 @@ from matplotlib.figure import Figure
 import numpy as np
 import pytest
 
+from benchmarks.comparison_page import write_page
 from ocp_ros.cli import main as cli
-from ocp_ros.evaluation.protocol import BenchmarkTask
-from ocp_ros.evaluation.task_runner import name_of
-from ocp_ros.report.comparison_page import write_page
+from ocp_ros.compare.protocol import BenchmarkTask
+from ocp_ros.compare.task_runner import name_of
 from ocp_ros.report.drawing.figure_files import save_figure
 from ocp_ros.report.viewer import write_view
 from ocp_ros.scenes.scene_files import load_scene, save_scene

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ocp_ros.evaluation.benchmark_rooms import space_of
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.planners.annealing import TransDimensionalAnnealing
 from ocp_ros.planners.evolution import matched, WARM_SIGMA, WarmCmaEs
@@ -21,6 +20,7 @@ from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.simulation.problem import space_of
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 

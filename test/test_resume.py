@@ -23,8 +23,8 @@ from test_demonstrations import SHOWN
 import torch
 
 from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.evaluation import task_runner
-from ocp_ros.evaluation.protocol import Protocol
+from ocp_ros.compare import task_runner
+from ocp_ros.compare.protocol import Protocol
 from ocp_ros.training import train as training
 from ocp_ros.training.replay_file import _rings, _written, load_replay
 from ocp_ros.training.training_config import TrainingConfig

@@ -11,8 +11,8 @@ import pytest
 import twins
 from twins import MODELS
 
-from ocp_ros.evaluation.engine_bench import free_places
-from ocp_ros.evaluation.numpy_twin import Twin
+from benchmarks.engine_bench import free_places
+from benchmarks.numpy_twin import Twin
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose, rotation_matrix
 from ocp_ros.geometry.coverage import coverage_grid
 from ocp_ros.geometry.packed_bits import no_bits, Subset
