@@ -4,10 +4,7 @@
 
 import ast
 import re
-import runpy
 import shlex
-import subprocess
-import sys
 
 from conftest import made_room, ROOT
 import pytest
@@ -15,19 +12,18 @@ import pytest
 
 def test_every_parameter_is_on_its_page_as_it_is():
     pytest.importorskip('rclpy', reason='node parameters need ROS 2 (rclpy)')
-    tool = runpy.run_path(str(ROOT / 'tools' / 'parameter_table'))
-    for node, cls in tool['NODES'].items():
-        # Where they differ, tools/parameter_table writes the page again.
-        assert (tool['FOLDER'] / f'parameters_{node}.md').read_text() == tool['page'](node, cls)
+    from benchmarks.docs.parameter_table import FOLDER, NODES, page
+    for node, cls in NODES.items():
+        # Where they differ, python -m benchmarks.docs.parameter_table writes the page again.
+        assert (FOLDER / f'parameters_{node}.md').read_text() == page(node, cls)
 
 
 def test_every_sensor_is_in_the_tables_as_it_is():
-    done = subprocess.run([sys.executable, str(ROOT / 'tools' / 'sensor_table')],
-                          capture_output=True, text=True, check=True)
+    from benchmarks.docs.sensor_table import rows
     found = [line for line in (ROOT / 'docs' / 'reference' / 'sensors.md').read_text().splitlines()
              if line.startswith('| `')]
-    # Where they differ, tools/sensor_table prints what belongs there.
-    assert found == done.stdout.splitlines()
+    # Where they differ, python -m benchmarks.docs.sensor_table prints what belongs there.
+    assert found == rows()
 
 
 def test_every_topic_and_field_is_documented():
@@ -199,7 +195,7 @@ def test_every_command_in_the_documentation_can_be_run(command, tmp_path, monkey
 def test_the_commands_are_found():
     found = {command[0] for command in commands()}
     assert found == {'plan', 'info', 'score', 'calibrate', 'view', 'rooms', 'train', 'evaluate',
-                     'benchmark', 'bench', 'replay'}
+                     'benchmark', 'replay'}
 
 
 def templates():
@@ -233,11 +229,8 @@ def words(text):
 
 
 def test_no_page_is_longer_than_a_sitting():
-    from ocp_ros.compare.published_figures import load
     longest = max(words((ROOT / page).read_text()) for page in PAGES)
     assert longest <= 1500
-    # Small changes need no new figure: tools/figures set docs.longest_page_words ...
-    assert abs(load(ROOT)['docs.longest_page_words']['value'] - longest) < 100
 
 
 def test_every_page_can_be_reached_from_the_index():
@@ -261,7 +254,7 @@ def test_the_index_lists_every_page():
 def test_the_picture_of_the_architecture_shows_the_layers_and_topics_there_are():
     from test_architecture import LAYERS
 
-    from ocp_ros.report.drawing import architecture_picture
+    from benchmarks.docs import architecture_picture
     from ocp_ros.ros.interface import topics
     assert list(architecture_picture.LAYERS) == LAYERS
     names = {value for name, value in vars(topics).items()

@@ -10,8 +10,6 @@ from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
 
-from benchmarks.certificates import CASES
-from benchmarks.certificates import main as write_certificates
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import no_bits
@@ -265,16 +263,6 @@ def test_a_plan_without_a_bound_says_why(files, capsys):
     found = planned(capsys, '--rig', 'rig.yaml', '--evaluations', '100')
     known = found['search']['certificate']
     assert known['gap'] is None and 'found seen_by: 2' in known['sentence']
-
-
-def test_the_page_of_certificates(tmp_path, monkeypatch):
-    monkeypatch.setattr('benchmarks.certificates.POINTS', 2000)
-    monkeypatch.setitem(CASES, 'four', CASES['four']._replace(candidates=30))
-    path = tmp_path / 'certificates.md'
-    assert write_certificates(['--out', str(path), '--seeds', '8', '--cases', 'four']) == 0
-    text = path.read_text()
-    assert 'In 1 of 1 rooms the best choice is proved within 60 s.' in text
-    assert 'The largest gap is 0.0 %.' in text
 
 
 def test_choices_that_exclude_each_other_are_never_branched_into(plane):

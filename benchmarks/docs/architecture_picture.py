@@ -28,7 +28,7 @@ LAYERS = {
     'agent': 'what runs on the robot: partial map, network',
     'planners': 'every method that finds a placement',
     'training': 'SAC, replay, demonstrations',
-    'evaluation': 'one protocol for all planners',
+    'compare': 'one protocol for all planners',
     'report': 'pictures, pages, exports',
     'ros': 'ROS 2 nodes: convert, call, publish',
     'demo': 'node processes, and who watches them',

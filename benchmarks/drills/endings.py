@@ -42,6 +42,7 @@ from rich.progress import Progress
 from std_msgs.msg import Header
 import torch
 
+from benchmarks import results
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.demo.node_processes import free_domain
 from ocp_ros.geometry.engine_config import EngineConfig
@@ -58,7 +59,6 @@ from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.threads import set_threads
-from ocp_ros.util.yaml_files import timestamp
 
 MAINS = {'sim_node': sim_node.main, 'policy_node': policy_node.main,
          'trainer_node': trainer_node.main}
@@ -253,7 +253,7 @@ def work(kinds, share, options, pipe):
         for kind in kinds:
             if number >= rounds_of(kind, options.endings):
                 continue
-            counts = {'codes': Counter(), 'faults': []}
+            counts: dict = {'codes': Counter(), 'faults': []}
             play(number, kind, options, counts)
             line = [[[*key, n] for key, n in counts['codes'].items()], counts['faults']]
             os.write(pipe, json.dumps(line).encode() + b'\n')
@@ -295,7 +295,7 @@ def busy(count):
 def parser():
     """Build the parser."""
     top = argparse.ArgumentParser(
-        prog='stress_endings', description=__doc__,
+        prog='endings', description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter)
     top.add_argument('--endings', type=int, default=500, help='of nodes, for each kind of ending')
     top.add_argument('--kinds', default=','.join(KINDS), help='with commas between')
@@ -306,12 +306,13 @@ def parser():
     top.add_argument('--seed', type=int, default=0, help='of the moments and the order')
     top.add_argument('--out', type=Path, default=Path('out/endings'),
                      help='folder for endings.json and for what crashed nodes leave; made anew')
+    results.add_record(top, 'endings')
     return top
 
 
-def main():
+def main(args: list[str] | None = None) -> int:
     """Run; 1 if a node crashed or hung."""
-    options = parser().parse_args()
+    options = parser().parse_args(args)
     kinds, options.out = options.kinds.split(','), options.out.resolve()
     shutil.rmtree(options.out, ignore_errors=True)
     options.out.mkdir(parents=True)
@@ -335,10 +336,11 @@ def main():
                                'codes': {str(c): n for (k, c), n in codes.items() if k == kind}}
                         for kind in kinds},
               'faults': faults, 'seconds': round(time.monotonic() - began), 'busy': options.busy,
-              'shared_memory': options.shared_memory, 'jobs': options.jobs, 'seed': options.seed,
-              'date': timestamp()}
+              'shared_memory': options.shared_memory, 'jobs': options.jobs, 'seed': options.seed}
     (options.out / 'endings.json').write_text(json.dumps(result, indent=2) + '\n')
     print(json.dumps(result, indent=2))
+    if options.record:
+        results.write('endings', result, results.command_of('drills.endings', args))
     return int(bool(faults) or any(code for _, code in codes))
 
 

@@ -24,6 +24,7 @@ import warnings
 
 import numpy as np
 
+from benchmarks import results
 from benchmarks.drills.spoilt_files import good_files, spoilt
 from ocp_ros.util.settings import UserError
 
@@ -137,13 +138,18 @@ class FormatTrial:
 
     def _one_process(self, start: int) -> int:
         """Read with a new process, as long as it lives; returns the next file's number."""
-        command = [sys.executable, '-m', 'system.file_fuzz', '--work', self.name, str(self.seed),
-                   str(start), str(self.mutations)]
+        command = [sys.executable, '-m', 'benchmarks.drills.file_fuzz', '--work', self.name,
+                   str(self.seed), str(start), str(self.mutations)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-                              text=True) as process:
+                              text=True, cwd=results.ROOT) as process:
             lines: queue.Queue = queue.Queue()
-            listener = threading.Thread(
-                target=lambda: [*map(lines.put, process.stdout), lines.put('')])
+
+            def listen() -> None:
+                for line in process.stdout:
+                    lines.put(line)
+                lines.put('')
+
+            listener = threading.Thread(target=listen)
             listener.start()
             try:
                 return self._follow(process, lines)
@@ -209,6 +215,7 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument('--formats', nargs='*', help='names such as las.las; all unless named')
     top.add_argument('--jobs', type=int, default=1, help='formats at once')
     top.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
+    results.add_record(top, 'file_fuzz')
     return top
 
 
@@ -229,6 +236,9 @@ def main(args: list[str] | None = None) -> int:
             print({key: value for key, value in found[-1].items() if key != 'bad'}, flush=True)
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / 'file_fuzz.json').write_text(json.dumps(found, indent=1) + '\n')
+    if options.record:
+        results.write('file_fuzz', {'formats': found},
+                      results.command_of('drills.file_fuzz', args))
     return 2 if any(one[outcome] for one in found for outcome in OUTCOMES[2:]) else 0
 
 

@@ -16,11 +16,13 @@ import time
 from rich.console import Console
 from rich.progress import Progress
 
+from benchmarks import results
+from benchmarks.drills.drill import run_drill
 from benchmarks.drills.fuzz_targets import Fuzzer, LiveTarget, PolicyTarget, shell, SimTarget
 from benchmarks.drills.fuzz_trainer import TrainerTarget
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.demo.node_processes import grown, NodeProcess, rss_of, stopped_at_the_end
-from ocp_ros.demo.watcher import run_watched, show_json, Watch
+from ocp_ros.demo.watcher import Watch
 from ocp_ros.util.resources import find_model
 
 #: Seconds to wait for an answer.
@@ -35,6 +37,7 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument('--seed', type=int, default=0, help='of everything')
     top.add_argument('--points', type=int, default=5_000_000, help='of one huge cloud')
     top.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
+    results.add_record(top, 'fuzz')
     return top
 
 
@@ -107,9 +110,7 @@ def fuzz(options: argparse.Namespace, domain: int, watch: Watch) -> dict:
 
 def main(args: list[str] | None = None) -> int:
     """Run; 2 if a node did what it must not."""
-    options = parser().parse_args(args)
-    return run_watched('fuzz', options.out, lambda domain, watch: fuzz(options, domain, watch),
-                       show_json)
+    return run_drill('fuzz', parser().parse_args(args), args, fuzz)
 
 
 if __name__ == '__main__':

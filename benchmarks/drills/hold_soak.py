@@ -3,7 +3,7 @@
 """
 Hold a placement for long: poses are noisy, clocks jump and topics fall silent.
 
-    PYTHONPATH=test python -m system.hold_soak --noise 0.01 --minutes 10
+    python -m benchmarks.drills.hold_soak --noise 0.01 --minutes 10
 
 A live rig comes to its final placement; from then on every command has to be that placement.
 Writes ``hold_soak.json``: among others ``worst_m``, the farthest that any command was from it, and
@@ -20,8 +20,10 @@ from geometry_msgs.msg import PoseArray
 import numpy as np
 from rclpy.parameter import Parameter
 
+from benchmarks import results
+from benchmarks.drills.drill import run_drill
 from benchmarks.drills.live_rig import BODY, CAMERAS, episode_in, MAP, OPTICAL, Rig, S
-from ocp_ros.demo.watcher import run_watched, show_json, Watch
+from ocp_ros.demo.watcher import Watch
 from ocp_ros.ros.interface.conversions import msg_to_positions
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.scenes.synthetic.generator import generate_room
@@ -96,7 +98,7 @@ class Holding:
             node.destroy_node()
 
 
-def play(options: argparse.Namespace, watch: Watch) -> dict[str, Any]:
+def play(options: argparse.Namespace, domain: int, watch: Watch) -> dict[str, Any]:
     """Come to a placement, hold it, and compare."""
     holding = Holding(watch, options.noise, options.seed)
     try:
@@ -121,9 +123,8 @@ def main(args: list[str] | None = None) -> int:
     top.add_argument('--minutes', type=float, default=10.0, help='after the placement')
     top.add_argument('--seed', type=int, default=1, help='of the room')
     top.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
-    options = top.parse_args(args)
-    return run_watched('hold_soak', options.out, lambda domain, watch: play(options, watch),
-                       show_json)
+    results.add_record(top, 'hold_soak')
+    return run_drill('hold_soak', top.parse_args(args), args, play)
 
 
 if __name__ == '__main__':

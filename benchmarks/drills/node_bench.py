@@ -6,11 +6,10 @@ Measure the nodes: how long a policy takes to answer, and how fast training over
 A turn is answered within one callback, from the cloud received to the command published; what a
 planner thinks afterwards, while cameras would move, is told apart. What both take of the processor
 is told beside the wall, since other programs make the latter longer.
-Training over ROS is measured in turn with the same training in one process.
 """
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterable
 import cProfile
 import io
 import json
@@ -28,6 +27,7 @@ from rich.console import Console
 from rich.progress import track
 from std_msgs.msg import Float64MultiArray, Header
 
+from benchmarks import results
 from ocp_ros.demo.node_processes import (
     end_on_signals,
     free_domain,
@@ -53,10 +53,7 @@ from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import make_problem, settings_for
 from ocp_ros.simulation.simulation_config import SimulationConfig
-from ocp_ros.training.training_speed import cpu_of, in_one_process, Speed
-from ocp_ros.util.files import write_atomically
 from ocp_ros.util.threads import cores
-from ocp_ros.util.yaml_files import timestamp
 
 POINTS, PAIRS = (25_000, 100_000), (1, 2, 4)
 #: Planners and weights; those of the paper's inputs ask no engine.
@@ -170,7 +167,7 @@ def latency(watch: Watch, planner: str, model: str, rig: str, points: int, rooms
 
 def _hottest(profile: cProfile.Profile) -> list[str]:
     """Return the functions in which most time was spent, as shares of that of all turns."""
-    stats = pstats.Stats(profile, stream=io.StringIO()).stats
+    stats: Any = vars(pstats.Stats(profile, stream=io.StringIO()))['stats']
     whole = max((total for (_, _, name), (_, _, _, total, _) in stats.items()
                  if name == 'on_cloud'), default=1.0)
     rows = sorted(((total, own, calls, f'{Path(path).stem}.{name}')
@@ -180,8 +177,26 @@ def _hottest(profile: cProfile.Profile) -> list[str]:
             for total, own, calls, name in rows[:14]]
 
 
-def over_ros(pairs: int, seconds: float, out: Path) -> Speed:
-    """Return how fast as many pairs of sim and policy, and a trainer, learn."""
+def cpu_of(pids: Iterable[int]) -> float:
+    """Return the seconds of the processor that processes have taken."""
+    ticks = 0
+    for pid in pids:
+        # The name, in parentheses, may hold anything.
+        fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
+        ticks += int(fields[11]) + int(fields[12])
+    return ticks / os.sysconf('SC_CLK_TCK')
+
+
+def training(pairs: int, seconds: float, out: Path) -> dict[str, Any]:
+    """
+    Measure how fast a trainer learns from pairs of sim and policy.
+
+    :param pairs: how many.
+    :param seconds: to measure for.
+    :param out: folder of the trainer.
+    :returns: interactions per second, each with its gradient step, and the milliseconds of the
+        processor that one takes in all processes together.
+    """
     options = argparse.Namespace(pairs=pairs, out=out, seed=1, model='moves')
     domain, holder = free_domain()
     processes: list[NodeProcess] = []
@@ -201,62 +216,47 @@ def over_ros(pairs: int, seconds: float, out: Path) -> Speed:
         if said('inconsistent') or said('dropped'):
             raise RuntimeError(f'found {watch.node.health["trainer_node"]}; expected that nothing '
                                'is dropped')
-        return Speed.of(said('transitions') - first, time.monotonic() - began,
-                        cpu_of(pids) - cpu)
-
-
-def training(seconds: float, counts: Sequence[int]) -> list[dict[str, Any]]:
-    """Measure both ways in turn, each number of pairs twice in opposite order."""
-    rows = []
-    with tempfile.TemporaryDirectory() as folder:
-        for pairs in counts:
-            load = os.getloadavg()[0]
-            ros = [over_ros(pairs, seconds / 2, Path(folder) / f'a{pairs}')]
-            one = [in_one_process(pairs, seconds / 2, STARTS) for _ in range(2)]
-            ros.append(over_ros(pairs, seconds / 2, Path(folder) / f'b{pairs}'))
-            mean_ros, mean_one = (Speed(*np.mean(runs, axis=0).tolist()) for runs in (ros, one))
-            rows.append({
-                'pairs': pairs, 'interactions_per_s_over_ros': mean_ros.interactions,
-                'interactions_per_s_in_one_process': mean_one.interactions,
-                'ratio': mean_ros.interactions / mean_one.interactions,
-                'cpu_ms_over_ros': mean_ros.cpu, 'cpu_ms_in_one_process': mean_one.cpu,
-                'ratio_of_cpu': mean_one.cpu / mean_ros.cpu, 'load_average': load})
-            Console(stderr=True).print(rows[-1])
-    return rows
+        count, took = said('transitions') - first, time.monotonic() - began
+        return {'pairs': pairs, 'interactions_per_s': count / took,
+                'cpu_ms': 1e3 * (cpu_of(pids) - cpu) / max(count, 1),
+                'load_average': os.getloadavg()[0]}
 
 
 def parser() -> argparse.ArgumentParser:
     """Build the parser."""
-    top = argparse.ArgumentParser(prog='bench', description=__doc__)
-    top.add_argument('--out', type=Path, default=Path('out/bench_ros.json'))
+    top = argparse.ArgumentParser(prog='node_bench', description=__doc__)
     top.add_argument('--rooms', type=int, default=4, help='episodes per planner and size')
     top.add_argument('--pairs', type=int, nargs='+', default=PAIRS,
                      help='of sim and policy, to measure training with')
     top.add_argument('--seconds', type=float, default=60.0,
-                     help='to measure training for, each way and number of pairs; 0 for not')
+                     help='to measure training for, with each number of pairs; 0 for not')
+    results.add_record(top, 'node_bench')
     return top
 
 
 def main(args: list[str] | None = None) -> int:
-    """Measure and write the figures."""
+    """Measure, and print the figures."""
     options = parser().parse_args(args)
     end_on_signals()
     os.environ.update(LOCALHOST)
-    rows = []
+    turns, learned = [], []
     if options.rooms:
         domain, holder = free_domain()
         with holder, Watch(domain) as watch:
             cases = [(*played, '', points) for played in PLAYED for points in POINTS]
             cases += [(planner, PolicyNodeConfig.model, RIG, POINTS[0]) for planner in PLANNERS]
             for case in track(cases, 'turns', console=Console(stderr=True)):
-                rows.append(latency(watch, *case, options.rooms))
-                Console(stderr=True).print(rows[-1])
-    result = {'policy_latency_ms': rows,
-              'training': training(options.seconds, options.pairs) if options.seconds else [],
-              'load_average': os.getloadavg()[1], 'cores': cores(),
-              'date': timestamp()}
-    write_atomically(options.out, json.dumps(result, indent=2) + '\n')
-    print(f'wrote {options.out}')
+                turns.append(latency(watch, *case, options.rooms))
+                print(json.dumps(turns[-1]), flush=True)
+    if options.seconds:
+        with tempfile.TemporaryDirectory() as folder:
+            for pairs in options.pairs:
+                learned.append(training(pairs, options.seconds, Path(folder) / str(pairs)))
+                print(json.dumps(learned[-1]), flush=True)
+    if options.record:
+        results.write('node_bench', {
+            'policy_latency_ms': turns, 'training': learned, 'load_average': os.getloadavg()[1],
+            'cores': cores()}, results.command_of('drills.node_bench', args))
     return 0
 
 

@@ -24,11 +24,13 @@ from rich.console import Console
 from rich.progress import Progress
 from rosgraph_msgs.msg import Clock
 
+from benchmarks import results
+from benchmarks.drills.drill import run_drill
 from benchmarks.drills.soak_watch import check_files, Latency, Lies, MemoryWatch
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.demo.node_processes import grown, NodeProcess, stopped_at_the_end
 from ocp_ros.demo.train_demo import pair_of
-from ocp_ros.demo.watcher import run_watched, show_json, Watch
+from ocp_ros.demo.watcher import Watch
 from ocp_ros.ros.interface.conversions import ns_to_stamp
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.threads import cores
@@ -238,6 +240,7 @@ def parser() -> argparse.ArgumentParser:
                      help='seconds in which the loop has to go on after a kill')
     top.add_argument('--seed', type=int, default=0, help='of the times, the nodes and the lies')
     top.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
+    results.add_record(top, 'soak')
     return top
 
 
@@ -250,9 +253,7 @@ def soak(options: argparse.Namespace, domain: int, watch: Watch) -> dict[str, An
 
 def main(args: list[str] | None = None) -> int:
     """Run; 2 if the loop did not go on, a file was torn or memory has grown."""
-    options = parser().parse_args(args)
-    return run_watched('soak', options.out, lambda domain, watch: soak(options, domain, watch),
-                       show_json)
+    return run_drill('soak', parser().parse_args(args), args, soak)
 
 
 if __name__ == '__main__':

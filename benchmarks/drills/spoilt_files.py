@@ -16,13 +16,13 @@ from plyfile import PlyData, PlyElement
 import pye57
 from scipy.spatial.transform import Rotation
 
+from benchmarks.results import ROOT
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.scene import Mesh
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.scenes.synthetic.generator import generate_room
 
-ROOT = Path(__file__).resolve().parents[2]
 #: What bytes and numbers of a file are made to be.
 BYTES = (b'\0' * 4, b'\xff' * 4, b'\x7f\xff\xff\xff', b'\xff' * 8, b'\0\0\xc0\x7f')
 WORDS = (b'-1', b'0', b'4294967295', b'99999999999999999999', b'1e308', b'nan', b'9' * 6000,
@@ -176,7 +176,7 @@ def _write_bags(folder: Path) -> dict[str, Callable]:
     types = store.types
     header = types['std_msgs/msg/Header'](types['builtin_interfaces/msg/Time'](1, 0), 'map')
     message = types[kind](header, [])
-    readers = {}
+    readers: dict[str, Callable] = {}
     for name, writer in (('ros1.bag', Writer1(folder / 'ros1.bag')),
                          ('mcap.mcap', Writer2(folder / 'm', version=9,
                                                storage_plugin=StoragePlugin.MCAP)),

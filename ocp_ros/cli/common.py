@@ -25,7 +25,7 @@ from ocp_ros.util.shown_text import printable
 #: What one may want, as ``ocp --help`` lists it.
 PLAN, JUDGE, LOOK, LEARN, COMPARE, REPLAY = TITLES = (
     'find a placement', 'evaluate a placement', 'look at rooms and placements', 'train a policy',
-    'compare and measure', 'feed the nodes')
+    'compare planners', 'feed the nodes')
 #: What a command found, as plain data.
 Found = dict[str, Any]
 #: Arguments that name what a command reads.
