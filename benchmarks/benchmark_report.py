@@ -421,11 +421,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Write the report."""
     parser = argparse.ArgumentParser(prog='benchmark_report', description='Report a comparison.')
     parser.add_argument('folder', type=Path, help='where ocp benchmark wrote its results')
-    parser.add_argument('--out', type=Path, help='folder of the report; default: FOLDER/report')
+    parser.add_argument('--out', type=Path,
+                        help='folder of the report; default: that of the results')
     parser.add_argument('--record', metavar='NAME',
                         help='write the summary to docs/results/NAME.json, such as benchmark')
     options = parser.parse_args(argv)
-    target = options.out or options.folder / 'report'
+    target = options.out or options.folder
     summary = write_report(options.folder, target)
     print(f'wrote {target / "README.md"}')
     if options.record:

@@ -25,16 +25,12 @@ from rich.progress import track
 from rich.table import Table
 
 from benchmarks.results import stamped
+from ocp_ros.compare.judging import Judge
 from ocp_ros.compare.paired import pair
-from ocp_ros.compare.protocol import (
-    BenchmarkTask,
-    placing,
-    Protocol,
-    run_task,
-    start_error,
-    TRUTH,
-)
+from ocp_ros.compare.protocol import BenchmarkTask, placing, Protocol, run_task, TRUTH
 from ocp_ros.scenes.splits import SETS
+from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import EpisodeConfig
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.settings import ConfigurationError
@@ -107,6 +103,13 @@ def play_room(protocol: Protocol, lengths: Sequence[tuple[int, float]], task: Ro
             if 'seconds_per_turn' in rows[0]:
                 ms[planner] = 1e3 * float(np.mean([row['seconds_per_turn'] for row in rows]))
     return found
+
+
+def start_error(protocol: Protocol, room: str, rotation: float) -> float:
+    """Return the depth error, metres, where cameras on a plane begin the episodes of seed 0."""
+    judged = protocol.room(room, rotation)
+    episode = Episode(PlaneProblem(judged.fine), np.random.default_rng([0, 0]))
+    return float(Judge(judged.evaluate)(episode.turn.positions)['depth_error'])
 
 
 def summed(rooms: dict[str, dict[str, Any]], first: str) -> dict[str, dict[str, Any]]:

@@ -350,6 +350,6 @@ def test_planners_are_compared_for_a_rig_file(tmp_path, capsys):
     summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
     assert (summary['rig'], summary['cameras']) == ('rig.yaml', 2)
     assert write_report([str(tmp_path / 'out')]) == 0
-    written = (tmp_path / 'out' / 'report' / 'README.md').read_text()
+    written = (tmp_path / 'out' / 'README.md').read_text()
     assert '2 cameras of the rig file `rig.yaml`' in written and '| rig search | ' in written
-    assert 'anytime.png' not in written and (tmp_path / 'out' / 'report' / 'rooms.png').exists()
+    assert 'anytime.png' not in written and (tmp_path / 'out' / 'rooms.png').exists()

@@ -97,11 +97,11 @@ def test_a_comparison_is_reported(tmp_path, recorded, monkeypatch):
                         seeds=1, points=2000, judged_points=2500)
     comparison.compare(protocol, tmp_path, 'ocp benchmark')
     assert benchmark_report.main([str(tmp_path), '--record', 'benchmark']) == 0
-    text = (tmp_path / 'report' / 'README.md').read_text()
+    text = (tmp_path / 'README.md').read_text()
     assert '    ocp benchmark\n' in text and '| random | scores | 2.10 |' in text
     for picture in ('rooms.png', 'anytime.png', 'placements.png'):
         assert f'({picture})' in text
-        assert (tmp_path / 'report' / picture).stat().st_size > 10000
-    assert 'depth error' in (tmp_path / 'report' / 'placements.html').read_text()
+        assert (tmp_path / picture).stat().st_size > 10000
+    assert 'depth error' in (tmp_path / 'placements.html').read_text()
     found = recorded('benchmark')
     assert found['command'] == 'ocp benchmark' and found['commit'] and found['points'] == 2000

@@ -15,6 +15,7 @@ import safetensors.numpy
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
 
+from benchmarks.drills.drill import rss_of
 from benchmarks.drills.malformed import (
     few_points,
     spoilt_cloud,
@@ -23,7 +24,7 @@ from benchmarks.drills.malformed import (
     spoilt_weights,
 )
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
-from ocp_ros.demo.node_processes import NodeProcess, rss_of
+from ocp_ros.demo.node_processes import NodeProcess
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import bytes_to_msg, ns_to_stamp, stamp_to_ns
 from ocp_ros.ros.interface.qos import LATCHED, LOOP, RECORDER

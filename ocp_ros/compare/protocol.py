@@ -277,13 +277,6 @@ def _episodes(protocol: Protocol, fine: Simulator, name: str) -> Iterator[Row]:
                'placement': placement, 'trace': [], 'trajectory': outcome.trajectory.tolist()}
 
 
-def start_error(protocol: Protocol, room: str, rotation: float) -> float:
-    """Return the depth error, metres, where cameras on a plane begin the episodes of seed 0."""
-    judged = protocol.room(room, rotation)
-    episode = Episode(PlaneProblem(judged.fine), np.random.default_rng([0, 0]))
-    return float(Judge(judged.evaluate)(episode.turn.positions)['depth_error'])
-
-
 def _random_placements(room: JudgedRoom) -> Iterator[Row]:
     """Draw placements, and tell what all places of the plane together miss."""
     simulator, space = room.simulator, space_of(room.simulator)
