@@ -6,7 +6,7 @@ RUN := $(VENV)/bin/python
 READY := $(VENV)/.ready
 OUT ?= out
 
-.PHONY: help demo train-demo train test test-system lint docs format bench fuzz fuzz-files soak endings benchmark rooms colcon clean
+.PHONY: help demo train-demo train test test-system lint size docs format bench fuzz fuzz-files soak endings benchmark rooms colcon clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 14
@@ -35,8 +35,11 @@ test-system: $(READY)  ## run the drills of whole systems: soak, training demo, 
 
 lint: $(READY)  ## check style, as ament_flake8 and ament_pep257 would, and types
 	$(VENV)/bin/ruff check .
-	$(VENV)/bin/flake8 ocp_ros test launch setup.py
+	$(VENV)/bin/flake8 ocp_ros benchmarks test launch setup.py
 	$(VENV)/bin/mypy
+
+size:  ## how large the package is; an error where it is above the bar
+	tools/size
 
 docs: $(READY)  ## build the documentation as a site in OUT/docs, out/docs unless named; a broken link is an error
 	$(RUN) -m pip install --quiet --disable-pip-version-check -r requirements/docs.txt
@@ -45,28 +48,32 @@ docs: $(READY)  ## build the documentation as a site in OUT/docs, out/docs unles
 format: $(READY)  ## fix what ruff can fix
 	$(VENV)/bin/ruff check --fix .
 
-bench: $(READY)  ## measure accuracy and speed of the engine, and speed of the nodes and of training over ROS
-	$(RUN) -m ocp_ros.cli.main bench --preset full --out docs/bench.json --page docs/bench.md
-	$(RUN) -m ocp_ros.report.drawing.visibility_picture --out docs/visibility.png
-	PYTHONPATH=test $(RUN) -m system.node_bench --out "$(OUT)/bench_ros.json"
+bench: $(READY)  ## measure accuracy and speed of the engine, of the nodes and of training over ROS, for docs/results
+	$(RUN) -m benchmarks.engine --preset full --record
+	$(RUN) -m benchmarks.docs.visibility_picture --out docs/visibility.png
+	$(RUN) -m benchmarks.drills.node_bench --record
+
+# RECORD=1 also writes the figures of a drill to docs/results.
+RECORDED := $(if $(RECORD),--record)
 
 fuzz: $(READY)  ## send malformed messages to nodes: make fuzz [MESSAGES=100000, or MINUTES=10 in their place]
-	PYTHONPATH=test $(RUN) -m system.fuzz --out "$(OUT)" $(if $(MESSAGES),--messages $(MESSAGES)) $(if $(MINUTES),--minutes $(MINUTES))
+	$(RUN) -m benchmarks.drills.fuzz --out "$(OUT)" $(RECORDED) $(if $(MESSAGES),--messages $(MESSAGES)) $(if $(MINUTES),--minutes $(MINUTES))
 
 fuzz-files: $(READY)  ## read files with errors in them, of every format: make fuzz-files [FILES=2000]
-	PYTHONPATH=test $(RUN) -m system.file_fuzz --out "$(OUT)" $(if $(FILES),--mutations $(FILES))
+	$(RUN) -m benchmarks.drills.file_fuzz --out "$(OUT)" $(RECORDED) $(if $(FILES),--mutations $(FILES))
 
 soak: $(READY)  ## play, kill nodes and send malformed messages: make soak [MINUTES=5] [KILLS=100, in place of minutes]
-	PYTHONPATH=test $(RUN) -m system.soak --out "$(OUT)" $(if $(MINUTES),--minutes $(MINUTES)) $(if $(KILLS),--kills $(KILLS))
+	$(RUN) -m benchmarks.drills.soak --out "$(OUT)" $(RECORDED) $(if $(MINUTES),--minutes $(MINUTES)) $(if $(KILLS),--kills $(KILLS))
 
 endings: $(READY)  ## end nodes in all usual ways and count crashes: make endings [ENDINGS=500]
-	$(RUN) tools/stress_endings --out "$(OUT)/endings" $(if $(ENDINGS),--endings $(ENDINGS))
+	$(RUN) -m benchmarks.drills.endings --out "$(OUT)/endings" $(RECORDED) $(if $(ENDINGS),--endings $(ENDINGS))
 
 benchmark: $(READY)  ## compare all planners in all test rooms: an hour on two idle cores; continues an interrupted run
-	$(RUN) -m ocp_ros.cli.main benchmark --preset full --seeds 1 --out "$(OUT)/benchmark" --report docs/benchmark
+	$(RUN) -m ocp_ros.cli.main benchmark --preset full --seeds 1 --out "$(OUT)/benchmark"
+	$(RUN) -m benchmarks.benchmark_report "$(OUT)/benchmark" --record benchmark
 
 rooms: $(READY)  ## draw and measure generated rooms: make rooms [SCANS=folder]
-	$(RUN) -m ocp_ros.report.room_sheet --out docs $(if $(SCANS),--scans "$(SCANS)")
+	$(RUN) -m benchmarks.room_sheet --record $(if $(SCANS),--scans "$(SCANS)")
 
 colcon: $(READY)  ## build with colcon and start the installed nodes once
 	tools/check_install $(VENV)

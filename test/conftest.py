@@ -7,7 +7,12 @@ from dataclasses import replace
 from functools import cache
 import os
 from pathlib import Path
+import sys
 import time
+
+ROOT = Path(__file__).resolve().parent.parent
+# The laboratory, benchmarks/, is not installed.
+sys.path.insert(0, str(ROOT))
 
 # Tests run side by side and in processes that they start. Threads of all of them that wait for
 # each other would spin on the same few cores, so each process has one, whatever NumPy and torch
@@ -24,7 +29,6 @@ from ocp_ros.agent.agent_config import AgentConfig, CLOUD, PAPER
 from ocp_ros.ros.runtime.exit_timer import leaving_within
 from ocp_ros.util.settings import ConfigurationError
 
-ROOT = Path(__file__).resolve().parent.parent
 #: Seconds after which what a test waits for has hung. No test waits as long, on whatever machine:
 #: a limit is never a speed.
 HUNG = 600.0

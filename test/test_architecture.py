@@ -3,28 +3,26 @@
 """The shape of the tree: who may import whom, and files that must agree."""
 
 import ast
-from collections import Counter
 import re
 import sys
 import xml.etree.ElementTree as ElementTree
 
 from conftest import ROOT
-import pytest
 
 import ocp_ros
 
 PACKAGE = ROOT / 'ocp_ros'
 #: Each layer may import itself, those before it and the modules that stand beside the layers.
 LAYERS = ['util', 'geometry', 'scenes', 'rig', 'registration', 'simulation', 'agent', 'planners',
-          'training', 'evaluation', 'report', 'ros', 'demo', 'cli']
+          'training', 'compare', 'report', 'ros', 'demo', 'cli']
 BESIDE = {'__version__'}
 #: Packages that only some layers may import at all.
 ONLY = {
     'rclpy': {'ros', 'demo'}, 'tf2_ros': {'ros'}, 'sensor_msgs': {'ros', 'demo'},
     'geometry_msgs': {'ros', 'demo'}, 'rosbags': {'ros'},
     'stable_baselines3': {'training'}, 'torch': {'agent', 'training', 'ros'},
-    'gymnasium': {'simulation', 'training'}, 'matplotlib': {'report'},
-    'open3d': {'scenes', 'evaluation'}}
+    'gymnasium': {'simulation', 'training'}, 'matplotlib': {'report'}, 'open3d': {'scenes'},
+    'benchmarks': set()}
 
 
 def imports(path):
@@ -40,33 +38,25 @@ def imports(path):
 
 
 def modules():
-    """Return (path, layer) of every module that belongs to a layer."""
-    return [(path, path.relative_to(PACKAGE).parts[0]) for path in sorted(PACKAGE.rglob('*.py'))
-            if path.parent != PACKAGE]
+    """Yield (layer, path, names of all imports) for every module that belongs to a layer."""
+    for path in sorted(PACKAGE.rglob('*.py')):
+        if path.parent != PACKAGE:
+            yield path.relative_to(PACKAGE).parts[0], path, imports(path)
 
 
-@pytest.mark.parametrize(('path', 'layer'), modules(), ids=lambda value: str(value)[-40:])
-def test_the_data_flows_one_way(path, layer):
-    allowed = set(LAYERS[:LAYERS.index(layer) + 1]) | BESIDE
-    for name in imports(path):
-        top, *rest = name.split('.')
-        if top == 'ocp_ros' and rest:
-            assert rest[0] in allowed, f'{layer} must not import {name}'
-        assert layer in ONLY.get(top, {layer}), f'{layer} must not import {name}'
-
-
-def test_every_name_of_a_module_and_of_a_class_occurs_once():
-    paths = [path for path, _ in modules() if path.stem != '__init__']
-    names = Counter(path.stem for path in paths)
-    names.update(node.name for path in paths for node in ast.walk(ast.parse(path.read_text()))
-                 if isinstance(node, ast.ClassDef))
-    assert [name for name, count in names.items() if count > 1] == []
+def test_the_data_flows_one_way():
+    for layer, path, names in modules():
+        allowed = set(LAYERS[:LAYERS.index(layer) + 1]) | BESIDE
+        for top, *rest in (name.split('.') for name in names):
+            wrong = f'{path}: {layer} must not import {".".join([top, *rest])}'
+            assert top != 'ocp_ros' or not rest or rest[0] in allowed, wrong
+            assert layer in ONLY.get(top, {layer}), wrong
 
 
 def test_geometry_needs_numpy_and_numba_alone():
-    for path, layer in modules():
+    for layer, path, names in modules():
         if layer == 'geometry':
-            tops = {name.split('.')[0] for name in imports(path)}
+            tops = {name.split('.')[0] for name in names}
             assert tops <= sys.stdlib_module_names | {'numpy', 'numba', 'ocp_ros'}, path
 
 
@@ -100,7 +90,8 @@ def test_every_entry_point_exists():
 
 
 def test_every_source_file_names_its_license():
-    for path in [*PACKAGE.rglob('*.py'), *ROOT.glob('test/*.py'), *ROOT.glob('launch/*.py')]:
+    for path in [*PACKAGE.rglob('*.py'), *ROOT.glob('benchmarks/**/*.py'),
+                 *ROOT.glob('test/*.py'), *ROOT.glob('launch/*.py')]:
         lines = path.read_text().splitlines()[:2]
         assert lines[0].startswith('# Copyright '), path
         assert lines[1] == '# SPDX-License-Identifier: Apache-2.0', path

@@ -9,11 +9,12 @@ from conftest import Here, rows_for
 import numpy as np
 import pytest
 
-from ocp_ros.cli import benchmark_command
+from benchmarks.benchmark_report import main as write_report
+from ocp_ros.cli import compare_commands
 from ocp_ros.cli import main as cli
-from ocp_ros.evaluation import task_runner
-from ocp_ros.evaluation.benchmark_rooms import rooms_in, TEST_ROOMS
-from ocp_ros.evaluation.protocol import (
+from ocp_ros.compare import comparison
+from ocp_ros.compare.benchmark_rooms import rooms_in
+from ocp_ros.compare.protocol import (
     BenchmarkTask,
     CONTROL,
     CONTROLS,
@@ -23,14 +24,14 @@ from ocp_ros.evaluation.protocol import (
     TRUTH,
     YARDSTICKS,
 )
-from ocp_ros.evaluation.summary import interval, ranks, summarise
+from ocp_ros.compare.summary import interval, ranks, summarise
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.report.benchmark_report import page
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.scene import SceneError, turned
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.scenes.scene_source import make_room
+from ocp_ros.scenes.splits import TEST
 from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.training.training_config import TrainingConfig
@@ -42,17 +43,13 @@ SMALL = Protocol(rooms=('3',), rotations=(0.0,), planners=('random', 'annealing'
                  simulation=SimulationConfig(
                      engine=EngineConfig(error_rows=32, coverage_cell=0.5, error_folds=2)))
 
-#: What a command adds to a summary.
-MADE = {'date': '', 'command': '', 'rotations': 1, 'cameras': 4, 'points': 60000,
-        'judged_points': 90000, 'versions': {}}
-
 
 def test_no_test_room_is_a_training_room():
     rooms = TrainingConfig().rooms
     for part in ('training', 'validation'):
-        assert not {int(name) for name in room_names(rooms, part)} & set(TEST_ROOMS)
-    assert [int(name) for name in room_names(rooms, 'test')] == list(TEST_ROOMS)
-    assert len(set(TEST_ROOMS)) == 10
+        assert not {int(name) for name in room_names(rooms, part)} & set(TEST)
+    assert [int(name) for name in room_names(rooms, 'test')] == list(TEST)
+    assert len(set(TEST)) == 10
 
 
 def test_a_turned_room_is_the_room_turned():
@@ -131,21 +128,21 @@ def test_an_interrupted_comparison_goes_on(tmp_path, monkeypatch):
         done.append(task.planner)
         return rows_for(protocol, task)
 
-    monkeypatch.setattr(task_runner, 'run_task', run_here)
-    monkeypatch.setattr(task_runner, 'WorkerPool', Here)
+    monkeypatch.setattr(comparison, 'run_task', run_here)
+    monkeypatch.setattr(comparison, 'WorkerPool', Here)
     with pytest.raises(KeyboardInterrupt):
-        task_runner.run(SMALL, tmp_path, 1)
-    rows = task_runner.run(SMALL, tmp_path, 1)
+        comparison.play(SMALL, tmp_path, 1)
+    rows = comparison.play(SMALL, tmp_path, 1)
     played = list(dict.fromkeys(row['planner'] for row in rows))
     assert played == [*YARDSTICKS, 'random', 'annealing']
     assert len(rows) == CONTROLS + 2 + 1 + 4 + 4
     assert done == [CONTROL, TRUTH, None, PROVED, 'random', 'annealing']
-    with pytest.raises(ConfigurationError, match='results of another comparison'):
-        task_runner.run(replace(SMALL, seeds=1), tmp_path, 1)
+    with pytest.raises(ConfigurationError, match='record of another comparison'):
+        comparison.play(replace(SMALL, seeds=1), tmp_path, 1)
     # The same name, but others than those that have played.
-    monkeypatch.setattr(task_runner, 'find_model', lambda name: tmp_path / 'protocol.json')
-    with pytest.raises(ConfigurationError, match='expected the same .* weights and version'):
-        task_runner.run(SMALL, tmp_path, 1)
+    monkeypatch.setattr(comparison, 'find_model', lambda name: tmp_path / 'protocol.json')
+    with pytest.raises(ConfigurationError, match='expected the .* weights and version'):
+        comparison.play(SMALL, tmp_path, 1)
 
 
 def rows_of(errors, budget=100, truth=()):
@@ -208,17 +205,24 @@ def test_intervals_and_ranks_tell_planners_apart():
 
 
 @pytest.mark.system
-def test_the_command_compares_and_reports(tmp_path, capsys):
+def test_the_command_compares_and_writes_results(tmp_path, capsys):
     np.save(tmp_path / 'small.npy', generate_room(1, 2500).points)
     arguments = ['benchmark', '--rooms', str(tmp_path), '--planners',
                  'random,greedy_error,greedy_step', '--budgets', '8,20', '--seeds', '1',
-                 '--workers', '1', '--out', str(tmp_path / 'out'), '--report',
-                 str(tmp_path / 'report')]
+                 '--workers', '1', '--out', str(tmp_path / 'out')]
     assert cli.main(arguments) == 0
-    summary = json.loads((tmp_path / 'report' / 'summary.json').read_text())
+    summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
     assert summary['command'].startswith('ocp benchmark --rooms')
     assert set(summary['planners']) == {'random', 'greedy_error', 'greedy_step'}
     assert set(summary['planners']['random']) == {'8', '20'}
+    # The first planner against each of the others.
+    assert set(summary['pairs']) == {'random, 8', 'random, 20', 'greedy_error, 8',
+                                     'greedy_error, 20', 'greedy_step'}
+    lines = (tmp_path / 'out' / 'results.csv').read_text().splitlines()
+    assert len(lines) == 1 + CONTROLS + 3 + 1 + 4 + 1
+    printed = capsys.readouterr().out
+    assert 'greedy_error' in printed and f'wrote {tmp_path / "out" / "results.csv"}' in printed
+    assert write_report([str(tmp_path / 'out'), '--out', str(tmp_path / 'report')]) == 0
     text = (tmp_path / 'report' / 'README.md').read_text()
     assert 'ms per turn (median)' in text and '| greedy error |' in text
     assert summary['command'] in text
@@ -226,9 +230,6 @@ def test_the_command_compares_and_reports(tmp_path, capsys):
     assert 'small: greedy_error, depth error' in html and 'src="http' not in html
     for picture in ('rooms.png', 'anytime.png', 'placements.png'):
         assert (tmp_path / 'report' / picture).stat().st_size > 10000
-    lines = (tmp_path / 'out' / 'results.csv').read_text().splitlines()
-    assert len(lines) == 1 + CONTROLS + 3 + 1 + 4 + 1
-    assert 'greedy_error' in capsys.readouterr().out
     assert cli.main([*arguments[:4], 'magic', *arguments[5:]]) == 2
     assert "planners: found 'magic'" in capsys.readouterr().err
 
@@ -236,10 +237,10 @@ def test_the_command_compares_and_reports(tmp_path, capsys):
 def test_another_scan_under_the_same_name_is_another_room(tmp_path):
     task = BenchmarkTask(str(tmp_path / 'a.npy'), 0.0, 'random')
     np.save(task.room, generate_room(1, 2000).points)
-    before = task_runner.name_of(task)
-    assert task_runner.name_of(task) == before
+    before = comparison.name_of(task)
+    assert comparison.name_of(task) == before
     np.save(task.room, generate_room(2, 2100).points)
-    assert task_runner.name_of(task) != before
+    assert comparison.name_of(task) != before
 
 
 def test_rooms_that_are_seen_completely_have_no_ratios():
@@ -248,23 +249,6 @@ def test_rooms_that_are_seen_completely_have_no_ratios():
     assert summary['planners']['one']['100']['regret'] is None
     assert summary['rooms']['a']['share'] is None
     json.dumps(summary, allow_nan=False)
-    assert '| - | - | - |' in page({**summary, **MADE})
-
-
-def test_the_page_says_who_agrees_who_is_better_and_how_long_it_takes():
-    cases = {('a', 0): [2.0], ('b', 0): [2.0]}
-    rows = rows_of({'tdsa': cases, 'cma_es': {('a', 0): [2.0], ('b', 0): [2.3]},
-                    'bpso': {('a', 0): [3.0], ('b', 0): [3.0]}}, 1000)
-    rows += [{**row, 'budget': 100, 'seconds': 0.1} for row in rows if row['planner'] == 'tdsa']
-    online = rows_of({'lookahead': {('a', 0): [1.0], ('b', 0): [2.0]}}, 0)
-    rows += [row for row in online if row['planner'] not in YARDSTICKS]
-    text = page({**summarise(rows), **MADE})
-    assert 'deliver a sum within 10 % of the smallest one: TDSA, CMA-ES.' in text
-    assert 'The others, as multiples of the smallest sum: BPSO 1.50.' in text
-    # 3 / 6, better in both; 3 / 4, better in one of two.
-    assert '| BPSO | 1,000 | 0.50 (2) |' in text and '| TDSA | 1,000 | 0.75 (1) |' in text
-    # Two rooms, 1 s each at the most evaluations, in whatever order they ran.
-    assert '| TDSA |  | 0.10 | 1.00 | 2 |' in text and '| lookahead | 1.00 |  |  | 2 |' in text
 
 
 def test_units_of_scans_need_scans(capsys):
@@ -295,7 +279,7 @@ def test_cameras_and_sensor_say_what_is_compared(tmp_path, monkeypatch, argument
         asked.append(protocol)
         raise ConfigurationError('enough')
 
-    monkeypatch.setattr(benchmark_command, 'run', stop)
+    monkeypatch.setattr(compare_commands, 'compare', stop)
     assert cli.main(['benchmark', *arguments]) == 2
     count, path = expected
     simulation = asked[0].simulation
@@ -331,7 +315,7 @@ def test_a_ray_cluster_of_two_nodes_does_the_same(tmp_path):
     cluster = Cluster(initialize_head=True, head_node_args={'num_cpus': 1})
     try:
         cluster.add_node(num_cpus=1)
-        rows = task_runner.run(SMALL, tmp_path / 'ray', 1, cluster.address)
+        rows = comparison.play(SMALL, tmp_path / 'ray', 1, cluster.address)
     finally:
         ray.shutdown()
         cluster.shutdown()
@@ -365,8 +349,7 @@ def test_planners_are_compared_for_a_rig_file(tmp_path, capsys):
     assert all(least <= row['exact'] + 1e-9 for row in rows if row['planner'] == CONTROL)
     summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
     assert (summary['rig'], summary['cameras']) == ('rig.yaml', 2)
-    assert cli.main([*command, '--report', str(tmp_path / 'report')]) == 0
-    written = (tmp_path / 'report' / 'README.md').read_text()
+    assert write_report([str(tmp_path / 'out')]) == 0
+    written = (tmp_path / 'out' / 'README.md').read_text()
     assert '2 cameras of the rig file `rig.yaml`' in written and '| rig search | ' in written
-    assert 'anytime.png' not in written and (tmp_path / 'report' / 'rooms.png').exists()
-    assert written == page(json.loads((tmp_path / 'report' / 'summary.json').read_text()))
+    assert 'anytime.png' not in written and (tmp_path / 'out' / 'rooms.png').exists()

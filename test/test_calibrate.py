@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import yaml
 
+from benchmarks.calibration_bench import cast, off
 from ocp_ros.cli.main import main
-from ocp_ros.evaluation.calibration_bench import cast, off
 from ocp_ros.geometry.cameras import angle_between, CameraModel, heading_of, OPTICAL_TO_BODY, Pose
 from ocp_ros.registration.alignment import matched, Matches, Patches, Poses, Surfaces
 from ocp_ros.registration.calibration import as_built

@@ -13,7 +13,7 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from ocp_ros.evaluation.calibration_bench import cast
+from benchmarks.calibration_bench import cast
 from ocp_ros.geometry.cameras import OPTICAL_TO_BODY, Pose
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.ros.bags.recorded_clouds import topics_of_cameras

@@ -55,7 +55,7 @@ def test_help_lists_every_command_under_what_one_wants(capsys):
     assert end.value.code == 0 and out.startswith('usage: ocp COMMAND ...')
     listed = [line.split()[0] for line in out.splitlines() if line.startswith('  ')]
     for name in ('plan', 'score', 'calibrate', 'view', 'replay', 'rooms', 'train', 'evaluate',
-                 'benchmark', 'bench'):
+                 'benchmark'):
         assert listed.count(name) == 1, name
     assert out.index('evaluate a placement:') < out.index('  score') < out.index('look at')
 
@@ -84,7 +84,7 @@ def test_every_example_can_be_read_and_stands_in_the_help_of_its_command(example
     (['rooms', 'preview', '8', '--points', '1000', '--out', 'a.png'], {'written'}),
     (['evaluate', '--planners', 'regular_grid,random', '--budgets', '5', '--workers', '1',
       '--out', 'evaluation', '--rooms', 'room.ply'], {'command', 'date', 'model', 'rotations',
-                                                      'seeds', 'cameras'})])
+                                                      'seeds', 'cameras', 'written'})])
 def test_json_is_all_that_a_command_prints(files, capsys, arguments, keys):
     code, found = printed(capsys, *arguments)
     assert code == 0 and set(found) == keys
@@ -111,7 +111,7 @@ def test_json_is_all_that_a_command_prints(files, capsys, arguments, keys):
     (['evaluate', '--out', '/proc'], '--out: found /proc, where nothing can be written'),
     (['evaluate', '--rooms', 'room.ply', 'none.ply'], 'none.ply: found no such file'),
     (['benchmark', '--out', '/proc'], '--out: found /proc, where nothing can be written'),
-    (['benchmark', '--report', '/proc'], '--report: found /proc, where nothing can be written'),
+    (['benchmark', '--out', '/proc'], '--out: found /proc, where nothing can be written'),
     (['view', 'room.ply', '--rig', 'rig.yaml'], 'and no placement'),
     (['train', '--config', 'train.yaml', '--out', 'out'], 'nonsense'),
     (['evaluate', '--seeds', '0'], "found '0'; expected 1 or more"),
@@ -121,7 +121,6 @@ def test_json_is_all_that_a_command_prints(files, capsys, arguments, keys):
     (['score', 'holes.ply', 'placement.yaml'], 'leave them out (--drop-nonfinite)'),
     (['score', '8', 'placement.yaml', '--drop-nonfinite'], '--drop-nonfinite: found it with'),
     (['benchmark', '--scale', '0.1'], 'found no --rooms'),
-    (['bench', '--page', '.'], '--page: found ., which cannot be written'),
     (['rooms', 'list', '--count', 'x'], "found 'x'"),
     (['paint'], 'invalid choice'), ([], 'required: COMMAND')])
 def test_errors_are_json_where_it_is_asked_for(files, capsys, arguments, words):
@@ -137,6 +136,14 @@ def test_the_command_line_is_read_before_what_is_slow_to_import():
         done.stdout.split())
 
 
+def test_a_plan_is_searched_before_what_draws_or_compares_is_imported():
+    code = 'import sys, ocp_ros.cli.plan_command; print(*sys.modules)'
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True,
+                          env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    assert not {'ocp_ros.compare', 'benchmarks', 'matplotlib', 'plotly', 'open3d', 'torch'} & set(
+        done.stdout.split())
+
+
 def test_ctrl_c_ends_quietly_whatever_is_going_on(files, capsys, monkeypatch):
     def stop(*_, **__):
         raise KeyboardInterrupt
@@ -144,36 +151,6 @@ def test_ctrl_c_ends_quietly_whatever_is_going_on(files, capsys, monkeypatch):
     monkeypatch.setattr('ocp_ros.scenes.scene_source.make_room', stop)
     assert cli.main(['score', 'room.ply', 'placement.yaml']) == 130
     assert capsys.readouterr() == ('', '')
-
-
-@pytest.mark.system
-def test_bench_measures_every_method_and_writes_a_page(files, capsys, monkeypatch):
-    from ocp_ros.evaluation import engine_bench, fused_bench
-    monkeypatch.setitem(engine_bench.EXTENTS, 'smoke', engine_bench.Extent((engine_bench.MIDDLE,),
-                                                                           1, 1, (2000,)))
-    monkeypatch.setitem(fused_bench.EXTENTS, 'smoke', fused_bench.FusedExtent((2000,), 1, 80, 8))
-    code, found = printed(capsys, 'bench', '--out', 'new/bench.json', '--page', 'new/bench.md')
-    assert code == 0 and found['rooms'] == found['positions'] == 1
-    assert json.loads((files / 'new' / 'bench.json').read_text()).items() <= found.items()
-    rows = {row['method'].split()[0]: row for row in found['visibility']}
-    assert rows.keys() == {'fine', 'fast', 'paper', 'embree', 'numpy', 'hidden_point_removal'}
-    assert rows['embree']['f1'] == 1.0 and rows['numpy']['f1'] == rows['fast']['f1'] > 0.6
-    text = (files / 'new' / 'bench.md').read_text()
-    assert '`ocp bench --preset smoke`' in text
-    for row in found['visibility']:
-        assert f'| 40,000 | {row["method"].replace("_", " ")} | {row["precision"]:.3f} |' in text
-    methods = ['fine', 'fast', 'paper', 'mesh']
-    assert [row['method'] for row in found['fused'][:4]] == methods
-    assert found['fused'][4]['method'].startswith('hidden_point_removal ')
-    for row in found['fused']:
-        assert (f'| 2,000 | {row["method"].replace("_", " ")} | {row["precision"]:.3f} | '
-                f'{row["recall"]:.3f} | {row["f1"]:.3f} |') in text
-        assert 0.4 < row['f1'] <= 1.0
-    assert [found['fused_f1'][f'{name}.2000'] for name in methods] == [
-        row['f1'] for row in found['fused'][:4]]
-    assert found['f1']['fast.40000'] == rows['fast']['f1']
-    for figure in engine_bench.FIGURES:
-        assert f'| `{figure}` | {found[figure]:,.1f} |' in text
 
 
 def test_a_page_of_a_room_needs_no_placement_and_no_network(files, capsys):

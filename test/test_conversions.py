@@ -16,8 +16,8 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseArray, Quaternion
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
-from system.malformed import spoilt_cloud, spoilt_fields, spoilt_poses
 
+from benchmarks.drills.malformed import spoilt_cloud, spoilt_fields, spoilt_poses
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.ros.interface.conversions import (
     bytes_to_msg,

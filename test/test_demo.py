@@ -179,10 +179,10 @@ def test_a_bad_parameter_ends_a_node_with_one_sentence(domain):
 
 @pytest.mark.system
 def test_nodes_that_end_all_at_once_or_beside_a_killed_one_end_with_0(tmp_path):
-    command = [sys.executable, str(ROOT / 'tools' / 'stress_endings'), '--endings', '3',
-               '--kinds', 'together,bereaved', '--jobs', '1', '--busy', '0', '--out',
+    command = [sys.executable, '-m', 'benchmarks.drills.endings', '--endings', '3', '--kinds',
+               'together,bereaved', '--jobs', '1', '--busy', '0', '--out',
                str(tmp_path / 'endings')]
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     found = json.loads((tmp_path / 'endings' / 'endings.json').read_text())
     assert {kind: one['codes'] for kind, one in found['kinds'].items()} == {

@@ -270,7 +270,7 @@ def test_the_index_lists_every_page():
 def test_the_picture_of_the_architecture_shows_the_layers_and_topics_there_are():
     from test_architecture import LAYERS
 
-    from ocp_ros.report.drawing import architecture_picture
+    from benchmarks.docs import architecture_picture
     from ocp_ros.ros.interface import topics
     assert list(architecture_picture.LAYERS) == LAYERS
     names = {value for name, value in vars(topics).items()

@@ -11,9 +11,6 @@ import numpy as np
 import pytest
 
 from ocp_ros.cli.main import main
-from ocp_ros.evaluation.benchmark_rooms import space_of
-from ocp_ros.evaluation.certificates import CASES
-from ocp_ros.evaluation.certificates import main as write_certificates
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import no_bits
 from ocp_ros.planners.benders import Benders
@@ -26,7 +23,7 @@ from ocp_ros.planners.subproblem import ChoiceRules
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.scenes.scene_files import save_scene
-from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.problem import Problem, space_of
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.settings import ConfigurationError
@@ -266,16 +263,6 @@ def test_a_plan_without_a_bound_says_why(files, capsys):
     found = planned(capsys, '--rig', 'rig.yaml', '--evaluations', '100')
     known = found['search']['certificate']
     assert known['gap'] is None and 'found seen_by: 2' in known['sentence']
-
-
-def test_the_page_of_certificates(tmp_path, monkeypatch):
-    monkeypatch.setattr('ocp_ros.evaluation.certificates.POINTS', 2000)
-    monkeypatch.setitem(CASES, 'four', CASES['four']._replace(candidates=30))
-    path = tmp_path / 'certificates.md'
-    assert write_certificates(['--out', str(path), '--seeds', '8', '--cases', 'four']) == 0
-    text = path.read_text()
-    assert 'In 1 of 1 rooms the best choice is proved within 60 s.' in text
-    assert 'The largest gap is 0.0 %.' in text
 
 
 def test_choices_that_exclude_each_other_are_never_branched_into(plane):

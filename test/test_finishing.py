@@ -7,7 +7,6 @@ import time
 import numpy as np
 import pytest
 
-from ocp_ros.evaluation.benchmark_rooms import space_of
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.planners.finishing import (
     APART,
@@ -24,6 +23,7 @@ from ocp_ros.planners.registry import OFFLINE
 from ocp_ros.planners.scorer import LATTICE, LatticeScorer, Scorer
 from ocp_ros.planners.solve import Archive, KEPT, solve
 from ocp_ros.rig.motion import mounted
+from ocp_ros.simulation.problem import space_of
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 

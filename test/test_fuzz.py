@@ -10,7 +10,8 @@ import pytest
 pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
 
 from std_msgs.msg import Header, UInt8MultiArray
-from system.fuzz_targets import (
+
+from benchmarks.drills.fuzz_targets import (
     BATCH,
     Fuzzer,
     FuzzError,
@@ -18,9 +19,8 @@ from system.fuzz_targets import (
     PolicyTarget,
     SimTarget,
 )
-from system.fuzz_trainer import TrainerTarget
-from system.malformed import known_lies, spoilt_weights
-
+from benchmarks.drills.fuzz_trainer import TrainerTarget
+from benchmarks.drills.malformed import known_lies, spoilt_weights
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import cloud_to_msg, MessageError, msg_to_cloud

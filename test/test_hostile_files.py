@@ -11,10 +11,16 @@ import warnings
 
 import numpy as np
 import pytest
-from system.file_fuzz import main as fuzz_main
-from system.file_fuzz import read_one, SENTENCE
-from system.spoilt_files import good_files, spoilt, write_las, write_packed_pcd, write_ply
 
+from benchmarks.drills.file_fuzz import main as fuzz_main
+from benchmarks.drills.file_fuzz import read_one, SENTENCE
+from benchmarks.drills.spoilt_files import (
+    good_files,
+    spoilt,
+    write_las,
+    write_packed_pcd,
+    write_ply,
+)
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.ros.bags.bag_files import Bag

@@ -14,7 +14,6 @@ pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray, Quaternion
-from live_rig import BODY, CAMERAS, episode_in, HEADINGS, MAP, OPTICAL, Rig, S
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.logging import get_logger
 from rclpy.qos import qos_check_compatible, QoSCompatibility
@@ -23,6 +22,7 @@ from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
+from benchmarks.drills.live_rig import BODY, CAMERAS, episode_in, HEADINGS, MAP, OPTICAL, Rig, S
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import (
     cloud_to_msg,

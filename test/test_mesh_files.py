@@ -8,7 +8,8 @@ import logging
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
-from system.spoilt_files import (
+
+from benchmarks.drills.spoilt_files import (
     gltf_of,
     write_glb,
     write_obj,
@@ -16,7 +17,6 @@ from system.spoilt_files import (
     write_ply_mesh,
     write_stl,
 )
-
 from ocp_ros.scenes.mesh_sampling import sampled, SAMPLES
 from ocp_ros.scenes.scene import Mesh, Scene, SceneError
 from ocp_ros.scenes.scene_files import load_scene, scans_in

@@ -16,9 +16,8 @@ from matplotlib.figure import Figure
 import pytest
 
 from ocp_ros.cli import main as cli
-from ocp_ros.evaluation.protocol import BenchmarkTask
-from ocp_ros.evaluation.task_runner import name_of
-from ocp_ros.report.comparison_page import write_page
+from ocp_ros.compare.comparison import name_of
+from ocp_ros.compare.protocol import BenchmarkTask
 from ocp_ros.report.drawing.figure_files import save_figure
 from ocp_ros.report.viewer import write_view
 from ocp_ros.scenes.scene_files import load_scene, save_scene
@@ -80,10 +79,7 @@ def refused(capsys, *arguments):
     ('room.ply', ['rooms', 'preview', '8', 'room.ply', '--out', 'room.ply'], 'would be replaced'),
     ('a.png', ['rooms', 'preview', '8', '--out', 'a.png'], 'found a.png, which no command'),
     ('room-8_mesh.ply', ['rooms', 'make', '8', '--out', '.'], 'found room-8_mesh.ply, which no'),
-    ('notes.json', ['bench', '--out', 'notes.json'], 'found notes.json, which no command'),
-    ('README.md', ['bench', '--page', 'README.md'], '--page: found README.md, which no command'),
     ('results.csv', ['benchmark', '--out', '.'], '--out: found results.csv, which no command'),
-    ('README.md', ['benchmark', '--report', '.'], '--report: found README.md, which no command'),
     ('evaluation.json', ['evaluate', '--out', '.'], 'found evaluation.json, which no command'),
     ('mine.safetensors', ['train', '--config', 'config.yaml', '--out', 'run', '--model',
                           'mine.safetensors'], '--model: found mine.safetensors, which no'),
@@ -189,13 +185,12 @@ def replay_of(agent):
     return lambda path: save_replay(buffer, path)
 
 
-@pytest.mark.parametrize('name', ['a.png', 'a.html', 'b.html', 'a.ply', 'a.safetensors',
+@pytest.mark.parametrize('name', ['a.png', 'a.html', 'a.ply', 'a.safetensors',
                                   'progress.jsonl', 'replay.safetensors'])
 def test_a_full_disk_leaves_what_was_there(room, small_agent, tmp_path, name):
     write = {
         'a.png': lambda path: save_figure(Figure(), path),
         'a.html': lambda path: write_view(path, room),
-        'b.html': lambda path: write_page(path, 'title', {}),
         'a.ply': lambda path: save_scene(room, path),
         'a.safetensors': lambda path: random_checkpoint(small_agent).save(path),
         'progress.jsonl': lambda path: add_record(path.parent, {

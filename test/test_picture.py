@@ -8,7 +8,6 @@ import pytest
 
 from ocp_ros.report.drawing.placement_picture import draw_placement
 from ocp_ros.report.drawing.room_drawing import _ceiling, _surface
-from ocp_ros.report.drawing.visibility_picture import main
 from ocp_ros.scenes.synthetic.generator import generate_room
 
 POINTS = generate_room(1, 3000).points
@@ -80,12 +79,3 @@ def test_a_room_without_ceiling_keeps_its_furniture():
     points = points[points[:, 2] < points[:, 2].max() - 0.1]
     normals, radius = _surface(points)
     assert not _ceiling(points, normals, 2.5 * np.median(radius)).any()
-
-
-def test_what_a_camera_sees_is_told_from_what_is_said(tmp_path):
-    assert main(['--out', str(tmp_path / 'seen.png'), '--points', '5000', '--room', '0']) == 0
-    pixels = imread(tmp_path / 'seen.png')[..., :3]
-    half = pixels.shape[1] // 2
-    # The upper left panel is the truth: nothing in it is wrong.
-    red = (pixels[..., 0] > 0.43) & (pixels[..., 1:] < 0.24).all(axis=-1)
-    assert red.any() and not red[150:pixels.shape[0] // 2 - 60, :half].any()

@@ -18,8 +18,8 @@ import pytest
 from scipy.spatial import cKDTree
 import yaml
 
+from benchmarks.camera_counts import curves, needed
 from ocp_ros.cli.main import main
-from ocp_ros.evaluation.camera_counts import curves, needed
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.planners.budget import Budget

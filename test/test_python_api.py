@@ -151,7 +151,7 @@ def test_a_planner_of_another_package_is_in_every_command(files, plugin):
          '--workers', '1', '--json'], env=plugin, capture_output=True, text=True, timeout=200)
     assert done.returncode == 0, done.stderr
     assert 'few' in done.stdout and done.stderr.count('planner lost') == 1
-    code = ('from ocp_ros.evaluation.protocol import Protocol; '
+    code = ('from ocp_ros.compare.protocol import Protocol; '
             'from ocp_ros.planners.rig_methods import planner_names; '
             'assert "few" in Protocol().planners and "few" in planner_names()')
     subprocess.run([sys.executable, '-c', code], env=plugin, check=True, capture_output=True)

@@ -3,6 +3,7 @@
 """Runs whose files were damaged: they go on, or say what is damaged, what is lost, what to do."""
 
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 import json
 import os
@@ -23,8 +24,8 @@ from test_training import TINY
 import torch
 
 from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.evaluation import task_runner
-from ocp_ros.evaluation.protocol import Protocol
+from ocp_ros.compare import comparison
+from ocp_ros.compare.protocol import Protocol
 from ocp_ros.training import train as training
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.util.settings import ConfigurationError, from_nested, UserError
@@ -269,35 +270,19 @@ def rows(change):
     """Return a damage of the rows of a task."""
     def damage(content):
         found = json.loads(content)
-        return json.dumps(change(found) or found).encode()
+        change(found['rows'])
+        return json.dumps(found).encode()
     return damage
-
-
-def first_row(**changes):
-    """Return a damage of the first row of a task."""
-    return rows(lambda found: found[0].update(changes))
 
 
 TASK_DAMAGES = {
     **DAMAGES, 'gone': None,
     'a mapping': lambda content: b'{}',
-    'rows that are none': lambda content: b'[1, null]',
-    'fewer rows': rows(lambda found: found.pop() and None),
-    'a row twice': rows(lambda found: [*found[:-1], found[0]]),
-    'another task': first_row(planner='random'),
-    'another budget': first_row(budget=7),
-    'budget of another type': first_row(budget='5'),
-    'a missing key': rows(lambda found: found[0].pop('seconds') and None),
-    'NaN': first_row(depth_error=float('nan')),
-    'a huge number': first_row(depth_error=1e300),
-    'a number below 0': first_row(depth_error=-1.0),
-    'a word': first_row(exact='2.0'),
-    'true': first_row(exact=True),
-    'a placement of words': first_row(placement='here'),
-    'a placement of another shape': first_row(placement=[[1.0, 2.0]]),
-    'a torn placement': first_row(placement=[[1.0, 2.0, 1.9], [1.0]]),
-    'NaN in a placement': first_row(placement=[[1.0, 2.0, float('nan')]]),
-    'an odd trace': first_row(trace=[1.0])}
+    'rows without a checksum': lambda content: json.dumps(json.loads(content)['rows']).encode(),
+    'fewer rows': rows(list.pop),
+    'another task': rows(lambda found: found[0].update(planner='random')),
+    'NaN': rows(lambda found: found[0].update(depth_error=float('nan'))),
+    'a placement of words': rows(lambda found: found[0].update(placement='here'))}
 
 
 @pytest.fixture
@@ -309,9 +294,9 @@ def compared(tmp_path, monkeypatch):
         played.append(task.planner)
         return rows_for(protocol, task)
 
-    monkeypatch.setattr(task_runner, 'run_task', run_here)
-    monkeypatch.setattr(task_runner, 'WorkerPool', Here)
-    return lambda: task_runner.run(PROTOCOL, tmp_path, 1), played
+    monkeypatch.setattr(comparison, 'run_task', run_here)
+    monkeypatch.setattr(comparison, 'WorkerPool', Here)
+    return lambda: comparison.play(PROTOCOL, tmp_path, 1), played
 
 
 @pytest.mark.parametrize('damage', TASK_DAMAGES.values(), ids=TASK_DAMAGES)
@@ -323,11 +308,25 @@ def test_a_damaged_result_is_found_again_and_the_others_stay(compared, tmp_path,
         path.unlink()
     else:
         path.write_bytes(damage(path.read_bytes()))
-        assert path.read_bytes() != json.dumps(expected[-4:]).encode()
     played.clear()
     assert run() == expected and played == ['annealing']
     assert ('found no whole result' in caplog.text) == (damage is not None)
     assert run() == expected and played == ['annealing']
+
+
+def test_a_result_of_another_task_or_comparison_is_not_taken(compared, tmp_path):
+    run, played = compared
+    run()
+    task = tmp_path / TASK
+    kept = task.read_bytes()
+    task.write_bytes((tmp_path / TASK.replace('annealing', 'random')).read_bytes())
+    played.clear()
+    run()
+    assert played == ['annealing'] and task.read_bytes() == kept
+    comparison.play(replace(PROTOCOL, seeds=3), tmp_path / 'other')
+    (tmp_path / 'other' / TASK).replace(task)
+    run()
+    assert task.read_bytes() == kept
 
 
 @pytest.mark.parametrize('damage', DAMAGES.values(), ids=DAMAGES)
@@ -336,7 +335,8 @@ def test_a_damaged_record_of_a_comparison_is_said_to_be_so(compared, tmp_path, d
     expected = run()
     path = tmp_path / 'protocol.json'
     path.write_bytes(damage(path.read_bytes()))
-    with pytest.raises(UserError, match='found no record of a comparison; .* not lost: remove'):
+    with pytest.raises(UserError, match='found the record of another comparison, or a damaged '
+                       'one; .* are not lost'):
         run()
     path.unlink()
     played.clear()

@@ -302,5 +302,5 @@ def test_every_shipped_rig_is_valid(path):
 
 @pytest.mark.parametrize('name', FILES)
 def test_the_schemas_in_the_documentation_are_those_of_the_code(name):
-    # Where they differ, tools/schemas writes them.
+    # Where they differ, python -m benchmarks.docs.schemas writes them.
     assert json.loads((ROOT / 'docs' / name).read_text()) == FILES[name]

@@ -13,8 +13,8 @@ import numpy as np
 from plyfile import PlyData
 import pytest
 
+from benchmarks.room_likeness import generated, shares_of_kinds, summary
 from ocp_ros.cli import main as cli
-from ocp_ros.evaluation.room_likeness import generated, shares_of_kinds, summary
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.scenes.synthetic.furniture import KINDS, placed, solid
 from ocp_ros.scenes.synthetic.generator import generate_room, mesh_of

@@ -10,7 +10,8 @@ from hypothesis import given, settings, strategies
 import numpy as np
 from plyfile import PlyData, PlyElement
 import pytest
-from system.spoilt_files import (
+
+from benchmarks.drills.spoilt_files import (
     write_e57,
     write_las,
     write_pcd,
@@ -18,7 +19,6 @@ from system.spoilt_files import (
     write_records,
     write_text,
 )
-
 from ocp_ros.geometry.voxels import voxel_downsample
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_files import load_scene, SceneWarning

@@ -13,10 +13,10 @@ import pytest
 pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
 
 from std_msgs.msg import Header
-from system import hold_soak, soak, soak_watch
 
+from benchmarks.drills import hold_soak, soak, soak_watch
+from benchmarks.drills.drill import grown
 from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.demo.node_processes import grown
 from ocp_ros.ros.interface.conversions import ns_to_stamp, positions_to_msg
 from ocp_ros.training.learner import ACTOR, STATE
 

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from ocp_ros.evaluation.benchmark_rooms import space_of
-from ocp_ros.evaluation.judging import (
+from ocp_ros.compare.judging import (
     Judge,
     judged_room,
     JudgedRoom,
@@ -25,6 +24,7 @@ from ocp_ros.rig.motion import mounted
 from ocp_ros.scenes.scene import Mesh, Scene
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.simulation.problem import space_of
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.simulation.truth import RayVisibility, TrueSimulator

@@ -11,8 +11,10 @@ import pytest
 import twins
 from twins import MODELS
 
-from ocp_ros.evaluation.engine_bench import free_places
-from ocp_ros.evaluation.numpy_twin import Twin
+from benchmarks.engine_bench import agreement, confusion, free_places
+from benchmarks.fused_bench import looks, view_of
+from benchmarks.fused_scan import hand_held_path, scan_by_hand
+from benchmarks.numpy_twin import Twin
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose, rotation_matrix
 from ocp_ros.geometry.coverage import coverage_grid
 from ocp_ros.geometry.packed_bits import no_bits, Subset
@@ -32,8 +34,10 @@ from ocp_ros.geometry.visibility import (
     SurfelVisibility,
 )
 from ocp_ros.rig.sensors import SENSORS
+from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.ray_casting import RayCaster
 from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.synthetic.generator import mesh_of, plan_of
 
 HERE = Pose(np.zeros(3), LEVEL)
 NOWHERE = np.empty((0, 3), np.float32)
@@ -379,3 +383,60 @@ def test_a_camera_inside_a_pillar_sees_its_inside_alone(preset, leak):
                          CameraModel(0.0, 4.0), preset)
     assert seen[:len(seen) - 500].mean() > 0.9
     assert seen[-500:].mean() < leak
+
+
+def f1_of_fast(scenes, position):
+    """Return F1 of ``fast`` in versions of one room, against ray casting."""
+    scores = []
+    for scene in scenes:
+        engine = SurfelVisibility(scene.points, scene.normals_or_estimate, scene.pitch, NOWHERE,
+                                  PRESETS['fast'])
+        seen = Subset.none(engine.order)
+        engine.look(Pose.of(position), CameraModel(0.0, 6.0).lens, seen.bits)
+        truth = RayCaster(scene.mesh).visible(scene.points, position, 6.0)
+        scores.append(confusion(seen.mask, truth))
+    return np.array(scores)
+
+
+def test_fast_does_not_get_worse_with_more_points():
+    total = np.zeros((3, 3))
+    for seed in (509, 517):
+        scenes = [made_room(seed, points) for points in (10_000, 25_000, 60_000)]
+        for position in free_places(scenes[0], 1.9, 2, np.random.default_rng(seed)):
+            total += f1_of_fast(scenes, position)
+    few, more, many = (agreement(counts)['f1'] for counts in total)
+    assert more > few - 0.003 and many > more - 0.003
+
+
+def test_noise_costs_fast_little_where_points_are_dense():
+    """Of many noisy discs in one cell, the nearest one hides no others."""
+    across, up = (axis.ravel() for axis in np.meshgrid(np.arange(-2.0, 2.0, 0.02),
+                                                       np.arange(-1.2, 1.2, 0.02)))
+    rng = np.random.default_rng(0)
+    # A wall along x, a metre beside the camera: seen at a slant.
+    points = np.stack([across + 2.0, 1.0 + rng.normal(0.0, 0.008, len(up)), up], axis=1)
+    scene = Scene(points.astype(np.float32))
+    visibility = SurfelVisibility(scene.points, scene.normals_or_estimate, scene.pitch, NOWHERE,
+                                  PRESETS['fast'])
+    shares = []
+    for settings in (PRESETS['fast'], PRESETS['fast']._replace(setback=0.0)):
+        seen = Subset.none(visibility.order)
+        visibility.by(settings).look(Pose(np.zeros(3), LEVEL), CameraModel(0.0, 6.0).lens,
+                                     seen.bits)
+        shares.append(seen.mask.mean())
+    assert shares[0] > 0.9 and shares[0] > shares[1] + 0.05
+
+
+@pytest.mark.system
+def test_the_density_of_a_fused_scan_does_not_harm_fast():
+    scan, plan = scan_by_hand(503, 160), plan_of(503)
+    rays = MeshRays(mesh_of(plan))
+    poses = list(hand_held_path(plan, 8, np.random.default_rng([503, 3])))
+    scores = []
+    for most in (10_000, 30_000, 90_000):
+        scene = scan.thinned(most)
+        look = looks(scene)['fast']
+        views = [view_of(scene.points, rays, pose) for pose in poses]
+        scores.append(agreement(sum(confusion(look(view.pose) & view.within, view.truth)
+                                    for view in views))['f1'])
+    assert scores[1] > scores[0] - 0.005 and scores[2] > scores[1] - 0.005

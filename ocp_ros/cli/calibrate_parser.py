@@ -6,13 +6,12 @@ import argparse
 from pathlib import Path
 
 from ocp_ros.cli.arguments import add_overwrite, add_reading, frame_prefix
-from ocp_ros.cli.common import Commands, Found, JUDGE
+from ocp_ros.cli.common import command_of, Commands, Found, JUDGE
 from ocp_ros.util.resources import find_config
 
 
 def _calibrate(arguments: argparse.Namespace) -> Found:
     """Find where cameras hang."""
-    from ocp_ros.cli.benchmark_command import command_of
     from ocp_ros.cli.calibrate_command import calibrated
     return calibrated(arguments, command_of(arguments.argv))
 

@@ -11,6 +11,7 @@ import json
 import math
 import os
 from pathlib import Path
+import shlex
 import sys
 from typing import Any, NoReturn
 import warnings
@@ -24,7 +25,7 @@ from ocp_ros.util.shown_text import printable
 #: What one may want, as ``ocp --help`` lists it.
 PLAN, JUDGE, LOOK, LEARN, COMPARE, REPLAY = TITLES = (
     'find a placement', 'evaluate a placement', 'look at rooms and placements', 'train a policy',
-    'compare and measure', 'feed the nodes')
+    'compare planners', 'feed the nodes')
 #: What a command found, as plain data.
 Found = dict[str, Any]
 #: Arguments that name what a command reads.
@@ -205,6 +206,11 @@ def show_written(found: Found) -> None:
     """Print which files were written."""
     for path in found['written']:
         print(f'wrote {printable(str(path))}')
+
+
+def command_of(argv: Sequence[str]) -> str:
+    """Return a command line as one types it."""
+    return shlex.join(['ocp', *argv])
 
 
 def inputs_of(arguments: argparse.Namespace) -> list[Path]:

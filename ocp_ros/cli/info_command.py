@@ -13,13 +13,13 @@ from ocp_ros.util.own_files import note_own
 def _info(arguments: argparse.Namespace) -> Found:
     """Measure a room, and draw it cut open."""
     from ocp_ros.cli.score_command import room_asked
+    from ocp_ros.report.drawing.room_pictures import draw_rooms
     from ocp_ros.report.room_facts import facts_of
-    from ocp_ros.report.room_sheet import draw_sheet
     claim_file(arguments, arguments.out, 'a picture')
     scene, room = room_asked(arguments, {})
     found = facts_of(scene)
     size = ' x '.join(f'{edge:.1f}' for edge in found['size'])
-    draw_sheet(arguments.out, [(f'{scene.name}: {size} m', scene)])
+    draw_rooms(arguments.out, [(f'{scene.name}: {size} m', scene)])
     note_own([arguments.out])
     return {'room': room, **found, 'written': [arguments.out]}
 

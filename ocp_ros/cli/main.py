@@ -23,6 +23,7 @@ from ocp_ros.cli.arguments import (
 from ocp_ros.cli.calibrate_parser import add_calibrate
 from ocp_ros.cli.common import (
     claim_file,
+    command_of,
     Commands,
     COMPARE,
     Found,
@@ -78,25 +79,31 @@ def _show_training(found: Found) -> None:
 
 
 def _benchmark(arguments: argparse.Namespace) -> Found:
-    """Compare planners, write the results and, where it is wanted, a report."""
-    from ocp_ros.cli.benchmark_command import command_of, compare
-    return compare(arguments, command_of(arguments.argv))
+    """Compare planners, and write the results."""
+    from ocp_ros.cli.compare_commands import benchmark
+    return benchmark(arguments, command_of(arguments.argv))
+
+
+def _show_benchmark(found: Found) -> None:
+    """Print what planners deliver."""
+    from ocp_ros.cli.compare_commands import show_benchmark
+    show_benchmark(found)
 
 
 def _evaluate(arguments: argparse.Namespace) -> Found:
     """Compare a policy with other planners, room by room."""
-    from ocp_ros.cli.benchmark_command import command_of
-    from ocp_ros.cli.evaluate_command import evaluate
+    from ocp_ros.cli.compare_commands import evaluate
     return evaluate(arguments, command_of(arguments.argv))
 
 
-def _show_nothing(found: Found) -> None:
-    """Print nothing: it was printed as it was found."""
+def _show_evaluation(found: Found) -> None:
+    """Print how a policy compares with other planners."""
+    from ocp_ros.cli.compare_commands import show_evaluation
+    show_evaluation(found)
 
 
 def _score(arguments: argparse.Namespace) -> Found:
     """Judge a placement of a rig in a room."""
-    from ocp_ros.cli.benchmark_command import command_of
     from ocp_ros.cli.score_command import score
     return score(arguments, command_of(arguments.argv))
 
@@ -109,26 +116,9 @@ def _show_score(found: Found) -> None:
 
 def _view(arguments: argparse.Namespace) -> Found:
     """Write a page of a room that can be turned around, and open it where that is wanted."""
-    from ocp_ros.cli.benchmark_command import command_of
     from ocp_ros.cli.view_command import view
     claim_file(arguments, arguments.out, 'a page')
     return view(arguments, command_of(arguments.argv))
-
-
-def _bench(arguments: argparse.Namespace) -> Found:
-    """Measure the engine on this machine."""
-    from ocp_ros.cli.bench_command import bench
-    claim_file(arguments, arguments.out, 'figures')
-    if arguments.page:
-        claim_file(arguments, arguments.page, 'a page', '--page')
-    return bench(arguments)
-
-
-def _show_bench(found: Found) -> None:
-    """Print what was measured of the engine."""
-    from ocp_ros.cli.bench_command import show
-    show(found)
-    show_written(found)
 
 
 def _add_train(commands: Commands) -> None:
@@ -146,18 +136,26 @@ def _add_train(commands: Commands) -> None:
     train.set_defaults(run=_train, show=_show_training)
 
 
+def _add_comparison(command: argparse.ArgumentParser) -> None:
+    """Add what all comparisons have: a rig file, and where they run."""
+    command.add_argument('--rig', type=find_config, help='rig file, instead of omnidirectional '
+                                                         'cameras: docs/reference/rig.md')
+    command.add_argument('--workers', type=at_least(1),
+                         help='number of processes; default: one per core')
+    command.add_argument('--ray', metavar='ADDRESS', help='run on a Ray cluster, such as auto')
+    add_overwrite(command)
+
+
 def _add_benchmark(commands: Commands) -> None:
     """Add ``ocp benchmark``."""
     compare = commands.add(
         COMPARE, 'benchmark', 'compare planners under equal budgets',
         'ocp benchmark --rooms my_scans --planners tdsa,cma_es --budgets 1000 --seeds 5')
     compare.add_argument('--preset', choices=('smoke', 'full'), default='smoke',
-                         help='smoke: two rooms, under two minutes; full: ten rooms, three '
-                         'rotations, up to 10,000 evaluations')
+                         help='smoke: two rooms, under two minutes; full: ten rooms, up to '
+                         '10,000 evaluations')
     compare.add_argument('--rooms', type=Path, help='folder of scans, instead of generated rooms')
     add_units(compare, 'of the scans')
-    compare.add_argument('--rig', type=find_config, help='rig file, instead of omnidirectional '
-                                                         'cameras: docs/reference/rig.md')
     compare.add_argument('--cameras', type=cameras, metavar='N',
                          help='number of cameras, without a rig file; default: 4')
     compare.add_argument('--sensor', metavar='SENSOR',
@@ -173,28 +171,8 @@ def _add_benchmark(commands: Commands) -> None:
     compare.add_argument('--seeds', type=int, help='runs per planner, room and budget')
     compare.add_argument('--out', type=Path, default=Path('out/benchmark'),
                          help='folder of the results; an interrupted comparison continues')
-    compare.add_argument('--workers', type=at_least(1),
-                         help='number of processes; default: one per core')
-    compare.add_argument('--ray', metavar='ADDRESS', help='run on a Ray cluster, such as auto')
-    compare.add_argument('--report', type=Path, nargs='?', const=Path('docs/benchmark'),
-                         help='folder for tables and figures')
-    add_overwrite(compare)
-    compare.set_defaults(run=_benchmark, show=_show_nothing)
-
-
-def _add_bench(commands: Commands) -> None:
-    """Add ``ocp bench``."""
-    measured = commands.add(COMPARE, 'bench', 'measure accuracy and speed of the engine on this '
-                                              'machine',
-                            'ocp bench --out out/bench.json')
-    measured.add_argument('--preset', choices=('smoke', 'full'), default='smoke',
-                          help='smoke: under a minute; full: what docs/bench.md shows, a quarter '
-                          'of an hour')
-    measured.add_argument('--out', type=Path, default=Path('out/bench.json'),
-                          help='file for the figures')
-    measured.add_argument('--page', type=Path, help='also write the figures as a Markdown page')
-    add_overwrite(measured)
-    measured.set_defaults(run=_bench, show=_show_bench)
+    _add_comparison(compare)
+    compare.set_defaults(run=_benchmark, show=_show_benchmark)
 
 
 def _add_evaluate(commands: Commands) -> None:
@@ -214,19 +192,14 @@ def _add_evaluate(commands: Commands) -> None:
                         help='rotations of the rooms in degrees, with commas between')
     judged.add_argument('--cameras', type=camera_counts,
                         help='numbers of cameras, with commas between; default: 4')
-    judged.add_argument('--rig', type=find_config, help='rig file, instead of omnidirectional '
-                                                        'cameras: docs/reference/rig.md')
     judged.add_argument('--budgets', type=whole_numbers, default=(1000,),
                         help='evaluations of offline planners, with commas between')
     judged.add_argument('--seeds', type=at_least(1), default=1, help='runs per planner, room and '
                                                                      'budget')
-    judged.add_argument('--workers', type=at_least(1),
-                        help='number of processes; default: one per core')
-    judged.add_argument('--ray', metavar='ADDRESS', help='run on a Ray cluster, such as auto')
     judged.add_argument('--out', type=Path, default=Path('out/evaluation'),
                         help='folder of the results; an interrupted evaluation continues')
-    add_overwrite(judged)
-    judged.set_defaults(run=_evaluate, show=_show_nothing, scale=1.0, up='z')
+    _add_comparison(judged)
+    judged.set_defaults(run=_evaluate, show=_show_evaluation, scale=1.0, up='z')
 
 
 def _add_score(commands: Commands) -> None:
@@ -270,7 +243,7 @@ def commands() -> Commands:
     """Build all commands."""
     made = Commands('ocp', 'Where do I put my depth cameras? Tools that need no ROS graph.')
     for add in (add_plan, _add_score, add_calibrate, add_info, _add_view, add_rooms, _add_train,
-                _add_evaluate, _add_benchmark, _add_bench, add_replay):
+                _add_evaluate, _add_benchmark, add_replay):
         add(made)
     return made
 

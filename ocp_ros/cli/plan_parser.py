@@ -17,7 +17,7 @@ from ocp_ros.cli.arguments import (
     seed,
     share,
 )
-from ocp_ros.cli.common import Commands, Found, PLAN
+from ocp_ros.cli.common import command_of, Commands, Found, PLAN
 from ocp_ros.util.resources import find_config
 from ocp_ros.util.settings import ConfigurationError, current_name
 
@@ -27,7 +27,6 @@ COUNTING = {'target': 0.95, 'by': 'error', 'most': 12}
 
 def _plan(arguments: argparse.Namespace) -> Found:
     """Find where to hang the cameras of a rig, and how many are needed."""
-    from ocp_ros.cli.benchmark_command import command_of
     from ocp_ros.cli.plan_command import plan
     for name, default in COUNTING.items():
         if getattr(arguments, name) is None:

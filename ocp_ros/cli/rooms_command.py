@@ -58,7 +58,7 @@ def _show_made(found: Found) -> None:
 
 def _preview_rooms(arguments: argparse.Namespace) -> Found:
     """Draw generated rooms and scans."""
-    from ocp_ros.report.room_sheet import draw_sheet, titled
+    from ocp_ros.report.drawing.room_pictures import draw_rooms, titled
     from ocp_ros.scenes.scene_cache import load_cached
     from ocp_ros.scenes.scene_source import seed_named
     claim_file(arguments, arguments.out, 'a picture')
@@ -70,7 +70,7 @@ def _preview_rooms(arguments: argparse.Namespace) -> Found:
             scene = load_cached(name, max_points=arguments.points, scale=arguments.scale or 1.0,
                                 up=arguments.up or 'z', drop_nonfinite=arguments.drop_nonfinite)
             scenes.append((scene.name, scene))
-    draw_sheet(arguments.out, scenes)
+    draw_rooms(arguments.out, scenes)
     note_own([arguments.out])
     return {'written': [arguments.out]}
 

@@ -2,12 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Node processes for the demos: real nodes, each in a process of its own, over DDS."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 import json
 import os
 from pathlib import Path
-import re
 import signal
 import socket
 import subprocess
@@ -17,8 +16,6 @@ from ocp_ros.ros.runtime.node_main import ENDING, PARENT, undisturbed
 
 #: Seconds that a node has to end when it is told to: plenty, but for a machine with other work.
 PATIENCE = 60.0
-#: MB that the memory of a node may grow by, once it has done all that it does.
-MOST_GROWTH = 20.0
 
 
 def free_domain() -> tuple[int, socket.socket]:
@@ -38,27 +35,6 @@ def free_domain() -> tuple[int, socket.socket]:
         holder.set_inheritable(True)
         return domain, holder
     raise RuntimeError('found no free ROS domain between 1 and 100; stop some running demos')
-
-
-def grown(growth: Mapping[str, float]) -> list[str]:
-    """Return a sentence for each node whose memory has grown, MB by name, by more than it may."""
-    return [f'{name}: found that its memory has grown by {mb:.1f} MB; expected less than '
-            f'{MOST_GROWTH:g}' for name, mb in growth.items() if mb >= MOST_GROWTH]
-
-
-def rss_of(pid: int) -> float:
-    """
-    Return the resident memory of a process, MB; 0 if there is none.
-
-    Pages of files are left out: the system takes those of libraries back, and gives them again, as
-    other programs need room.
-    """
-    try:
-        status = Path(f'/proc/{pid}/status').read_text()
-    except OSError:
-        return 0.0
-    sizes = re.findall(r'^Rss(?:Anon|Shmem):\s+(\d+) kB$', status, re.MULTILINE)
-    return sum(map(int, sizes)) * 1024 / 1e6
 
 
 class NodeProcess:

@@ -181,8 +181,3 @@ def run_watched(name: str, out: Path, play: Callable[[int, Watch], dict[str, Any
     for fault in (faults := result.get('faults', [])):
         print(f'{name}: {fault}', file=sys.stderr)
     return 2 if faults else 0
-
-
-def show_json(result: dict[str, Any]) -> None:
-    """Print what was found as it is."""
-    print(json.dumps(result, indent=2))

@@ -15,7 +15,6 @@ import yaml
 
 from ocp_ros.geometry.cameras import heading_of, rotation_matrix
 from ocp_ros.report.assessment import Assessment
-from ocp_ros.report.drawing.floor_plan import draw_plan
 from ocp_ros.report.installer import instructions
 from ocp_ros.rig.placement_file import FRAME, numbers_of, Placed, Placement, save_placement
 from ocp_ros.scenes.source_frame import SourceFrame
@@ -93,6 +92,8 @@ def export(folder: Path, judged: Assessment, prefix: str = '') -> Iterator[Path]
     for name, text in texts.items():
         write_atomically(folder / name, text)
         yield folder / name
+    # What draws is slow to import: a placement that is only printed needs none of it.
+    from ocp_ros.report.drawing.floor_plan import draw_plan
     draw_plan(folder / 'plan.png', judged)
     yield folder / 'plan.png'
 

@@ -14,8 +14,3 @@ MARKS = re.compile(r'[\\`*\[\]|~]|(?<![^\W_])_|_(?![^\W_])|:(?=//)|(?<=www)\.|@'
 def in_markdown(text: str) -> str:
     """Return a text as Markdown that shows it, in one line, within a paragraph or a table."""
     return MARKS.sub(r'\\\g<0>', escape(printable(text), quote=False))
-
-
-def as_code(text: str) -> str:
-    """Return a text for a line of code, or between two backquotes."""
-    return printable(text).replace('`', "'")

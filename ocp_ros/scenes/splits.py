@@ -8,7 +8,7 @@ search leaves at least 5 % of the depth error that random ones leave on average;
 leave less. Of the seeds in a row that were looked at, these are the ones: 128 of 310 to learn in,
 36 of 102 to choose the best weights by, 10 of 26 that planners are compared in and 40 of 132 fresh
 ones for paired tests. Chosen by
-``python -m ocp_ros.evaluation.benchmark_rooms`` on 2026-11-21.
+``python -m benchmarks.room_sets`` on 2026-11-21.
 """
 
 #: The first seed of each set that is looked at, and how many rooms it has.

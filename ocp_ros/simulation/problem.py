@@ -68,6 +68,11 @@ def plane_of(simulator: Simulator, config: EpisodeConfig, cameras: int) -> FreeP
                         config.clearance)
 
 
+def space_of(simulator: Simulator) -> FreePlane:
+    """Return where the cameras of a simulator's rig may be on their plane."""
+    return plane_of(simulator, simulator.config.episode, simulator.config.rig.cameras)
+
+
 class PlaneProblem:
     """
     Cameras that move freely on a horizontal plane, within the bounding box of the room.

@@ -2,9 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A picture of a placement: the room from above and cut open, with cameras, paths and ranges."""
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 from matplotlib import patheffects
 from matplotlib.axes import Axes
@@ -50,60 +48,17 @@ def draw_placement(path: str | Path, points: np.ndarray, observed: np.ndarray | 
     :raises ValueError: for a wrong shape or range; the message says what came.
     """
     points, observed, paths = _checked(points, observed, trajectories, max_range)
-    room = room_of(points, _colours(points, observed))
+    room = room_of(points, coloured(points, observed))
     figure = Figure(figsize=(18.0, 9.5), dpi=100, facecolor='white')
     figure.text(0.03, 0.945, title, fontsize=21, fontweight='bold', color=INK, va='center',
                 parse_math=False)
     figure.text(0.03, 0.9, subtitle, fontsize=14, color=PALE_INK, va='center',
                 parse_math=False)
-    _draw_plan(figure.add_axes((0.045, 0.13, 0.44, 0.73)), room, paths, max_range)
+    draw_plan(figure.add_axes((0.045, 0.13, 0.44, 0.73)), room, paths, max_range)
     _draw_cutaway(figure.add_axes((0.505, 0.1, 0.485, 0.77)), room, paths, max_range)
     unseen = None if observed is None else f' ({100.0 * np.mean(~observed):.1f} % of the points)'
-    _draw_legend(figure, max_range, len(paths) > 1, unseen)
+    draw_legend(figure, max_range, len(paths) > 1, unseen)
     save_figure(figure, path, dpi=100)
-
-
-class Example(NamedTuple):
-    """
-    A placement in a room, for :func:`draw_examples`.
-
-    :ivar title: what it is.
-    :ivar points: (N, 3) the whole room, metres, map frame.
-    :ivar observed: (N,) bool, points that the final placement sees.
-    :ivar trajectories: (T, K, 3) metres; of a placement that was not reached by moving, T is 1.
-    """
-
-    title: str
-    points: np.ndarray
-    observed: np.ndarray
-    trajectories: np.ndarray
-
-
-def draw_examples(path: Path, examples: Sequence[Sequence[Example]], max_range: float,
-                  title: str) -> None:
-    """
-    Write a PNG of plans in rows and columns.
-
-    :param path: file to write.
-    :param examples: rows of equally many.
-    :param max_range: range of every camera, metres.
-    :param title: headline.
-    """
-    rows, columns = len(examples), len(examples[0])
-    high = 0.9 + 5.4 * rows + 0.6
-    figure = Figure(figsize=(6.0 * columns, high), dpi=100, facecolor='white')
-    figure.text(0.03, 1.0 - 0.45 / high, title, fontsize=19, fontweight='bold', color=INK,
-                va='center')
-    for k, row in enumerate(examples):
-        for column, example in enumerate(row):
-            bottom = 0.6 + 5.4 * (rows - 1 - k)
-            axes = figure.add_axes(((column + 0.1) / columns, (bottom + 0.6) / high,
-                                    0.87 / columns, 4.2 / high))
-            room = room_of(example.points, _colours(example.points, example.observed))
-            _draw_plan(axes, room, example.trajectories, max_range)
-            axes.set_title(example.title, fontsize=13, color=INK, loc='left', parse_math=False)
-    _draw_legend(figure, max_range, True, '')
-    save_figure(figure, path, dpi=75)
 
 
 def _checked(points, observed, trajectories, max_range: float):
@@ -122,7 +77,7 @@ def _checked(points, observed, trajectories, max_range: float):
     return points, None if observed is None else np.asarray(observed, bool), paths
 
 
-def _colours(points: np.ndarray, observed: np.ndarray | None) -> np.ndarray:
+def coloured(points: np.ndarray, observed: np.ndarray | None) -> np.ndarray:
     """Colour points by height, those not observed in red: (N, 3)."""
     height = heights_of(points)
     colours = HEIGHTS(height)[:, :3]
@@ -187,7 +142,7 @@ def _draw_cameras(axes: Axes, paths: np.ndarray, max_range: float, clip: Polygon
              aspect='equal')
 
 
-def _draw_plan(axes: Axes, room: Room, paths: np.ndarray, max_range: float) -> None:
+def draw_plan(axes: Axes, room: Room, paths: np.ndarray, max_range: float) -> None:
     """Draw the room from above, to scale, in metres."""
     outline = draw_discs(axes, room, np.eye(3))
     _draw_cameras(axes, paths[..., :2], max_range, outline)
@@ -228,7 +183,7 @@ def _draw_triad(axes: Axes, view: np.ndarray) -> None:
                   textcoords='offset points', color=PALE_INK, fontsize=11, va='top')
 
 
-def _draw_legend(figure: Figure, max_range: float, moved: bool, unseen: str | None) -> None:
+def draw_legend(figure: Figure, max_range: float, moved: bool, unseen: str | None) -> None:
     """Explain the marks in one line below the panels; None where all colours are of heights."""
     ladder = np.arange(4.0)[:, None] * (0.0, 0.0, 1.0)
     dot = {'color': PALE_INK, 'linestyle': 'none', 'marker': 'o'}
@@ -238,10 +193,10 @@ def _draw_legend(figure: Figure, max_range: float, moved: bool, unseen: str | No
     entries |= {
         'final position': Line2D([], [], markersize=15, **dot),
         f'range {max_range:g} m': Line2D([], [], markersize=17, markerfacecolor='#eceef0', **dot),
-        'darker is higher': tuple(Patch(color=c) for c in _colours(ladder, None))}
+        'darker is higher': tuple(Patch(color=c) for c in coloured(ladder, None))}
     if unseen is not None:
         entries[f'not observed{unseen}'] = tuple(
-            Patch(color=c) for c in _colours(ladder, np.zeros(4, dtype=bool)))
+            Patch(color=c) for c in coloured(ladder, np.zeros(4, dtype=bool)))
     figure.legend(entries.values(), entries.keys(), loc='lower center', ncols=len(entries),
                   frameon=False, fontsize=13, labelcolor=INK, bbox_to_anchor=(0.5, 0.012),
                   columnspacing=2.4, handler_map={tuple: HandlerTuple(ndivide=None, pad=0.0)})

@@ -7,7 +7,7 @@ A node handles its signals itself. The handlers of rclpy wake the executor from 
 which reads the list of guard conditions without a lock (``rclpy/src/rclpy/signal_handler.cpp``,
 ``trigger_guard_conditions``). Where the machine is busy, that thread runs late, when the executor
 has taken its guard condition out of the list and freed both: the process dies of SIGSEGV, whatever
-the main thread does at that moment. ``tools/stress_endings`` looks for such crashes.
+the main thread does at that moment. ``make endings`` looks for such crashes.
 """
 
 from collections.abc import Callable, Iterator

@@ -1,0 +1,39 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Write docs/reference/parameters_<node>.md from the classes that own the parameters.
+
+    python -m benchmarks.docs.parameter_table
+"""
+
+from benchmarks.results import ROOT
+from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
+from ocp_ros.ros.sim_node import SimNodeConfig
+from ocp_ros.ros.trainer_node import TrainerNodeConfig
+from ocp_ros.util.settings import leaves
+
+NODES = {'sim_node': SimNodeConfig, 'policy_node': PolicyNodeConfig,
+         'trainer_node': TrainerNodeConfig}
+#: What explains the terms of a node's parameters.
+MORE = {'trainer_node': ' [Input cloud](../explanation/policy.md#input-cloud-the-paper) explains '
+                        'the extraction units of `agent.*`.'}
+FOLDER = ROOT / 'docs' / 'reference'
+
+
+def page(node: str, cls: type) -> str:
+    """Return the page of one node as Markdown, a row per parameter."""
+    rows = [f'| `{name}` | `{item.default!r}` | '
+            f'{"any time" if item.metadata["running"] else "start"} | '
+            f'{item.metadata["description"]} |' for name, item in leaves(cls).items()]
+    return '\n'.join([
+        f'# Parameters of {node}', '',
+        '[Node parameters](parameters.md) explains the column *read*. `python -m '
+        f'benchmarks.docs.parameter_table` writes this page.{MORE.get(node, "")}', '',
+        '| parameter | default | read | meaning |', '|---|---|---|---|', *rows, ''])
+
+
+if __name__ == '__main__':
+    for node, cls in NODES.items():
+        path = FOLDER / f'parameters_{node}.md'
+        path.write_text(page(node, cls))
+        print(f'wrote {path}')

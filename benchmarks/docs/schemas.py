@@ -1,0 +1,14 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Write the schemas of rig and placement files: ``python -m benchmarks.docs.schemas``."""
+
+import json
+
+from benchmarks.results import ROOT
+from ocp_ros.rig.schemas import FILES
+
+if __name__ == '__main__':
+    for name, schema in FILES.items():
+        path = ROOT / 'docs' / name
+        path.write_text(json.dumps(schema, indent=1) + '\n')
+        print(f'wrote {path}')

@@ -1,0 +1,25 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Print the tables of docs/reference/sensors.md: ``python -m benchmarks.docs.sensor_table``."""
+
+import numpy as np
+
+from ocp_ros.rig.sensors import SENSORS
+
+
+def rows() -> list[str]:
+    """Return one line of Markdown per sensor, its numbers first and then its source."""
+    lines = []
+    for name, sensor in SENSORS.items():
+        model = sensor.model
+        angles = ' x '.join(f'{np.rad2deg(angle):.0f}'
+                            for angle in (model.horizontal_fov, model.vertical_fov))
+        across, down = (f'{1e3 * size:.1f}' for size in model.pixel_size(3.0))
+        lines.append(f'| `{name}` | {sensor.title} | {model.min_range:g} to {model.max_range:g} | '
+                     f'{angles} | {model.resolution[0]} x {model.resolution[1]} | '
+                     f'{across} x {down} |')
+    return lines + [f'| `{name}` | {sensor.source} |' for name, sensor in SENSORS.items()]
+
+
+if __name__ == '__main__':
+    print('\n'.join(rows()))

@@ -1,0 +1,246 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Read files with errors in them, and see that each is read or refused in one sentence.
+
+Files are read in a process that may be lost: who crashes, hangs or takes too much memory is
+counted, and the next file is read by a new one.
+"""
+
+import argparse
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+import json
+import os
+from pathlib import Path
+import queue
+import resource
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import warnings
+
+import numpy as np
+
+from benchmarks import results
+from benchmarks.drills.spoilt_files import good_files, spoilt
+from ocp_ros.util.settings import UserError
+
+#: What may come of a file; the last three must not.
+OUTCOMES = ('read', 'refused', 'wrong', 'crashed', 'hung')
+#: Seconds after which a file hangs, and until a process is ready.
+PATIENCE, START = 15.0, 120.0
+#: Bytes of address space of the process that reads, and characters of a sentence.
+MOST, SENTENCE = 4_000_000_000, 2500
+
+
+class ForkedProcesses:
+    """What :mod:`subprocess` does, for a reader of files that is loaded already."""
+
+    DEVNULL, TimeoutExpired = subprocess.DEVNULL, subprocess.TimeoutExpired
+
+    def __init__(self) -> None:
+        # What takes long to import is imported once.
+        import laspy  # noqa: F401
+        import open3d  # noqa: F401
+
+        from ocp_ros.scenes import reading_process
+        self._main, self.memory = reading_process.main, 0
+
+    def run(self, command: list[str], stdout, stderr, **_) -> subprocess.CompletedProcess:
+        """Run the reader in a copy of this process."""
+        child = os.fork()
+        if child == 0:
+            # Whatever happens, the copy must not go on as the original does.
+            try:
+                os.dup2(stdout.fileno(), 1)
+                os.dup2(stderr.fileno(), 2)
+                code = self._main(command[3:])
+            except BaseException:
+                code = 1
+            finally:
+                os._exit(code)
+        _, status, used = os.wait4(child, 0)
+        self.memory = max(self.memory, used.ru_maxrss)
+        return subprocess.CompletedProcess(command, os.waitstatus_to_exitcode(status))
+
+
+def read_one(reader, path: Path) -> tuple[str, str]:
+    """Read a file; returns one of ``OUTCOMES`` and what was said."""
+    try:
+        reader(path)
+    except UserError as error:
+        said = str(error)
+        plain = path.name in said and '\n' not in said and len(said) < SENTENCE
+        return ('refused' if plain else 'wrong'), said
+    except Exception as error:
+        return 'wrong', f'{type(error).__name__}: {error}'
+    return 'read', ''
+
+
+def work(name: str, seed: int, start: int, stop: int) -> None:
+    """Read the spoilt files of a format, and print a line about each, before and after."""
+    resource.setrlimit(resource.RLIMIT_AS, (MOST, MOST))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    warnings.simplefilter('ignore')
+    forked = None
+    try:
+        from ocp_ros.scenes import guarded_reading
+        guarded_reading.subprocess = forked = ForkedProcesses()
+    except ImportError:
+        # Code that has no such process is compared with.
+        pass
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        reader = good_files(folder)[name]
+        content = (folder / name).read_bytes()
+        outcome, said = read_one(reader, folder / name)
+        print(json.dumps(['good', outcome, said]), flush=True)
+        for number in range(start, stop):
+            path = folder / f'spoilt_{name}'
+            path.write_bytes(spoilt(np.random.default_rng([seed, number]), content))
+            Path('/proc/self/clear_refs').write_text('5')
+            if forked:
+                forked.memory = 0
+            print(json.dumps(['begin', number]), flush=True)
+            began = time.monotonic()
+            outcome, said = read_one(reader, path)
+            seconds = time.monotonic() - began
+            peak = int(Path('/proc/self/status').read_text().split('VmHWM:')[1].split()[0])
+            memory = max(peak, forked.memory if forked else 0) / 1024
+            print(json.dumps(['end', number, outcome, said, seconds, memory]), flush=True)
+
+
+class FormatTrial:
+    """
+    All spoilt files of a format.
+
+    :ivar counts: how many came to what.
+    :ivar seconds: of each file.
+    :ivar memory: largest resident memory, MB.
+    :ivar bad: number, outcome and words of files that were neither read nor refused well.
+    """
+
+    def __init__(self, name: str, mutations: int, seed: int) -> None:
+        self.name, self.mutations, self.seed = name, mutations, seed
+        self.counts: Counter = Counter()
+        self.seconds: list[float] = []
+        self.memory, self.bad = 0.0, []
+
+    def run(self) -> 'FormatTrial':
+        """Read them all, with as many processes as it takes."""
+        done = 0
+        while done < self.mutations:
+            done = self._one_process(done)
+        return self
+
+    def _one_process(self, start: int) -> int:
+        """Read with a new process, as long as it lives; returns the next file's number."""
+        command = [sys.executable, '-m', 'benchmarks.drills.file_fuzz', '--work', self.name,
+                   str(self.seed), str(start), str(self.mutations)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+                              text=True, cwd=results.ROOT) as process:
+            lines: queue.Queue = queue.Queue()
+
+            def listen() -> None:
+                for line in process.stdout:
+                    lines.put(line)
+                lines.put('')
+
+            listener = threading.Thread(target=listen)
+            listener.start()
+            try:
+                return self._follow(process, lines)
+            finally:
+                process.kill()
+                listener.join()
+
+    def _follow(self, process: subprocess.Popen, lines: queue.Queue) -> int:
+        """Note what a process says about its files, until it ends or says nothing for long."""
+        current, patience = None, START
+        while True:
+            try:
+                line = lines.get(timeout=patience)
+            except queue.Empty:
+                return self._lost(current, 'hung', '')
+            if not line:
+                return self._ended(process, current)
+            kind, *values = json.loads(line)
+            if kind == 'begin':
+                current, patience = values[0], PATIENCE
+            elif kind == 'end':
+                self._note(*values)
+                current, patience = None, START
+            elif values[0] != 'read':
+                raise RuntimeError(f'{self.name}: a good file is not read: {values}')
+
+    def _ended(self, process: subprocess.Popen, current: int | None) -> int:
+        """Return the next file's number once a process has ended."""
+        code = process.wait()
+        if current is None:
+            if code:
+                raise RuntimeError(f'{self.name}: the process that reads ended with {code}')
+            return self.mutations
+        return self._lost(current, 'crashed', f'ended with {code}')
+
+    def _lost(self, number: int, outcome: str, said: str) -> int:
+        """Note a file that took its process with it."""
+        self.counts[outcome] += 1
+        self.bad.append([number, outcome, said])
+        return number + 1
+
+    def _note(self, number: int, outcome: str, said: str, seconds: float, memory: float) -> None:
+        """Note what came of a file."""
+        self.counts[outcome] += 1
+        self.seconds.append(seconds)
+        self.memory = max(self.memory, memory)
+        if outcome == 'wrong':
+            self.bad.append([number, outcome, said[:300]])
+
+    def figures(self) -> dict:
+        """Return what was found."""
+        return {'format': self.name, 'mutations': self.mutations,
+                **{outcome: self.counts[outcome] for outcome in OUTCOMES},
+                'longest_seconds': round(max(self.seconds, default=0.0), 2),
+                'peak_mb': round(self.memory), 'bad': self.bad[:40]}
+
+
+def parser() -> argparse.ArgumentParser:
+    """Build the parser."""
+    top = argparse.ArgumentParser(prog='file_fuzz', description=__doc__)
+    top.add_argument('--mutations', type=int, default=2000, help='spoilt files of each format')
+    top.add_argument('--seed', type=int, default=0, help='of the errors')
+    top.add_argument('--formats', nargs='*', help='names such as las.las; all unless named')
+    top.add_argument('--jobs', type=int, default=1, help='formats at once')
+    top.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
+    results.add_record(top, 'file_fuzz')
+    return top
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run; 2 if a file did what it must not."""
+    args = sys.argv[1:] if args is None else args
+    if args[:1] == ['--work']:
+        work(args[1], *map(int, args[2:]))
+        return 0
+    options = parser().parse_args(args)
+    with tempfile.TemporaryDirectory() as folder:
+        names = options.formats or list(good_files(Path(folder)))
+    found = []
+    with ThreadPoolExecutor(options.jobs) as pool:
+        trials = [FormatTrial(name, options.mutations, options.seed) for name in names]
+        for trial in pool.map(FormatTrial.run, trials):
+            found.append(trial.figures())
+            print({key: value for key, value in found[-1].items() if key != 'bad'}, flush=True)
+    options.out.mkdir(parents=True, exist_ok=True)
+    (options.out / 'file_fuzz.json').write_text(json.dumps(found, indent=1) + '\n')
+    if options.record:
+        results.write('file_fuzz', {'formats': found},
+                      results.command_of('drills.file_fuzz', args))
+    return 2 if any(one[outcome] for one in found for outcome in OUTCOMES[2:]) else 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,323 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Measure the engine: how true its visibility is, and how fast it is.
+
+Truth is ray casting of generated rooms' meshes. All methods judge the same cameras in one process,
+pinned to one core; only the figures that say so use two threads.
+"""
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+import os
+import time
+from typing import Any, NamedTuple
+
+import numpy as np
+import open3d as o3d
+from rich.console import Console
+from rich.progress import track
+
+from benchmarks.numpy_twin import Twin
+from ocp_ros.geometry.cameras import CameraModel, Pose
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.geometry.packed_bits import Subset
+from ocp_ros.geometry.visibility import DISC_SCALE, PRESETS
+from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.scenes.ray_casting import RayCaster
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.problem import PlaneProblem
+from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
+
+#: Points of a room at which methods are compared by speed.
+MIDDLE = 40_000
+#: Radii of hidden point removal, metres; the best one counts.
+RADII = (200, 300, 500, 1000, 2000)
+SPEEDUPS = ('speedup_vs_hpr', 'speedup_vs_hpr_fine', 'speedup_vs_embree_fine',
+            'numpy_twin_speedup')
+SPEEDS = ('env_steps_per_s', 'evaluations_per_s', 'evaluations_per_s_one_moved',
+          'scaling_2_threads')
+FIGURES = (*SPEEDUPS, *SPEEDS)
+RANGE = 6.0
+LENS = CameraModel(max_range=RANGE).lens
+#: Rooms for the figures; none of them is a training room.
+FIRST_ROOM = 200
+#: Metres from a camera to the nearest surface.
+CLEARANCE = 0.35
+
+
+class Extent(NamedTuple):
+    """
+    How much is measured.
+
+    :param densities: points per room, with :data:`MIDDLE` among them.
+    :param rooms: how many rooms per density.
+    :param positions: how many places of a camera in each room.
+    :param scales: points of the rooms for time and memory.
+    """
+
+    densities: tuple[int, ...] = (10_000, 15_000, MIDDLE, 100_000)
+    rooms: int = 20
+    positions: int = 6
+    scales: tuple[int, ...] = (40_000, 400_000, 5_000_000)
+
+
+EXTENTS = {'smoke': Extent((MIDDLE,), 2, 2, (40_000, 400_000)), 'full': Extent()}
+
+#: (case) -> the points that are visible, (N,) bool or a subset.
+Method = Callable[['Case'], np.ndarray | Subset]
+
+
+def median_seconds(call: Callable[[], Any], enough: float = np.inf) -> float:
+    """Return the median time of five calls, fewer once they took ``enough`` seconds together."""
+    times: list[float] = []
+    while len(times) < 5 and sum(times) < enough:
+        began = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - began)
+    return float(np.median(times))
+
+
+def free_places(scene: Scene, height: float, count: int, rng: np.random.Generator) -> np.ndarray:
+    """
+    Draw places where a camera could hang: nothing of the room within 0.35 m.
+
+    :param scene: the room.
+    :param height: metres, map frame.
+    :param count: how many places.
+    :param rng: draws them.
+    :returns: (count, 3) float64, metres.
+    """
+    places = []
+    while len(places) < count:
+        place = np.append(rng.uniform(*scene.bounds[:, :2]), height)
+        if np.linalg.norm(scene.points - place, axis=1).min() >= CLEARANCE:
+            places.append(place)
+    return np.array(places)
+
+
+class Case(NamedTuple):
+    """One camera in one room: what each method is asked, and the truth."""
+
+    scene: Scene
+    simulators: dict[str, Simulator]
+    caster: RayCaster
+    position: np.ndarray
+    truth: np.ndarray
+
+
+def cases(density: int, rooms: int, positions: int) -> Iterator[Case]:
+    """
+    Make the cases of one density.
+
+    :param density: points per room.
+    :param rooms: how many rooms.
+    :param positions: how many places of a camera in each.
+    """
+    for seed in range(FIRST_ROOM, FIRST_ROOM + rooms):
+        scene, rng = generate_room(seed, density), np.random.default_rng(seed)
+        simulators = {preset: Simulator(scene, SimulationConfig(
+            rig=RigConfig(max_range=RANGE), engine=EngineConfig(preset=preset)))
+            for preset in PRESETS}
+        caster = RayCaster(scene.mesh)
+        for position in free_places(scene, simulators['fine'].height, positions, rng):
+            yield Case(scene, simulators, caster, position,
+                       caster.visible(scene.points, position, RANGE))
+
+
+def preset_of(name: str) -> Method:
+    """Return one of the engine's presets as a method to measure."""
+    def look(case: Case) -> Subset:
+        seen = case.simulators[name].nothing()
+        case.simulators[name].visibility.look(Pose.of(case.position), LENS, seen.bits)
+        return seen
+    return look
+
+
+def numpy_twin(case: Case) -> np.ndarray:
+    """Look as the ``fast`` preset does, in plain NumPy."""
+    scene = case.scene
+    return Twin(scene.points, scene.normals_or_estimate, DISC_SCALE * scene.pitch, case.position,
+                RANGE, PRESETS['fast']).visible()
+
+
+def removal(points: np.ndarray, position: np.ndarray, max_range: float, radius: float
+            ) -> np.ndarray:
+    """
+    Tell which points Open3D's hidden point removal (Katz et al., 2007) keeps.
+
+    :param points: (N, 3), metres.
+    :param position: (3,) of the camera, metres.
+    :param max_range: metres; what is farther is left out beforehand.
+    :param radius: of the sphere that points are flipped at, metres.
+    :returns: (N,) bool.
+    """
+    near = np.flatnonzero(np.linalg.norm(points - position, axis=1) <= max_range)
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points[near].astype(np.float64)))
+    _, kept = cloud.hidden_point_removal(position, radius)
+    seen = np.zeros(len(points), dtype=bool)
+    seen[near[np.asarray(kept)]] = True
+    return seen
+
+
+def hidden_point_removal(radius: float) -> Method:
+    """Return hidden point removal with one radius, metres, as a method to measure."""
+    return lambda case: removal(case.scene.points, case.position, RANGE, radius)
+
+
+def embree(case: Case) -> np.ndarray:
+    """Cast one ray per point at the mesh, which the user of a point cloud does not have."""
+    return case.caster.visible(case.scene.points, case.position, RANGE)
+
+
+METHODS: dict[str, Method] = {
+    **{name: preset_of(name) for name in PRESETS},
+    **{f'hidden_point_removal {radius}': hidden_point_removal(radius) for radius in RADII},
+    'embree': embree, 'numpy twin of fast': numpy_twin}
+
+
+def mask_of(seen: np.ndarray | Subset) -> np.ndarray:
+    """Return what a method says as (N,) bool."""
+    return seen.mask if isinstance(seen, Subset) else seen
+
+
+def f1_score(seen: np.ndarray, truth: np.ndarray) -> float:
+    """Return the harmonic mean of precision and recall of (N,) bool."""
+    return float(2 * (seen & truth).sum() / (seen.sum() + truth.sum()))
+
+
+def confusion(seen: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Count of (N,) bool what is seen rightly, seen wrongly and missed: (3,)."""
+    return np.array([(seen & truth).sum(), (seen & ~truth).sum(), (~seen & truth).sum()], float)
+
+
+def agreement(counts: np.ndarray) -> dict[str, float]:
+    """Return precision, recall and F1 of :func:`confusion`, which may be a sum of several."""
+    right, wrong, missed = counts.tolist()
+    return {'precision': right / (right + wrong), 'recall': right / (right + missed),
+            'f1': 2 * right / (2 * right + wrong + missed)}
+
+
+def best_radius_only(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Keep, of hidden point removal, the row with the best F1, behind those of the others."""
+    removals = [row for row in rows if row['method'].startswith('hidden')]
+    others = [row for row in rows if not row['method'].startswith('hidden')]
+    return [*others, max(removals, key=lambda row: row['f1'])]
+
+
+def by_points(rows: list[dict[str, Any]], figure: str) -> dict[str, float]:
+    """Name a figure of each row ``METHOD.POINTS``, such as ``fine.10000``."""
+    return {f'{row["method"].split()[0]}.{row["density"]}': row[figure] for row in rows}
+
+
+def measure(density: int, rooms: int, positions: int) -> list[dict[str, Any]]:
+    """
+    Measure every method on the same cases, side by side.
+
+    :returns: per method precision, recall, F1 and the median milliseconds per camera.
+    """
+    counts = {name: np.zeros(3) for name in METHODS}
+    times: dict[str, list[float]] = {name: [] for name in METHODS}
+    size = []
+    for case in cases(density, rooms, positions):
+        size.append(len(case.scene))
+        for name, method in METHODS.items():
+            counts[name] += confusion(mask_of(method(case)), case.truth)
+            times[name].append(median_seconds(partial(method, case), 0.02))
+    seconds = {name: float(np.median(taken)) for name, taken in times.items()}
+    return best_radius_only([
+        {'density': density, 'method': name, **agreement(counts[name]), 'ms': 1e3 * seconds[name],
+         'ns_per_point_camera': 1e9 * seconds[name] / float(np.median(size))}
+        for name in METHODS])
+
+
+def speed(points: int = 25000) -> dict[str, float]:
+    """
+    Time the judgement of four cameras in one room with the ``fast`` preset.
+
+    :param points: points of the room.
+    :returns: environment steps per second in two threads, evaluations per second with all cameras
+        moved and with one of four moved, and how two threads scale.
+    """
+    scene = generate_room(FIRST_ROOM, points)
+    simulator = Simulator(scene, SimulationConfig(engine=EngineConfig(preset='fast')))
+    rng = np.random.default_rng(0)
+    placements = rng.uniform(*scene.bounds, (300, 4, 3))
+    views = [simulator.look(position) for position in placements[0]]
+
+    def steps(seed: int) -> None:
+        episode = Episode(PlaneProblem(simulator), np.random.default_rng(seed))
+        for moves in rng.uniform(-0.5, 0.5, (300, 4, 2)):
+            episode.move(moves)
+
+    def one_moved(number: int) -> float:
+        moved = [simulator.look(placements[number % 300, 0]), *views[1:]]
+        return simulator.judge(moved).depth_error
+
+    with ThreadPoolExecutor(2) as pool:
+        both = median_seconds(lambda: list(pool.map(steps, range(2))))
+        moved = median_seconds(lambda: list(pool.map(one_moved, range(600))))
+    alone = median_seconds(lambda: simulator.evaluate_many(placements))
+    together = median_seconds(lambda: simulator.evaluate_many(placements, threads=2))
+    return {'points': len(scene), 'env_steps_per_s': 600 / both,
+            'evaluations_per_s': 300 / together, 'evaluations_per_s_one_moved': 600 / moved,
+            'scaling_2_threads': alone / together}
+
+
+def scale(points: int) -> dict[str, float]:
+    """
+    Measure time and memory of one scene of many points with the ``fast`` preset.
+
+    :param points: points of the room.
+    :returns: nanoseconds per point and camera, bytes per point held for the scene, and seconds
+        from points to a simulator.
+    """
+    scene = generate_room(FIRST_ROOM, points)
+    began = time.perf_counter()
+    simulator = Simulator(scene, SimulationConfig(
+        rig=RigConfig(max_range=RANGE), engine=EngineConfig(preset='fast')))
+    ready = time.perf_counter() - began
+    places = free_places(scene, simulator.height, 4, np.random.default_rng(0))
+    seconds = np.mean([median_seconds(partial(simulator.look, place)) for place in places])
+    return {'points': len(scene), 'ns_per_point_camera': 1e9 * float(seconds) / len(scene),
+            'bytes_per_point': simulator.nbytes / len(scene), 'seconds_to_build': ready}
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Name the figures that the documentation quotes."""
+    def of(method: str, figure: str) -> float:
+        return next(row[figure] for row in rows
+                    if row['density'] == MIDDLE and row['method'].startswith(method))
+
+    return {
+        'f1': by_points(rows, 'f1'), 'ms': by_points(rows, 'ms'),
+        'speedup_vs_hpr': of('hidden', 'ms') / of('fast', 'ms'),
+        'speedup_vs_hpr_fine': of('hidden', 'ms') / of('fine', 'ms'),
+        'speedup_vs_embree_fine': of('embree', 'ms') / of('fine', 'ms'),
+        'numpy_twin_speedup': of('numpy', 'ms') / of('fast', 'ms'),
+        'ns_per_point_camera': of('fast', 'ns_per_point_camera'),
+        'ns_per_point_camera_fine': of('fine', 'ns_per_point_camera')}
+
+
+def measure_engine(extent: Extent) -> dict[str, Any]:
+    """
+    Measure how true the engine's visibility is and how fast it is, with progress on stderr.
+
+    :returns: the figures of :func:`summary` and :func:`speed`, ``visibility`` (a row per density
+        and method), ``scale`` (a row per size of a room), and how much was measured.
+    """
+    # One thread for everybody: Embree and hidden point removal would take them all.
+    cores, rows = os.sched_getaffinity(0), []
+    os.sched_setaffinity(0, {min(cores)})
+    try:
+        for density in track(extent.densities, 'ray casting', console=Console(stderr=True)):
+            rows += measure(density, extent.rooms, extent.positions)
+        scales = [scale(points) for points in extent.scales]
+    finally:
+        os.sched_setaffinity(0, cores)
+    return {**summary(rows), **speed(), 'visibility': rows, 'scale': scales,
+            'rooms': extent.rooms, 'positions': extent.positions, 'range': RANGE}

@@ -1,0 +1,51 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Files of results: ``docs/results/NAME.json`` has figures with their command, commit and date."""
+
+import argparse
+from collections.abc import Mapping, Sequence
+from datetime import date
+import json
+from pathlib import Path
+import shlex
+import subprocess
+import sys
+from typing import Any
+
+from ocp_ros.util.files import write_atomically
+
+ROOT = Path(__file__).resolve().parents[1]
+FOLDER = ROOT / 'docs' / 'results'
+
+
+def command_of(module: str, argv: Sequence[str] | None) -> str:
+    """Return the command that runs a module of ``benchmarks`` with some arguments."""
+    arguments = sys.argv[1:] if argv is None else argv
+    return shlex.join(['python', '-m', f'benchmarks.{module}', *arguments])
+
+
+def stamped(figures: Mapping[str, Any], command: str) -> dict[str, Any]:
+    """Return figures behind the command that measured them, the commit and the date."""
+    commit = subprocess.run(['git', 'rev-parse', '--short', 'HEAD'], cwd=ROOT, text=True,
+                            capture_output=True).stdout.strip()
+    return {'command': command, 'commit': commit or 'unknown', 'date': date.today().isoformat(),
+            **figures}
+
+
+def write(name: str, figures: Mapping[str, Any], command: str) -> None:
+    """
+    Write ``docs/results/NAME.json``, and print that it was written.
+
+    :param figures: plain data; a key ``date`` replaces the date of today.
+    :param command: that measures them again.
+    """
+    path = FOLDER / f'{name}.json'
+    write_atomically(path, json.dumps(stamped(figures, command), indent=1, ensure_ascii=False)
+                     + '\n')
+    print(f'wrote {path}')
+
+
+def add_record(parser: argparse.ArgumentParser, name: str) -> None:
+    """Add that figures are kept."""
+    parser.add_argument('--record', action='store_true',
+                        help=f'write the figures to docs/results/{name}.json')

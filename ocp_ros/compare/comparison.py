@@ -1,0 +1,182 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Play a comparison, on all cores or on a Ray cluster, and write its results.
+
+This is what ``ocp benchmark`` and ``ocp evaluate`` have in common. The rows of a task are written
+as soon as it is done, so that an interrupted comparison continues with the other tasks.
+"""
+
+from collections.abc import Callable
+import csv
+from dataclasses import asdict
+from functools import partial
+import hashlib
+from importlib.metadata import version
+import io
+import json
+import logging
+import os
+from pathlib import Path
+import platform
+from typing import Any, NamedTuple
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from ocp_ros import __version__
+from ocp_ros.compare.paired import pairs
+from ocp_ros.compare.protocol import BenchmarkTask, Protocol, run_task
+from ocp_ros.compare.summary import Rows, summarise
+from ocp_ros.util.files import write_atomically
+from ocp_ros.util.resources import find_model
+from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.util.shown_text import printable
+from ocp_ros.util.worker_pool import WorkerPool
+from ocp_ros.util.yaml_files import timestamp
+
+#: Files that a comparison writes.
+RESULTS = ('results.csv', 'results.json', 'summary.json')
+#: Columns that a table cannot show.
+LISTS = ('placement', 'trace', 'trajectory')
+PACKAGES = ('ocp_ros', 'numpy', 'numba', 'scipy', 'cma')
+_log = logging.getLogger(__name__)
+
+
+class Comparison(NamedTuple):
+    """
+    What a comparison found.
+
+    :ivar rows: of all runs, see :func:`~ocp_ros.compare.protocol.run_task`.
+    :ivar summary: what was compared and when; the figures of
+        :func:`~ocp_ros.compare.summary.summarise`; and ``pairs``, the first planner against each
+        of the others, see :func:`~ocp_ros.compare.paired.pairs`.
+    """
+
+    rows: Rows
+    summary: dict[str, Any]
+
+
+def compare(protocol: Protocol, folder: Path, command: str, workers: int = 0,
+            ray_address: str | None = None) -> Comparison:
+    """
+    Play what has not been played yet, with progress on stderr, and write :data:`RESULTS`.
+
+    :param protocol: what to compare.
+    :param folder: of the results.
+    :param command: the command line, for the record.
+    :param workers: processes on this machine; 0 for one on each core.
+    :param ray_address: a Ray cluster to play on instead, such as ``auto``.
+    :raises ConfigurationError: if the folder belongs to another comparison.
+    """
+    columns = (TextColumn(f'comparing planners, {protocol.cameras} cameras'), BarColumn(),
+               MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        bar = progress.add_task('')
+        rows = play(protocol, folder, workers, ray_address,
+                    lambda done, total: progress.update(bar, completed=done, total=total))
+    rig = protocol.simulation.rig_file
+    summary = {
+        'command': command, 'date': timestamp(),
+        'versions': {'python': platform.python_version(),
+                     **{name: version(name) for name in PACKAGES}},
+        'rotations': len(protocol.rotations), 'points': protocol.points,
+        'judged_points': protocol.judged_points, **({'rig': Path(rig).name} if rig else {}),
+        'cameras': protocol.cameras, **summarise(rows),
+        'pairs': pairs(rows, protocol.planners[0])}
+    _write(folder, rows, summary)
+    return Comparison(rows, summary)
+
+
+def play(protocol: Protocol, folder: Path, workers: int = 0, ray_address: str | None = None,
+         progress: Callable[[int, int], None] = lambda done, total: None) -> Rows:
+    """
+    Play the tasks that have not been played yet; return the rows of all.
+
+    :param folder: each task leaves a file here as soon as it is done.
+    :param progress: called with the number of tasks that are done, and of all.
+    :raises ConfigurationError: if the folder belongs to another comparison.
+    """
+    tasks = protocol.tasks
+    files = {task: folder / 'tasks' / f'{name_of(task)}.json' for task in tasks}
+    record = _claim(folder, protocol)
+    found = {task: rows for task in tasks
+             if (rows := _kept(files[task], record, task)) is not None}
+    left = [task for task in tasks if task not in found]
+    progress(len(found), len(tasks))
+    with WorkerPool(workers, ray_address) as pool:
+        for number, rows in pool.unordered(partial(run_task, protocol), left):
+            task, text = left[number], json.dumps(rows)
+            write_atomically(files[task], json.dumps(
+                {'sha256': _seal(record, task, text), 'rows': rows}))
+            found[task] = json.loads(text)
+            progress(len(found), len(tasks))
+    return [row for task in tasks for row in found[task]]
+
+
+def name_of(task: BenchmarkTask) -> str:
+    """Return a name for the file of a task."""
+    stem = Path(task.room).stem
+    if not task.room.isdecimal():
+        # Another scan under the same name is another room.
+        state = Path(task.room).stat()
+        known = f'{Path(task.room).resolve()} {state.st_size} {state.st_mtime_ns}'
+        stem += '-' + hashlib.sha256(os.fsencode(known)).hexdigest()[:8]
+    return f'{stem}-{task.rotation:g}-{task.planner}'
+
+
+def _seal(record: str, task: BenchmarkTask, rows: str) -> str:
+    """Return the SHA-256 of rows as JSON, of their task and of the record of their comparison."""
+    return hashlib.sha256(f'{record} {task!r} {rows}'.encode()).hexdigest()
+
+
+def _kept(path: Path, record: str, task: BenchmarkTask) -> Rows | None:
+    """Return the rows of a task that was played before; None if there are none or damaged ones."""
+    try:
+        kept = json.loads(path.read_bytes())
+        if kept['sha256'] == _seal(record, task, json.dumps(kept['rows'])):
+            return kept['rows']
+        reason = 'the checksum is another'
+    except FileNotFoundError:
+        return None
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        reason = f'{type(error).__name__}: {error}'
+    _log.warning('%s: found no whole result (%s); expected the runs of one planner in one room; '
+                 'running them again, nothing else is lost', printable(str(path)), reason)
+    return None
+
+
+def _claim(folder: Path, protocol: Protocol) -> str:
+    """Return what all results of a folder have in common; write it, or check that it is there."""
+    files = {protocol.model: find_model(protocol.model)}
+    if rig := protocol.simulation.rig_file:
+        files['rig'] = Path(rig)
+    common = {
+        'ocp_ros': __version__,
+        # Under the same names there may be other weights and another rig.
+        'files': {name: hashlib.sha256(path.read_bytes()).hexdigest()
+                  for name, path in files.items()},
+        **{name: value for name, value in asdict(protocol).items()
+           if name not in ('rooms', 'rotations', 'planners')}}
+    path, text = folder / 'protocol.json', json.dumps(common, indent=2) + '\n'
+    if not path.exists():
+        write_atomically(path, text)
+    elif path.read_bytes() != text.encode():
+        raise ConfigurationError(
+            f'{path}: found the record of another comparison, or a damaged one; expected the '
+            'budgets, seeds, rig, weights and version that are asked for now; name another folder '
+            'for another comparison; remove a damaged record: the results beside it are not lost')
+    return text
+
+
+def _write(folder: Path, rows: Rows, summary: dict[str, Any]) -> None:
+    """Write the runs as a table and whole, and their summary."""
+    lines = io.StringIO()
+    names = dict.fromkeys(name for row in rows for name in row if name not in LISTS)
+    table = csv.DictWriter(lines, list(names), extrasaction='ignore')
+    table.writeheader()
+    table.writerows({name: printable(value) if isinstance(value, str) else value
+                     for name, value in row.items()} for row in rows)
+    write_atomically(folder / 'results.csv', lines.getvalue())
+    write_atomically(folder / 'results.json', json.dumps(rows))
+    write_atomically(folder / 'summary.json', json.dumps(summary, indent=1) + '\n')

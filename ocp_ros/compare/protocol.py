@@ -1,0 +1,345 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+One protocol for all planners: the same rooms, budgets and seeds, and one judge.
+
+Seconds are those of a processor's time, so that other work on the machine does not count.
+
+A planner searches by the engine. What counts is what its final placement alone delivers:
+:mod:`ocp_ros.compare.judging` tells, by ray casting where there is a mesh. Beside it stands
+what the engine promised.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from itertools import product
+from pathlib import Path
+import time
+from typing import Any
+
+import numpy as np
+
+from ocp_ros.compare.judging import (
+    engine_of,
+    Judge,
+    JUDGED_POINTS,
+    judged_room,
+    JudgedRoom,
+    POINTS,
+)
+from ocp_ros.geometry.engine_config import PROMISING
+from ocp_ros.planners.budget import Budget
+from ocp_ros.planners.candidate_pool import Pool, random_sites
+from ocp_ros.planners.exact import exact_plane
+from ocp_ros.planners.finishing import search_and_finish
+from ocp_ros.planners.greedy import GreedySwap
+from ocp_ros.planners.registry import OFFLINE, ONLINE
+from ocp_ros.planners.rig_methods import planner_names, RIG_SEARCH
+from ocp_ros.planners.rig_plan import RigPlanner
+from ocp_ros.planners.rollout import play
+from ocp_ros.planners.scorer import Scorer
+from ocp_ros.planners.solve import Result, solve
+from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.scenes.splits import TEST
+from ocp_ros.scenes.up_axis import UP_CHOICES
+from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.problem import PlaneProblem, Problem, space_of
+from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.util.resources import DEFAULT_MODEL
+from ocp_ros.util.settings import ConfigurationError
+
+#: The control: placements drawn at random, this many of them, without any choice.
+CONTROL, CONTROLS = 'random_placement', 16
+#: The best known: searches that see the truth. With a rig file, whose candidates all have to be
+#: looked from, there is one with this share of the evaluations.
+TRUTH, RIG_SHARE = 'truth_search', 0.2
+#: The placement that is proved best on a grid, and then improved near it.
+PROVED = 'exact_plane'
+#: What no planner is: its rows are for comparison.
+YARDSTICKS = (CONTROL, TRUTH, PROVED)
+#: One run of a planner.
+Row = dict[str, Any]
+#: What stands for a budget of evaluations where there are turns instead.
+TURNS = 0
+#: Places on the plane that together see whatever can be seen from it.
+POOL = 400
+
+
+def placing(cameras: int | None = None, rig: str | Path | None = None) -> SimulationConfig:
+    """Return what is placed: cameras on a plane, four unless a number is given, or a rig file."""
+    plane = RigConfig() if cameras is None else RigConfig(cameras=cameras)
+    return SimulationConfig(plane, PROMISING, rig_file='' if rig is None else str(rig))
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """
+    What is compared.
+
+    :ivar rooms: seeds of generated rooms and paths of scans, as text.
+    :ivar rotations: degrees about the vertical axis.
+    :ivar planners: names of planners, offline and online.
+    :ivar budgets: evaluations of offline planners; online ones have the episode's turns.
+    :ivar seeds: how many runs of each.
+    :ivar scale: metres per unit of the scans.
+    :ivar up: the direction of the scans that points up, or ``'auto'``.
+    :ivar simulation: the rig, or a rig file, for which each planner plans under all its
+        constraints; its engine is the one that ends searches and makes promises.
+    :ivar model: weights of planners that have learned: path or name.
+    :ivar points: of a room, as searches see it.
+    :ivar judged_points: of the scan that judges.
+    :ivar truths: searches with the truth, of which the best is the best known.
+    :ivar truth_budget: their evaluations.
+    :ivar candidates: on which a placement on a plane is proved best.
+    :ivar proving: seconds that the proof may take.
+    """
+
+    rooms: tuple[str, ...] = tuple(map(str, TEST))
+    rotations: tuple[float, ...] = (0.0,)
+    planners: tuple[str, ...] = field(default_factory=lambda: (*OFFLINE, *ONLINE))
+    budgets: tuple[int, ...] = (100, 1000, 10000)
+    seeds: int = 3
+    scale: float = 1.0
+    up: str = 'z'
+    simulation: SimulationConfig = field(default_factory=placing)
+    model: str = DEFAULT_MODEL
+    points: int = POINTS
+    judged_points: int = JUDGED_POINTS
+    truths: int = 3
+    truth_budget: int = 3000
+    candidates: int = 400
+    proving: float = 60.0
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be compared."""
+        known = planner_names() if self.simulation.rig_file else (*OFFLINE, *ONLINE)
+        for name in self.planners:
+            if name not in known:
+                raise ConfigurationError(f'planners: found {name!r}; expected some of '
+                                         f'{sorted(known)}')
+        for figure in ('planners', 'rooms', 'rotations', 'budgets'):
+            given = getattr(self, figure)
+            if len(set(given)) < len(given):
+                raise ConfigurationError(f'{figure}: found {list(given)}; expected each once')
+        if not 0.0 < self.scale < np.inf or self.up not in UP_CHOICES:
+            raise ConfigurationError(
+                f'protocol: found scale={self.scale!r} and up={self.up!r}; expected a number '
+                f'above 0 and one of {", ".join(UP_CHOICES)}')
+        if any(not model.omnidirectional for model in self.simulation.rig.models):
+            raise ConfigurationError(
+                f'rig.sensors: found {self.simulation.rig.sensors!r}; expected omnidirectional: '
+                'planners choose where cameras are, not where they look')
+        if self.simulation.rig_file:
+            load_rig(self.simulation.rig_file).check_rotations(
+                self.rotations, f'rotations: found {list(self.rotations)}', '0 alone')
+        if not self.rooms or not self.budgets or min(self.budgets) < 1 or self.seeds < 1:
+            raise ConfigurationError(
+                f'protocol: found {len(self.rooms)} rooms, budgets {list(self.budgets)} and '
+                f'{self.seeds} seeds; expected at least one of each, all above 0')
+
+    def runs(self, planner: str) -> list[tuple[int, int]]:
+        """Return the budget and the seed of each run of a planner or yardstick in a room."""
+        if planner == CONTROL:
+            return [(1, seed) for seed in range(CONTROLS)]
+        if planner == PROVED:
+            return [(self.candidates, 0)]
+        if planner == TRUTH and self.simulation.rig_file:
+            return [(max(int(RIG_SHARE * self.truth_budget), 1), 0)]
+        if planner == TRUTH:
+            return [(self.truth_budget, seed) for seed in range(self.truths)]
+        budgets = (TURNS,) if planner in ONLINE else self.budgets
+        return list(product(budgets, range(self.seeds)))
+
+    def room(self, name: str, rotation: float) -> JudgedRoom:
+        """Return a room as searches see it, and as the judge does."""
+        return judged_room(name, rotation, self.simulation, self.points, self.judged_points,
+                           self.scale, self.up)
+
+    @property
+    def cameras(self) -> int:
+        """Return how many cameras are placed."""
+        if self.simulation.rig_file:
+            return len(load_rig(self.simulation.rig_file).cameras)
+        return self.simulation.rig.cameras
+
+    @property
+    def yardsticks(self) -> tuple[str, ...]:
+        """Return what planners are compared with; for rig files, ``exact`` is a planner."""
+        return (CONTROL, TRUTH) if self.simulation.rig_file else YARDSTICKS
+
+    @property
+    def tasks(self) -> list['BenchmarkTask']:
+        """Return what can be done independently of each other: a room, turned, and a planner."""
+        return [BenchmarkTask(room, rotation, planner) for room in self.rooms
+                for rotation in self.rotations for planner in (*self.yardsticks, *self.planners)]
+
+
+@dataclass(frozen=True)
+class BenchmarkTask:
+    """One planner in one room, with all budgets and seeds."""
+
+    room: str
+    rotation: float
+    planner: str
+
+
+PRESETS = {
+    'full': Protocol(),
+    'smoke': Protocol(rooms=tuple(map(str, TEST[:2])), budgets=(100, 400), seeds=2),
+}
+
+
+def run_task(protocol: Protocol, task: BenchmarkTask) -> list[dict[str, Any]]:
+    """
+    Run a planner in a room with every budget and seed.
+
+    :returns: one row for each run: what was run, ``Judge``'s figures, evaluations, seconds, the
+        placement, ``promised``, metres, and the trace of the search.
+    """
+    room = protocol.room(task.room, task.rotation)
+    runs = _rig_runs if protocol.simulation.rig_file else _plane_runs
+    return [{**asdict(task), **row, 'placement': row['placement'].tolist()}
+            for row in runs(protocol, room, task)]
+
+
+def _plane_runs(protocol: Protocol, room: JudgedRoom, task: BenchmarkTask) -> Iterator[Row]:
+    """Yield the runs of a planner of cameras on a plane; see :func:`run_task`."""
+    judge, fine = Judge(room.evaluate), room.fine
+    if task.planner == CONTROL:
+        runs = _random_placements(room)
+    elif task.planner == TRUTH:
+        runs = _true_searches(protocol, room)
+    elif task.planner == PROVED:
+        runs = _proofs(protocol, fine)
+    elif task.planner in ONLINE:
+        runs = _episodes(protocol, fine, task.planner)
+    else:
+        runs = _searches(protocol, room, task.planner)
+    for row in runs:
+        placement = row['placement']
+        yield {**row, **judge(placement), 'promised': fine.evaluate(placement).depth_error}
+
+
+def _searches(protocol: Protocol, room: JudgedRoom, name: str) -> Iterator[Row]:
+    """Search a scan with every budget and seed."""
+    fine, space = room.fine, space_of(room.fine)
+    # Kernels are read from disk before the clock runs.
+    Scorer(fine)([space.placement(space.random(np.random.default_rng(0)))])
+    for budget, seed in protocol.runs(name):
+        planner = OFFLINE[name](space, np.random.default_rng([seed, budget]), budget)
+        yield {'budget': budget, 'seed': seed, **_found(search_and_finish(
+            planner, Scorer(fine), budget, time.process_time))}
+
+
+def _true_searches(protocol: Protocol, room: JudgedRoom) -> Iterator[Row]:
+    """Search with the truth, for the best known; the judge's points are not searched with."""
+    truth = room.truth()
+    space = space_of(truth)
+    for budget, seed in protocol.runs(TRUTH):
+        planner = GreedySwap(space, np.random.default_rng([seed, budget]), budget)
+        yield {'budget': budget, 'seed': seed, **_found(solve(
+            planner, Scorer(truth), budget, clock=time.process_time))}
+
+
+def _proofs(protocol: Protocol, fine: Simulator) -> Iterator[Row]:
+    """Prove a placement best on a grid, and improve it."""
+    space, began = space_of(fine), time.process_time()
+    answer = exact_plane(fine, space, protocol.candidates, protocol.proving,
+                         fine.config.engine.error_rows)
+    yield {'budget': protocol.candidates, 'seed': 0, 'evaluations': 0,
+           'seconds': time.process_time() - began, 'placement': answer.placement, 'trace': [],
+           'found': answer.certificate.found, 'bound': answer.certificate.bound,
+           'proved': answer.certificate.proved}
+
+
+def _found(result: Result) -> Row:
+    """Return what a search has found."""
+    return {'evaluations': result.evaluations, 'seconds': result.seconds,
+            'placement': result.placement, 'trace': result.trace.tolist()}
+
+
+def _episodes(protocol: Protocol, fine: Simulator, name: str) -> Iterator[Row]:
+    """Play an episode with every seed; the last placement is what counts."""
+    space = space_of(fine)
+    for budget, seed in protocol.runs(name):
+        online = ONLINE[name](protocol.simulation, np.random.default_rng([seed, 1]),
+                              protocol.model)
+        episode = Episode(PlaneProblem(fine), np.random.default_rng([seed, 0]))
+        outcome = play(online, episode, clock=time.process_time)
+        # Who ends where no camera may be is mounted at the nearest place where one may.
+        placement = space.placement(space.inside(outcome.trajectory[-1][:, :2]))
+        yield {'budget': budget, 'seed': seed, 'evaluations': 0,
+               'seconds': float(outcome.seconds.sum()),
+               'seconds_per_turn': float(np.median(outcome.seconds)),
+               'seconds_at_most': float(outcome.seconds.max()),
+               'placement': placement, 'trace': [], 'trajectory': outcome.trajectory.tolist()}
+
+
+def _random_placements(room: JudgedRoom) -> Iterator[Row]:
+    """Draw placements, and tell what all places of the plane together miss."""
+    simulator, space = room.simulator, space_of(room.simulator)
+    pool = space.placement(space.grid(POOL))
+    least = simulator.judge(simulator.look_many(pool)).depth_error
+    rng = np.random.default_rng(0)
+    for seed in range(CONTROLS):
+        yield {**_drawn(seed, least), 'placement': space.placement(space.random(rng))}
+
+
+def _drawn(seed: int, least: float) -> Row:
+    """Return what all random placements have in common."""
+    return {'budget': 1, 'seed': seed, 'lower_bound': least, 'evaluations': 1, 'seconds': 0.0,
+            'trace': []}
+
+
+def _rig_runs(protocol: Protocol, room: JudgedRoom, task: BenchmarkTask) -> Iterator[Row]:
+    """Yield the runs of a planner of a rig file; see :func:`run_task`."""
+    problem, promising = room.problem, room.promising
+    judge = Judge(lambda poses: _objective(problem, poses))
+    if task.planner == CONTROL:
+        runs = _random_rigs(problem)
+    elif task.planner == TRUTH:
+        runs = _rig_plans(protocol, room, RIG_SEARCH, protocol.runs(TRUTH),
+                          engine_of(room.scene))
+    else:
+        runs = _rig_plans(protocol, room, task.planner, protocol.runs(task.planner))
+    for row in runs:
+        placement = row['placement']
+        yield {**row, **judge(placement), 'promised': _objective(promising, placement)[0]}
+
+
+def _objective(problem: Problem, poses: np.ndarray) -> tuple[float, float]:
+    """
+    Return the objective of poses (K, 6) in metres, and their space coverage in cubic metres.
+
+    The first is objective x depth error of seeing nothing: where the rig asks for nothing more,
+    the depth error.
+    """
+    result = problem.objective.evaluate(poses)
+    return problem.error(result), result.space_coverage
+
+
+def _rig_plans(protocol: Protocol, room: JudgedRoom, name: str, runs: Sequence[tuple[int, int]],
+               engine: type[Simulator] = Simulator) -> Iterator[Row]:
+    """Plan a rig file with each budget and seed of some runs."""
+    rig = load_rig(protocol.simulation.rig_file)
+    for budget, seed in runs:
+        began = time.process_time()
+        # A time step of an online planner is an evaluation: its budget is that of the episode.
+        limit = Budget(evaluations=budget or protocol.simulation.episode.turns)
+        planner = RigPlanner(room.scene, rig, protocol.simulation.engine, limit, seed,
+                             planner=name, model=protocol.model, simulator=engine)
+        answer = planner.plan(rig).answer
+        yield {'budget': budget, 'seed': seed, 'evaluations': answer.evaluations,
+               'seconds': time.process_time() - began, 'placement': answer.poses, 'trace': []}
+
+
+def _random_rigs(problem: Problem) -> Iterator[Row]:
+    """Draw feasible placements of a rig, and tell what all candidates together miss."""
+    rig, pool, rng = problem.rig, Pool(problem, POOL), np.random.default_rng(0)
+    least, seed = problem.error(problem.judge(pool.everywhere(rig))), 0
+    while seed < CONTROLS:
+        if sites := random_sites(rig, pool, rng):
+            yield {**_drawn(seed, least), 'placement': np.array([site.pose for site in sites])}
+            seed += 1

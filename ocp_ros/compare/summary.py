@@ -1,0 +1,190 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What the rows of a comparison say.
+
+*Delivered* is what the judge says of a placement, *promised* what the engine said that it was
+searched with, *regret* what is delivered over the best that a search with the truth delivered.
+
+The mean over seeds stands for a turned room, the mean over its rotations for a room, and the sum
+over rooms for a planner, as in Table I of arXiv 2110.11106. Intervals are percentile bootstraps
+over rooms: rooms differ more than seeds do.
+"""
+
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from ocp_ros.compare.protocol import CONTROL, PROVED, TRUTH, YARDSTICKS
+
+Rows = list[dict[str, Any]]
+#: Resamples of the bootstrap.
+RESAMPLES = 2000
+#: Share of a random placement's error below which the best known leaves nothing to be compared.
+SATURATED = 0.01
+
+
+def best_known(rows: Rows) -> dict[tuple[str, float], float]:
+    """Return the least depth error that a search with the truth delivered in each turned room."""
+    best: dict[tuple[str, float], float] = defaultdict(lambda: np.inf)
+    for row in rows:
+        if row['planner'] == TRUTH:
+            case = row['room'], row['rotation']
+            best[case] = min(best[case], row['depth_error'])
+    return dict(best)
+
+
+def per_room(rows: Rows, planner: str, budget: int, figure: str) -> dict[str, float]:
+    """Return the mean of a figure over seeds and rotations, by room."""
+    cases = defaultdict(list)
+    for row in rows:
+        if row['planner'] == planner and row['budget'] == budget:
+            cases[row['room']].append(row[figure])
+    return {room: float(np.mean(values)) for room, values in cases.items()}
+
+
+def interval(values: np.ndarray) -> list[float]:
+    """
+    Return the 95 % bootstrap interval of a sum over rooms.
+
+    :param values: (R,) one per room.
+    """
+    rng = np.random.default_rng(0)
+    draws = values[rng.integers(len(values), size=(RESAMPLES, len(values)))].sum(axis=1)
+    return [float(edge) for edge in np.percentile(draws, [2.5, 97.5])]
+
+
+def summarise(rows: Rows) -> dict[str, Any]:
+    """
+    Sum a comparison up.
+
+    :param rows: of :func:`~ocp_ros.compare.protocol.run_task`.
+    :returns: by planner and budget, as text: ``sum`` of what is delivered, ``interval``,
+        ``rooms``, ``wins``, ``regret`` (of the sums) and ``regret_geometric`` (mean over rooms),
+        ``promised`` (its sum), ``promise_over_delivered`` (mean over rooms),
+        ``promise_worst_room`` (the ratio farthest from 1), ``gap_closed`` (ratios are None where
+        nothing is ever missed), ``seconds``, ``seeds`` and, of online planners, whose budget is
+        0, ``seconds_per_turn`` (median) and ``seconds_at_most``; the same of ``truth``, the
+        search with the truth, and of ``exact``, the placements that are proved best on
+        candidates, with ``bounds`` by room; ``promised_over_bound``, of the sums; the rank test
+        of each budget; what is known of each room; and ``notes`` on rooms that tell planners
+        apart no more.
+    """
+    best = best_known(rows)
+    rooms = list(dict.fromkeys(row['room'] for row in rows))
+    known = {room: float(np.mean([error for (name, _), error in best.items() if name == room]))
+             for room in rooms}
+    control = per_room(rows, CONTROL, 1, 'depth_error')
+    least = per_room(rows, CONTROL, 1, 'lower_bound')
+    runs = list(dict.fromkeys((row['planner'], row['budget']) for row in rows
+                              if row['planner'] not in YARDSTICKS))
+    errors = {run: per_room(rows, *run, 'depth_error') for run in runs}
+    summary: dict[str, Any] = {'rooms': {
+        room: {'best_known': known[room], 'random_placement': control[room],
+               'share': _share(known[room], control[room]),
+               'lower_bound': least[room]} for room in rooms}, 'planners': {}, 'rank_tests': {}}
+    summary['notes'] = [
+        f'{Path(room).stem}: found that the best known leaves {known[room]:.3f} m, less than '
+        f'{100.0 * SATURATED:g} % of what a random placement leaves; expected more to be missed; '
+        'ratios to so little say nothing: use fewer cameras or a larger room'
+        for room in rooms if control[room] > 0.0 and known[room] < SATURATED * control[room]]
+    chance = sum(control.values())
+    for planner, budget in runs:
+        values = np.array([errors[planner, budget][room] for room in rooms])
+        rivals = [errors[run] for run in runs if run[1] == budget]
+        figures = {
+            **_delivered(rows, planner, budget, known),
+            'interval': interval(values), 'rooms': errors[planner, budget],
+            'wins': sum(errors[planner, budget][room] <= min(rival[room] for rival in rivals)
+                        for room in rooms),
+            'gap_closed': _share(chance - values.sum(), chance - sum(known.values()))}
+        summary['planners'].setdefault(planner, {})[str(budget)] = figures
+    if proofs := [row for row in rows if row['planner'] == PROVED]:
+        summary['exact'] = _proved(rows, proofs, known)
+        bound = sum(row['bound'] for row in proofs) / len(proofs) * len(rooms)
+        for figures in (*(run for runs in summary['planners'].values() for run in runs.values()),
+                        summary['exact']):
+            figures['promised_over_bound'] = _share(figures['promised'], bound)
+    ((_, last),) = {(row['planner'], row['budget']) for row in rows if row['planner'] == TRUTH}
+    summary['truth'] = _delivered(rows, TRUTH, last, known)
+    for budget in dict.fromkeys(budget for _, budget in runs):
+        names = [planner for planner, other in runs if other == budget]
+        summary['rank_tests'][str(budget)] = ranks(
+            {name: np.array([errors[name, budget][room] for room in rooms]) for name in names})
+    return summary
+
+
+def _proved(rows: Rows, proofs: Rows, known: dict[str, float]) -> dict[str, Any]:
+    """Say what the placements deliver that are proved best on candidates, and how well proved."""
+    gaps = [_share(row['found'] - row['bound'], row['found']) or 0.0 for row in proofs]
+    return {**_delivered(rows, PROVED, proofs[0]['budget'], known),
+            'candidates': proofs[0]['budget'], 'proved': sum(row['proved'] for row in proofs),
+            'worst_gap': max(gaps), 'bounds': {row['room']: row['bound'] for row in proofs}}
+
+
+def _delivered(rows: Rows, planner: str, budget: int, known: dict[str, float]) -> dict[str, Any]:
+    """Say what a planner delivered in all rooms, what it promised, and how long it took."""
+    delivered = per_room(rows, planner, budget, 'depth_error')
+    promised = per_room(rows, planner, budget, 'promised')
+    kept = [promised[room] / error for room, error in delivered.items() if error > 0.0]
+    regrets = [error / known[room] for room, error in delivered.items() if known[room] > 0.0]
+    own = [row for row in rows if (row['planner'], row['budget']) == (planner, budget)]
+    figures: dict[str, Any] = {
+        'sum': sum(delivered.values()), 'promised': sum(promised.values()),
+        'regret': _share(sum(delivered.values()), sum(known.values())),
+        'regret_geometric': float(stats.gmean(regrets)) if regrets else None,
+        'promise_over_delivered': float(np.mean(kept)) if kept else None,
+        'promise_worst_room': max(kept, key=lambda share: abs(share - 1.0), default=None),
+        'seeds': len({row['seed'] for row in own})}
+    for name in ('seconds', 'evaluations'):
+        figures[name] = float(np.mean(list(per_room(rows, planner, budget, name).values())))
+    if 'seconds_per_turn' in own[0]:
+        figures['seconds_per_turn'] = float(np.median([row['seconds_per_turn'] for row in own]))
+        figures['seconds_at_most'] = float(np.max([row['seconds_at_most'] for row in own]))
+    return figures
+
+
+def _share(part: float, whole: float) -> float | None:
+    """Return a ratio, None where it means nothing: rooms that any placement sees completely."""
+    return float(part / whole) if whole > 0.0 else None
+
+
+def budgets_of(summary: dict[str, Any]) -> list[str]:
+    """Return the budgets, least first; 0 stands for the turns of online planners."""
+    return sorted({budget for runs in summary['planners'].values() for budget in runs}, key=int)
+
+
+def last_runs(summary: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return each planner's figures at the largest budget, those of online planners as well."""
+    last = budgets_of(summary)[-1]
+    return {name: runs.get(last, runs.get('0')) for name, runs in summary['planners'].items()
+            if last in runs or '0' in runs}
+
+
+def ranks(errors: dict[str, np.ndarray]) -> dict[str, Any]:
+    """
+    Rank planners over rooms.
+
+    :param errors: (R,) per planner, one for each room.
+    :returns: mean ranks (1 is best), the Friedman test's p that all are alike, and for each
+        planner Wilcoxon's signed-rank p against the one of best rank, corrected after Holm; NaN
+        as None where there are too few rooms or planners.
+    """
+    names, table = list(errors), np.array(list(errors.values()))
+    mean = stats.rankdata(table, axis=0).mean(axis=1)
+    leader = int(np.argmin(mean))
+    result: dict[str, Any] = {'mean_rank': dict(zip(names, map(float, mean))),
+                              'leader': names[leader], 'friedman_p': None, 'against_leader': {}}
+    if table.shape[1] < 5 or len(names) < 3:
+        return result
+    result['friedman_p'] = float(stats.friedmanchisquare(*table).pvalue)
+    others = [k for k in range(len(names)) if k != leader and (table[k] != table[leader]).any()]
+    values = [float(stats.wilcoxon(table[k], table[leader]).pvalue) for k in others]
+    highest = 0.0
+    for place, k in enumerate(np.argsort(values)):
+        highest = max(highest, min(1.0, (len(values) - place) * values[k]))
+        result['against_leader'][names[others[k]]] = highest
+    return result
