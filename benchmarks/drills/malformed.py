@@ -188,7 +188,9 @@ def spoilt_blob(rng: np.random.Generator, blob: bytes) -> bytes:
 def spoilt_numbers(rng: np.random.Generator, choices: Sequence[Choice]) -> None:
     """Put a number that no policy reads or chooses into one array of a choice."""
     choice = choices[rng.integers(len(choices))]
-    arrays = [*choice.observation.values(), choice.actions]
+    # A byte of a map may have any value.
+    arrays = [array for array in (*choice.observation.values(), choice.actions)
+              if array.dtype != np.uint8]
     array = arrays[rng.integers(len(arrays))]
     wrong = (-1, 32767) if array.dtype.kind == 'i' else (3e38, -3e38, 1e30, np.nan, np.inf)
     array.flat[rng.integers(array.size)] = rng.choice(wrong)

@@ -33,8 +33,10 @@ def save_replay(buffer: DictReplayBuffer, path: Path) -> None:
         # To the file at once: a second copy of all moves may not fit into memory.
         safetensors.numpy.save_file(arrays, beside)
         os.replace(beside, path)
-    except BaseException:
+    except BaseException as error:
         beside.unlink(missing_ok=True)
+        if isinstance(error, SafetensorError):
+            raise OSError(f'{path}: found no room to write it ({error})') from error
         raise
 
 
