@@ -164,8 +164,8 @@ def _claim(folder: Path, protocol: Protocol) -> str:
     elif path.read_bytes() != text.encode():
         raise ConfigurationError(
             f'{path}: found the record of another comparison, or a damaged one; expected the '
-            'budgets, seeds, rig, weights and version that are asked for now; name another folder '
-            'for another comparison; remove a damaged record: the results beside it are not lost')
+            'budgets, seeds, rig, weights and version that are asked for; name another folder, '
+            'or remove a damaged record: the results beside it are not lost')
     return text
 
 
