@@ -23,7 +23,7 @@ from benchmarks.placement_examples import draw_examples, Example
 from ocp_ros.compare.judging import judged_room, MOUNTING, MOUNTINGS
 from ocp_ros.compare.protocol import CONTROLS, placing, POOL
 from ocp_ros.compare.summary import budgets_of, last_runs, Rows
-from ocp_ros.planners.registry import KNOWS, OFFLINE, ONLINE
+from ocp_ros.planners.registry import OFFLINE, ONLINE
 from ocp_ros.planners.rig_methods import planner_names
 from ocp_ros.report.drawing.figure_files import save_figure
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
@@ -41,6 +41,13 @@ SEARCHES = ('greedy_swap', 'tdsa', 'annealing', 'bpso', 'bee_colony', 'different
 ALIKE = 1.10
 TITLES = {'tdsa': 'TDSA', 'bpso': 'BPSO', 'cma_es': 'CMA-ES',
           'learned_lookahead': 'learned + lookahead'}
+#: What planners know of a room; what is not named here knows the scores of its placements.
+KNOWS = {
+    **dict.fromkeys(('greedy_coverage', 'greedy_error'), 'scores of positions on a grid'),
+    'greedy_swap': 'scores of positions on a grid, later of any positions',
+    'tdsa': 'scores, also of placements with fewer cameras',
+    'bpso': 'scores of positions on a grid',
+}
 #: Rooms on the page that can be turned around.
 PAGE_ROOMS = 3
 #: By name, the engine of a room and the best run of each planner in it.

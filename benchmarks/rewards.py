@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks import results
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.planners.online_planner import shared_out
+from ocp_ros.planners.online_planner import matched
 from ocp_ros.planners.registry import OFFLINE
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
@@ -41,7 +41,7 @@ def earned(simulator: Simulator, goal: np.ndarray, seed: int, slow: float | None
     :returns: the sum of its rewards, and the depth error at its end.
     """
     episode = Episode(PlaneProblem(simulator), np.random.default_rng(seed))
-    goal, start = shared_out(episode.turn.positions, goal), episode.turn.positions[:, :2]
+    goal, start = goal[matched(episode.turn.positions, goal)], episode.turn.positions[:, :2]
     total, leaving = 0.0, False
     while not episode.turn.truncated:
         here = episode.turn.positions[:, :2]

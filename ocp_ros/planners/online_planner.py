@@ -52,11 +52,6 @@ def matched(positions: np.ndarray, targets: np.ndarray, kinds: np.ndarray | None
     return linear_sum_assignment(way)[1]
 
 
-def shared_out(positions: np.ndarray, targets: np.ndarray) -> np.ndarray:
-    """Return targets (K, 2) in the order of the cameras at (K, 3), so that they walk least."""
-    return targets[matched(positions, targets)]
-
-
 class Online(ABC):
     """
     A planner that knows only what has been seen.

@@ -110,14 +110,6 @@ OFFLINE: dict[str, Callable[[FreePlane, np.random.Generator, int], Planner]] = {
     'cma_es': CmaEs,
 }
 
-#: What planners know of a room; what is not named here knows the scores of its placements.
-KNOWS = {
-    **dict.fromkeys(('greedy_coverage', 'greedy_error'), 'scores of positions on a grid'),
-    'greedy_swap': 'scores of positions on a grid, later of any positions',
-    'tdsa': 'scores, also of placements with fewer cameras',
-    'bpso': 'scores of positions on a grid',
-}
-
 #: A rig, the source of chance, and the weights of those that have learned: path or name.
 ONLINE: dict[str, Callable[..., Online]] = {
     'greedy_step': _greedy_step,
