@@ -176,8 +176,11 @@ class Graph:
 
 
 @pytest.fixture
-def graph(domain):
-    """Return a graph of nodes of its own."""
+def graph(domain, monkeypatch):
+    """Return a graph of nodes of its own, which know each other at once."""
+    from ocp_ros.ros.policy import commands
+    monkeypatch.setattr(commands, 'SETTLING', 0.0)
+    monkeypatch.setattr(commands, 'VISIBLE', 0.0)
     with ExitStack() as stack:
         made = Graph(domain)
         stack.callback(made.close)
