@@ -4,9 +4,11 @@
 
 from contextlib import contextmanager, ExitStack
 from dataclasses import replace
+import faulthandler
 from functools import cache
 import os
 from pathlib import Path
+import sys
 import time
 
 # Tests run side by side and in processes that they start. Threads of all of them that wait for
@@ -21,7 +23,6 @@ import pytest
 # Nothing here that takes long to import: the process that hands out the tests reads this too, and
 # the others begin when it has done so.
 from ocp_ros.agent.agent_config import AgentConfig, OF_MOVES
-from ocp_ros.ros.runtime.exit_timer import leaving_within
 from ocp_ros.util.settings import ConfigurationError
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -44,8 +45,18 @@ MOUNTS = {'plane': {'on': 'plane', 'height': 1.9}, 'ceiling': {'on': 'ceiling'},
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item):
     """End a process that hangs in native code; another one goes on with the other tests."""
-    with leaving_within(STUCK, 1):
+    with ended_after(STUCK):
         return (yield)
+
+
+@contextmanager
+def ended_after(seconds):
+    """End this process if a block takes longer."""
+    faulthandler.dump_traceback_later(seconds, exit=True, file=sys.__stderr__)
+    try:
+        yield
+    finally:
+        faulthandler.cancel_dump_traceback_later()
 
 
 @cache
@@ -165,10 +176,10 @@ class Graph:
         Take everything down; another order can crash in the DDS layer.
 
         Where another process comes or leaves at that moment Fast DDS may wait for ever (see
-        ``exit_timer``). This process is ended then, and the test is run once more.
+        ``node_main.take_down``). This process is ended then, and the test is run once more.
         """
         import rclpy
-        with leaving_within(STUCK_LEAVING, 1):
+        with ended_after(STUCK_LEAVING):
             self.executor.shutdown()
             for node in self.nodes:
                 node.destroy_node()
