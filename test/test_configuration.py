@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import yaml
 
-from ocp_ros.cli.main import parser
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.training.run_folder import read_config
 from ocp_ros.training.training_config import TrainingConfig
@@ -41,15 +40,6 @@ def test_nested_form_comes_back(cls):
 def test_a_bad_setting_is_named_with_what_was_expected(values, words):
     with pytest.raises(ConfigurationError, match=words):
         from_flat(SimulationConfig, values)
-
-
-def test_who_says_an_older_name_is_told_the_new_one(caplog):
-    values = {'demonstrations.expert': 'hand_rule', 'demonstrations.rounds': 1}
-    config = from_flat(TrainingConfig, values)
-    assert config.demonstrations.expert == 'greedy_step'
-    assert "found 'hand_rule'; going on with 'greedy_step', as it is called now" in caplog.text
-    asked = parser().parse_args(['evaluate', '--planners', 'learned,learned+lookahead'])
-    assert asked.planners == ('learned', 'learned_lookahead')
 
 
 def test_whole_numbers_are_welcome_where_yaml_forgot_the_point():
