@@ -379,7 +379,7 @@ def test_a_bad_room_is_refused_in_one_sentence(files, capsys, name, write, words
     (['room.ply', '--out', 'rig.yaml'], '--out: found rig.yaml, where nothing can be written (it '
      'is a file); expected a folder'),
     (['room.ply', '--out', 'room.ply/x'], '--out: found room.ply/x, where nothing can be written'),
-    (['room.ply', '--out', '/proc'], '--out: found /proc, where nothing can be written'),
+    (['room.ply', '--out', '/proc/a'], '--out: found /proc/a, where nothing can be written'),
     (['8', '--up', 'y'], '--up: found it with the generated room 8'),
     (['room.ply', '--rig', 'rig.yaml', '--mount', 'walls'], '--mount: found walls with --rig'),
     (['room.ply', '--rig', 'rig.yaml', '--count', 'auto'], 'cameras: found 2 groups; expected'),

@@ -20,7 +20,6 @@ from ocp_ros.evaluation.engine_bench import (
 from ocp_ros.evaluation.fused_bench import EXTENTS as FUSED_EXTENTS
 from ocp_ros.evaluation.fused_bench import measure_fused, TOLERANCE
 from ocp_ros.util.files import write_atomically
-from ocp_ros.util.own_files import note_own
 
 #: What the figures of speed are.
 MEANING = {
@@ -48,9 +47,7 @@ def bench(arguments: argparse.Namespace) -> dict[str, Any]:
     write_atomically(arguments.out, json.dumps(result, indent=2) + '\n')
     if arguments.page:
         write_atomically(arguments.page, page(result))
-    written = [path for path in (arguments.out, arguments.page) if path]
-    note_own(written)
-    return {**result, 'written': written}
+    return {**result, 'written': [path for path in (arguments.out, arguments.page) if path]}
 
 
 def show(result: dict[str, Any]) -> None:

@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from ocp_ros.cli.common import inputs_of
+from ocp_ros.cli.common import claim_folder
 from ocp_ros.evaluation.benchmark_rooms import rooms_in, rooms_of_s3dis
 from ocp_ros.evaluation.protocol import PRESETS, Protocol
 from ocp_ros.evaluation.summary import summarise
@@ -40,7 +40,6 @@ from ocp_ros.report.rig_planning import CAMERAS, MOUNT
 from ocp_ros.rig.rig_file import load_rig, rig_of
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.files import folder_to_write, write_atomically
-from ocp_ros.util.own_files import check_own, note_own, remove_own
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
 from ocp_ros.util.yaml_files import timestamp, written
@@ -95,17 +94,15 @@ def compare(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     :param command: the command line, for the record.
     :returns: the summary.
     """
-    inputs = inputs_of(arguments)
     _check_cameras(arguments)
-    results = [arguments.out / name for name in RESULTS]
+    claim_folder(arguments, arguments.out, RESULTS, 'protocol.json')
     if arguments.sensor is not None:
-        results.append(_write_rig(arguments))
+        _write_rig(arguments)
     protocol = protocol_of(arguments)
     folder_to_write(arguments.out)
-    check_own(results, inputs, arguments.overwrite)
     if arguments.report:
         folder_to_write(arguments.report, '--report')
-        check_own(_reported(arguments), inputs, arguments.overwrite, '--report')
+        claim_folder(arguments, arguments.report, REPORTED, 'summary.json', option='--report')
     columns = (TextColumn('comparing planners'), BarColumn(), MofNCompleteColumn(),
                TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as progress:
@@ -120,15 +117,14 @@ def compare(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
         'rotations': len(protocol.rotations), 'points': protocol.points,
         'judged_points': protocol.judged_points, **_cameras(protocol), **summarise(rows)}
     _write(arguments.out, rows, summary)
-    note_own(results)
     if arguments.report:
         write_report(arguments.report, summary, rows)
         if arguments.rig is None:
             _show_placements(arguments.report, protocol, summary, rows)
         write_atomically(arguments.report / 'summary.json', json.dumps(summary, indent=1) + '\n')
-        note_own(_reported(arguments))
-        remove_own([path for name in REPORTED
-                    if (path := arguments.report / name) not in _reported(arguments)])
+        if arguments.rig is not None:
+            for name in OF_PLACEMENTS:
+                (arguments.report / name).unlink(missing_ok=True)
     show(summary)
     print('wrote ' + printable(f'{arguments.out / "summary.json"}' + (
         f' and {arguments.report / "README.md"}' if arguments.report else '')))
@@ -148,22 +144,13 @@ def _check_cameras(arguments: argparse.Namespace) -> None:
             'omnidirectional cameras on a plane are compared; add --sensor omnidirectional')
 
 
-def _write_rig(arguments: argparse.Namespace) -> Path:
+def _write_rig(arguments: argparse.Namespace) -> None:
     """Write the rig of ``--sensor`` beside the results, and go on as if it had been given."""
     rig = rig_of(arguments.cameras or CAMERAS, arguments.sensor,
                  mount={'on': arguments.mount or MOUNT})
     path = folder_to_write(arguments.out) / RIG
-    check_own([path], (), arguments.overwrite)
     write_atomically(path, written(rig.document.data, path.suffix))
-    note_own([path])
     arguments.rig, arguments.cameras = path, None
-    return path
-
-
-def _reported(arguments: argparse.Namespace) -> list[Path]:
-    """Return the files of a report."""
-    return [arguments.report / name for name in REPORTED
-            if arguments.rig is None or name not in OF_PLACEMENTS]
 
 
 def _cameras(protocol: Protocol) -> dict[str, Any]:

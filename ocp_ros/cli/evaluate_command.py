@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from ocp_ros.cli.common import inputs_of
+from ocp_ros.cli.common import claim_folder
 from ocp_ros.evaluation.paired import pairs
 from ocp_ros.evaluation.protocol import Protocol
 from ocp_ros.evaluation.summary import per_room
@@ -23,7 +23,6 @@ from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.scene_files import check_file
 from ocp_ros.scenes.splits import SETS
 from ocp_ros.util.files import folder_to_write, write_atomically
-from ocp_ros.util.own_files import check_own, note_own
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
 from ocp_ros.util.yaml_files import timestamp
@@ -64,7 +63,7 @@ def evaluate(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
         check_file(path)
     folder_to_write(arguments.out)
     path = arguments.out / 'evaluation.json'
-    check_own([path], inputs_of(arguments), arguments.overwrite)
+    claim_folder(arguments, arguments.out, [path.name], '*-cameras')
     found: dict[str, Any] = {
         'command': command, 'date': timestamp(),
         'model': arguments.model, 'rotations': list(arguments.rotations),
@@ -95,7 +94,6 @@ def evaluate(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
                              if any('seconds_at_most' in row for row in rows
                                     if row['planner'] == planner)}}
     write_atomically(path, json.dumps(found, indent=1) + '\n')
-    note_own([path])
     print(f'wrote {printable(str(path))}')
     return found
 
