@@ -4,6 +4,7 @@
 
 from contextlib import contextmanager, ExitStack
 from dataclasses import replace
+import faulthandler
 from functools import cache
 import os
 from pathlib import Path
@@ -26,7 +27,6 @@ import pytest
 # Nothing here that takes long to import: the process that hands out the tests reads this too, and
 # the others begin when it has done so.
 from ocp_ros.agent.agent_config import AgentConfig, CLOUD, PAPER
-from ocp_ros.ros.runtime.exit_timer import leaving_within
 from ocp_ros.util.settings import ConfigurationError
 
 #: Seconds after which what a test waits for has hung. No test waits as long, on whatever machine:
@@ -48,8 +48,18 @@ MOUNTS = {'plane': {'on': 'plane', 'height': 1.9}, 'ceiling': {'on': 'ceiling'},
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item):
     """End a process that hangs in native code; another one goes on with the other tests."""
-    with leaving_within(STUCK, 1):
+    with ended_after(STUCK):
         return (yield)
+
+
+@contextmanager
+def ended_after(seconds):
+    """End this process if a block takes longer."""
+    faulthandler.dump_traceback_later(seconds, exit=True, file=sys.__stderr__)
+    try:
+        yield
+    finally:
+        faulthandler.cancel_dump_traceback_later()
 
 
 @cache
@@ -173,10 +183,10 @@ class Graph:
         Take everything down; another order can crash in the DDS layer.
 
         Where another process comes or leaves at that moment Fast DDS may wait for ever (see
-        ``exit_timer``). This process is ended then, and the test is run once more.
+        ``node_main.take_down``). This process is ended then, and the test is run once more.
         """
         import rclpy
-        with leaving_within(STUCK_LEAVING, 1):
+        with ended_after(STUCK_LEAVING):
             self.executor.shutdown()
             for node in self.nodes:
                 node.destroy_node()
@@ -184,8 +194,11 @@ class Graph:
 
 
 @pytest.fixture
-def graph(domain):
-    """Return a graph of nodes of its own."""
+def graph(domain, monkeypatch):
+    """Return a graph of nodes of its own, which know each other at once."""
+    from ocp_ros.ros.policy import commands
+    monkeypatch.setattr(commands, 'SETTLING', 0.0)
+    monkeypatch.setattr(commands, 'VISIBLE', 0.0)
     with ExitStack() as stack:
         made = Graph(domain)
         stack.callback(made.close)

@@ -1,6 +1,6 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Several policies on one topic: the first commands, the others hold still and say so."""
+"""Several policies on one topic: one commands, the others hold and say so."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
 
 from geometry_msgs.msg import PoseArray
 from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Header, String
+from std_msgs.msg import Header
 
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import (
@@ -18,7 +18,7 @@ from ocp_ros.ros.interface.conversions import (
     positions_to_msg,
     stamp_to_ns,
 )
-from ocp_ros.ros.policy import arbitration
+from ocp_ros.ros.policy.commands import Commands
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.runtime import diagnostics
 from ocp_ros.ros.sim_node import SimNode
@@ -27,36 +27,34 @@ SMALL = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 
          'engine__coverage_cell': 0.5, 'resend_period': 0.05, 'auto_reset': True}
 
 
-@pytest.fixture
-def hurried(monkeypatch):
-    """Let who falls silent be forgotten soon."""
-    monkeypatch.setattr(arbitration, 'PERIOD', 0.1)
-    monkeypatch.setattr(arbitration, 'EXPIRY', 2.0)
+def held(node):
+    """Return whether a policy says that it holds."""
+    level, words, _ = node._status()
+    return level == diagnostics.WARN and 'expected one policy, so this one holds' in words
 
 
-def test_the_second_policy_refuses_and_takes_over_when_the_first_ends(graph, hurried, capfd):
+def test_the_second_policy_holds_and_takes_over_when_the_first_ends(graph, capfd):
     sim = graph.add(SimNode, **SMALL)
     first = graph.add(PolicyNode)
     graph.until(lambda: first._counts['turns_answered'] >= 1)
     second = graph.add(PolicyNode)
-    graph.until(lambda: second._commander.first)
-    level, words, _ = second._status()
-    assert level == diagnostics.WARN
-    assert 'found /policy_node, which commands these cameras' in words
+    graph.until(lambda: held(second))
+    assert 'found publishers of /camera_commands: /policy_node;' in second._status()[1]
     assert first._status()[0] == diagnostics.OK
     answered = first._counts['turns_answered']
     graph.until(lambda: first._counts['turns_answered'] >= answered + 3)
     assert second._counts['turns_answered'] == 0
-    assert 'expected one policy; this one holds still' in capfd.readouterr().err
+    assert 'so this one holds; end the others' in capfd.readouterr().err
     graph.remove(first)
     graph.until(lambda: second._counts['turns_answered'] >= 2)
-    assert sim._counts['refused_commands'] == 0 and not second._commander.wrong()
+    assert sim._counts['refused_commands'] == 0 and not held(second)
 
 
-def test_a_live_policy_that_is_not_the_first_sends_nothing(graph, probe, room, hurried):
+def test_a_live_policy_that_is_not_the_first_sends_nothing(graph, probe, room):
     first = graph.add(PolicyNode)
+    graph.until(lambda: not first._waits())
     second = graph.add(PolicyNode, cloud_topics='points')
-    graph.until(lambda: second._commander.first)
+    graph.until(lambda: held(second))
     probe.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
     poses = probe.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
     clouds = probe.publisher(PointCloud2, 'points', qos.LOOP)
@@ -73,44 +71,35 @@ def test_a_live_policy_that_is_not_the_first_sends_nothing(graph, probe, room, h
     # What it has seen while it waited is long ago when it takes over.
     graph.until(lambda: not second._live._turns.due())
     graph.remove(first)
-    graph.until(lambda: not second._commander.first)
+    graph.until(lambda: not second._waits())
     send(1000)
     graph.until(lambda: second._counts['turns_answered'] == 1)
     command = probe.last(topics.CAMERA_COMMANDS)
     assert len(command.poses) == 2 and stamp_to_ns(command.header.stamp) == 1000
 
 
-def test_words_that_are_none_are_nobody(graph, probe):
+def test_a_policy_that_has_commanded_goes_on_beside_another_publisher(graph, probe):
+    graph.add(SimNode, **SMALL)
     policy = graph.add(PolicyNode)
-    words = probe.publisher(String, topics.COMMANDERS, qos.LOOP)
-    for text in ('', ' ', '0 0 /x', f'{0:020}', f'{0:020} short /x', f'{0:019}x 12345678 /x',
-                 '\0' * 40, 'é' * 20 + ' 12345678 /x'):
-        words.publish(String(data=text))
-    words.publish(String(data=f'{1 << 62:020} 12345678 /late'))
-    graph.until(lambda: policy._commander._others)
-    assert list(policy._commander._others) == [f'{1 << 62:020} 12345678']
-    assert not policy._commander.first
+    graph.until(lambda: policy._counts['turns_answered'] >= 1)
+    other = probe.node.create_publisher(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
+    graph.until(lambda: policy._status()[0] == diagnostics.WARN)
+    assert ('found publishers of /camera_commands: /policy_node, /probe; expected one policy; '
+            'end the others') in policy._status()[1]
+    answered = policy._counts['turns_answered']
+    graph.until(lambda: policy._counts['turns_answered'] >= answered + 3)
+    probe.node.destroy_publisher(other)
+    graph.until(lambda: policy._status()[0] == diagnostics.OK)
 
 
-def test_all_agree_whoever_hears_whom_first(graph):
-    nodes = [graph.add(PolicyNode) for _ in range(3)]
-    graph.until(lambda: all(len(node._commander._others) == 2 for node in nodes))
-    assert [bool(node._commander.first) for node in nodes] == [False, True, True]
-
-
-def test_a_node_that_thinks_goes_on_saying_that_it_is_there(graph, probe, monkeypatch):
-    """Its executor gets round to nothing meanwhile."""
-    monkeypatch.setattr(arbitration, 'PERIOD', 0.02)
-    probe.listen(String, topics.COMMANDERS, qos.LOOP)
-    words = probe.received[topics.COMMANDERS]
-    thinks = PolicyNode(context=graph.context)
-    thread = thinks._commander._thread
-    try:
-        count = len(words)
-        graph.until(lambda: len(words) >= count + 5)
-    finally:
-        thinks.destroy_node()
-    assert not thread.is_alive()
+def test_of_several_that_begin_at_once_one_commands(graph, monkeypatch):
+    """Those that do not see each other in time give way, and look again."""
+    with monkeypatch.context() as blind:
+        blind.setattr(Commands, '_others', 0)
+        nodes = [graph.add(PolicyNode) for _ in range(3)]
+    assert nodes[0].count_publishers(topics.CAMERA_COMMANDS) == 3
+    graph.until(lambda: sum(not node._waits() for node in nodes) == 1)
+    graph.until(lambda: sum(held(node) for node in nodes) == 2)
 
 
 def test_two_simulations_on_the_same_topics_are_noticed(graph, probe, capfd):
@@ -120,7 +109,8 @@ def test_two_simulations_on_the_same_topics_are_noticed(graph, probe, capfd):
     other = probe.node.create_publisher(PointCloud2, topics.OBSERVATION, qos.LOOP)
     for node in (sim, policy):
         graph.until(lambda one=node: one._status()[0] == diagnostics.WARN)
-        assert 'found 2 nodes that publish observation; expected one' in node._status()[1]
+        assert ('found publishers of observation: /probe, /sim_node; expected one simulation'
+                in node._status()[1])
     assert 'give each its own namespace' in capfd.readouterr().err
     probe.node.destroy_publisher(other)
     graph.until(lambda: policy._status()[0] == diagnostics.OK)

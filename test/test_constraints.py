@@ -82,7 +82,7 @@ def test_candidates_obey_whatever_is_asked(rooms, spacing, keep_clear, low, most
     room = list(rooms.values())[number]
     middle = room.bounds.mean(axis=0)
     allowed = allowed_of(room, mount, spacing=spacing, keep_clear=keep_clear,
-                         pitch=[low, low + 10.0], no_go=[{'box': [
+                         pitch=[low, low + 10.0], keep_out=[{'box': [
                              (middle - [1.0, 0.5, 9.0]).tolist(), (middle + 9.0).tolist()]}])
     poses = allowed.candidates(D455, most)
     assert 1 <= len(poses) <= most
@@ -217,8 +217,8 @@ def test_hardly_any_place_inside_the_solids_of_scanned_rooms_is_allowed():
     assert good[(depth < -0.5) & (over_floor > 0)].mean() > 0.97
 
 
-def test_no_go_zones_keep_cameras_out(rooms):
-    allowed = allowed_of(rooms['low'], 'plane', no_go=[
+def test_zones_keep_cameras_out(rooms):
+    allowed = allowed_of(rooms['low'], 'plane', keep_out=[
         {'box': [[-10, -50, -5], [-1.5, -34, 0]]},
         {'polygon': [[-10, -50], [10, -50], [10, -37]], 'height': [1.0, 2.5]}])
     places = allowed.candidates(D455, 500)[:, :3]

@@ -89,13 +89,13 @@ def yaml_example(page, first):
 
 def test_the_example_of_a_rig_has_every_key_and_each_is_explained(tmp_path):
     from ocp_ros.rig.rig_file import load_rig
-    from ocp_ros.rig.schemas import CAMERA, FIXED, NO_GO, REGION, RIG
+    from ocp_ros.rig.schemas import CAMERA, FIXED, KEEP_OUT, REGION, RIG
     (tmp_path / 'rig.yaml').write_text(yaml_example('docs/reference/rig.md', 'cameras:'))
     rig = load_rig(tmp_path / 'rig.yaml')
-    assert set(rig.document.data) == set(RIG['properties']) - {'no_go'}
+    assert set(rig.document.data) == set(RIG['properties'])
     assert len(rig.all_cameras) == 5
     text = (ROOT / 'docs' / 'reference' / 'rig.md').read_text()
-    for part in (RIG, CAMERA, FIXED, NO_GO, REGION):
+    for part in (RIG, CAMERA, FIXED, KEEP_OUT, REGION):
         for key in part['properties']:
             assert f'`{key}`' in text, key
 

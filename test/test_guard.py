@@ -29,7 +29,7 @@ def turns(draw):
     low = draw(st.tuples(st.floats(0.5, 4.0), st.floats(0.5, 2.5)))
     rig = rig_of(3, 'omnidirectional', mount=mount, keep_clear=draw(st.floats(0.0, 0.5)),
                  spacing=draw(st.floats(0.0, 1.0)), fixed=[FIXED] if draw(st.booleans()) else [],
-                 no_go=[{'box': [[*low, 0.0], [low[0] + 1.5, low[1] + 1.0, 3.0]]}])
+                 keep_out=[{'box': [[*low, 0.0], [low[0] + 1.5, low[1] + 1.0, 3.0]]}])
     rng = np.random.default_rng(draw(st.integers(0, 2 ** 31)))
     points = box_sides(np.array([6.0, 4.0, 2.8]), np.array([3.0, 2.0, 1.4]), 0.15)
     points = points.astype(np.float32)
@@ -166,7 +166,7 @@ def test_a_target_that_is_allowed_is_left_as_it_is():
 
 def test_a_camera_with_nowhere_to_go_stays_and_says_so():
     rig = rig_of(1, 'omnidirectional', mount=MOUNTS[0],
-                 no_go=[{'box': [[0.0, 0.0, 0.0], [6.0, 4.0, 3.0]]}])
+                 keep_out=[{'box': [[0.0, 0.0, 0.0], [6.0, 4.0, 3.0]]}])
     position = np.array([[2.0, 2.0, 1.9]])
     found, held = ConstraintFilter(rig, MARGIN)(box_room().points, position, position + 0.1, 0.5)
     np.testing.assert_array_equal(found, position)

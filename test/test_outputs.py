@@ -25,8 +25,6 @@ from ocp_ros.training.replay_file import save_replay
 from ocp_ros.training.run_folder import add_record, claim
 from ocp_ros.training.sac import make_sac
 from ocp_ros.training.training_config import SacConfig, TrainingConfig
-from ocp_ros.util.files import write_atomically
-from ocp_ros.util.own_files import check_own, is_own, note_own, RECORD, remove_own
 from ocp_ros.util.settings import ConfigurationError
 
 PLACEMENT = """\
@@ -63,29 +61,28 @@ def refused(capsys, *arguments):
     return err
 
 
+SCORE = ['score', 'room.ply', 'placement.yaml', '--out']
+
+
 @pytest.mark.parametrize(('taken', 'arguments', 'words'), [
-    ('placement.yaml', ['score', 'room.ply', 'placement.yaml', '--out', '.'],
-     'is an input of this command and would be replaced'),
-    ('placement.yaml', ['score', 'room.ply', 'placement.yaml', '--out', '.', '--overwrite'],
-     'is an input of this command and would be replaced'),
-    ('new/installer.md', ['score', 'room.ply', 'placement.yaml', '--out', 'new'],
-     '--out: found new/installer.md, which no command of ocp wrote'),
-    ('placement.json', ['plan', 'room.ply', '--out', '.'], 'found placement.'),
-    ('new/curve.png', ['plan', 'room.ply', '--count', 'auto', '--out', 'new'], 'new/curve.png'),
-    ('rig.yaml', ['view', 'room.ply', 'placement.yaml', '--rig', 'rig.yaml', '--out', 'rig.yaml'],
-     'would be replaced'),
-    ('page.html', ['view', 'room.ply', '--out', 'page.html'], 'found page.html, which no'),
+    ('placement.yaml', [*SCORE, '.', '--overwrite'], 'placement.yaml, which is an input of this'),
     ('room.ply', ['view', 'room.ply', '--out', 'room.ply', '--overwrite'], 'would be replaced'),
+    ('out/rig.yaml', ['view', 'room.ply', 'placement.yaml', '--rig', 'out/rig.yaml', '--out',
+                      'out/rig.yaml'], 'would be replaced'),
     ('room.ply', ['rooms', 'preview', '8', 'room.ply', '--out', 'room.ply'], 'would be replaced'),
-    ('a.png', ['rooms', 'preview', '8', '--out', 'a.png'], 'found a.png, which no command'),
-    ('room-8_mesh.ply', ['rooms', 'make', '8', '--out', '.'], 'found room-8_mesh.ply, which no'),
-    ('results.csv', ['benchmark', '--out', '.'], '--out: found results.csv, which no command'),
-    ('evaluation.json', ['evaluate', '--out', '.'], 'found evaluation.json, which no command'),
-    ('mine.safetensors', ['train', '--config', 'config.yaml', '--out', 'run', '--model',
-                          'mine.safetensors'], '--model: found mine.safetensors, which no'),
+    ('new/installer.md', [*SCORE, 'new'],
+     'found new/installer.md, and no placement.json of an earlier run'),
+    ('new/placement.yaml', ['plan', 'room.ply', '--out', 'new'], 'and no placement.json of an'),
+    ('new/placement.yaml', ['calibrate', 'room.ply', 'placement.yaml', '--clouds', 'room.ply',
+                            '--out', 'new'], 'and no calibration.json of an earlier run'),
+    ('new/results.csv', ['benchmark', '--out', 'new'], 'and no protocol.json of an earlier run'),
+    ('new/evaluation.json', ['evaluate', '--out', 'new'], 'and no *-cameras of an earlier run'),
+    ('page.html', ['view', 'room.ply', '--out', 'page.html'], 'page.html, which exists already'),
+    ('a.png', ['rooms', 'preview', '8', '--out', 'a.png'], 'found a.png, which exists already'),
+    ('room-8_mesh.ply', ['rooms', 'make', '8', '--out', '.'], 'room-8_mesh.ply, which exists'),
     ('room.json', ['train', '--config', 'config.yaml', '--out', 'run', '--model',
-                   'room.safetensors'], '--model: found room.json, which no command'),
-    ('best.safetensors', ['train', '--config', 'config.yaml', '--out', '.'],
+                   'room.safetensors'], '--model: found room.json, which exists already'),
+    ('run/best.safetensors', ['train', '--config', 'config.yaml', '--out', 'run'],
      'found best.safetensors and neither'),
     ('rooms.json', ['train', '--config', 'config.yaml', '--out', '.'],
      'rooms.json: found no list of rooms')])
@@ -102,69 +99,45 @@ def test_what_somebody_wrote_is_not_replaced(files, capsys, monkeypatch, taken, 
     assert {path: content for path, content in contents(files).items() if path in before} == before
 
 
-def test_commands_replace_what_they_wrote_unless_it_was_edited(files, capsys):
-    command = ['score', 'room.ply', 'placement.yaml', '--out', 'out']
-    assert cli.main(command) == cli.main(command) == 0
-    capsys.readouterr()
-    with (files / 'out/installer.md').open('a') as file:
-        file.write('Mind the dog.\n')
-    assert 'out/installer.md' in refused(capsys, *command)
-    assert 'Mind the dog' in (files / 'out/installer.md').read_text()
-    assert cli.main([*command, '--overwrite']) == cli.main(command) == 0
-    assert 'Mind the dog' not in (files / 'out/installer.md').read_text()
+def test_commands_write_again_to_the_folder_of_an_earlier_run(files):
+    curve, notes = files / 'new/curve.png', files / 'new/notes.md'
+    assert cli.main([*SCORE, 'new']) == 0
+    curve.write_text('of an earlier run')
+    notes.write_text('mine')
+    assert cli.main([*SCORE, 'new']) == 0
+    assert not curve.exists() and notes.read_text() == 'mine'
 
 
-def test_files_of_an_earlier_run_go_unless_somebody_edited_them(files, capsys):
-    command = ['score', 'room.ply', 'placement.yaml', '--out', 'out']
-    curve = files / 'out' / 'curve.png'
-    write_atomically(curve, b'of an earlier run')
-    note_own([curve])
-    assert cli.main(command) == 0 and not curve.exists()
-    write_atomically(curve, b'of an earlier run')
-    note_own([curve])
-    curve.write_bytes(b'edited')
-    assert cli.main(command) == 0 and curve.read_bytes() == b'edited'
+def test_other_files_are_replaced_where_that_is_asked_for(files):
+    (files / 'new').mkdir()
+    for name in ('installer.md', 'notes.md'):
+        (files / 'new' / name).write_text('mine')
+    assert cli.main([*SCORE, 'new', '--overwrite']) == 0
+    assert (files / 'new/installer.md').read_text() != 'mine'
+    assert (files / 'new/notes.md').read_text() == 'mine'
 
 
-def test_single_files_are_replaced_by_who_wrote_them(files, capsys):
-    for command in (['view', 'room.ply', '--out', 'a/page.html'],
-                    ['rooms', 'make', '8', '--points', '1000', '--out', 'made'],
-                    ['rooms', 'preview', '8', '--points', '1000', '--out', 'a/b.png']):
+def test_files_in_the_folder_of_results_are_replaced(files):
+    for command in (['view', 'room.ply'],
+                    ['rooms', 'make', '8', '--points', '1000'],
+                    ['rooms', 'preview', '8', '--points', '1000', '--out', 'out/b.png']):
         assert cli.main(command) == cli.main(command) == 0
-    assert is_own(files / 'a/page.html') and is_own(files / 'a/b.png')
-    assert is_own(files / 'made/room-8_mesh.ply')
 
 
 def test_settings_that_stand_in_the_folder_of_a_run_stay_as_they_are(files):
     claim(files, TrainingConfig(interactions=24))
     assert (files / 'config.yaml').read_text() == 'interactions: 24  # few\n'
-    with pytest.raises(ConfigurationError, match='found that it was edited, or not written by'):
-        claim(files, TrainingConfig(interactions=25))
+    with pytest.raises(ConfigurationError, match='found a run with seed 0; expected'):
+        claim(files, TrainingConfig(interactions=24, seed=1))
     assert (files / 'config.yaml').read_text() == 'interactions: 24  # few\n'
 
 
-@pytest.mark.parametrize('damage', [b'', b'null', b'[]', b'{"a": 7}', b'[' * 100000, b'\xff'])
-def test_a_damaged_record_knows_of_nothing(tmp_path, damage):
-    path = tmp_path / 'a'
-    path.write_text('mine')
-    note_own([path])
-    check_own([path])
-    (tmp_path / RECORD).write_bytes(damage)
-    with pytest.raises(ConfigurationError, match='which no command of ocp wrote'):
-        check_own([path])
-    assert remove_own([path]) == [] and path.exists()
-    note_own([path])
-    assert remove_own([path]) == [path]
-
-
-def test_a_link_is_not_followed_to_what_is_read(tmp_path):
-    (tmp_path / 'room.ply').write_text('mine')
-    (tmp_path / 'out.ply').symlink_to('room.ply')
-    (tmp_path / 'nowhere').symlink_to('gone')
-    with pytest.raises(ConfigurationError, match='out.ply, which is an input of this command'):
-        check_own([tmp_path / 'out.ply'], [tmp_path / 'room.ply'], overwrite=True)
-    with pytest.raises(ConfigurationError, match='nowhere, which no command'):
-        check_own([tmp_path / 'nowhere'])
+def test_a_link_is_not_followed_to_what_is_read(files, capsys):
+    (files / 'a.html').symlink_to('room.ply')
+    (files / 'b.html').symlink_to('gone')
+    view = ['view', 'room.ply', '--out']
+    assert 'a.html, which is an input of this' in refused(capsys, *view, 'a.html', '--overwrite')
+    assert 'b.html, which exists already' in refused(capsys, *view, 'b.html')
 
 
 @contextmanager
@@ -216,12 +189,11 @@ def test_a_full_disk_leaves_the_pictures_of_an_earlier_run_and_says_so(files, ca
     assert 'not all could be written (File too large)' in err and 'cameras:' in out
     assert 'of an earlier run, not of this placement: plan.png, report.png, report.html' in err
     assert (files / 'out/plan.png').read_bytes() == before
-    # What was written is known as such.
     assert cli.main(command) == 0
 
 
 def test_a_full_disk_is_said_to_be_so(files, capsys):
-    command = ['view', 'room.ply', '--out', 'page.html']
+    command = ['view', 'room.ply', '--out', 'page.html', '--overwrite']
     assert cli.main(command) == 0
     before = (files / 'page.html').read_bytes()
     capsys.readouterr()

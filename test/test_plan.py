@@ -78,7 +78,7 @@ def test_whatever_is_asked_every_camera_keeps_to_it(
     fixed = [{'sensor': 'kinect_v2', 'position': [1.0, 1.0, 2.0], 'name': 'door'}] * in_place
     zone = {'polygon': [[side, 0.0], [side + 0.8, 0.0], [side + 0.8, 4.0], [side, 4.0]]}
     rig = rig_of(1, mount=MOUNTS[mount], pitch=[low, low + 15.0], spacing=spacing,
-                 keep_clear=keep_clear, no_go=[zone], fixed=fixed)
+                 keep_clear=keep_clear, keep_out=[zone], fixed=fixed)
     several = [rig_of(1, name).cameras[0]._replace(name=f'{name}_{k}')
                for k, name in enumerate(cameras)]
     rig = replace(rig, cameras=tuple(several),
@@ -183,7 +183,7 @@ def test_one_more_camera_is_the_best_of_all_candidates(furnished):
      r'furnished; .*; lower it or use fewer cameras'),
     ({'keep_clear': 3.0}, r'mount: found no feasible pose in furnished: keep_clear rejects '
      r'\d+ of \d+'),
-    ({'no_go': [{'box': [[-9, -9, -9], [99, 99, 99]]}]}, r'keep-out zone 1 rejects \d+ of'),
+    ({'keep_out': [{'box': [[-9, -9, -9], [99, 99, 99]]}]}, r'keep-out zone 1 rejects \d+ of'),
     ({'fixed': [{'sensor': 'kinect_v2', 'position': [3, 2, 1.9]}], 'spacing': 8.0},
      r'spacing rejects \d+ of'),
     ({'regions': [{'name': 'inside', 'box': [[3.4, 1.4, -0.1], [4.6, 2.6, 0.1]],
@@ -379,7 +379,7 @@ def test_a_bad_room_is_refused_in_one_sentence(files, capsys, name, write, words
     (['room.ply', '--out', 'rig.yaml'], '--out: found rig.yaml, where nothing can be written (it '
      'is a file); expected a folder'),
     (['room.ply', '--out', 'room.ply/x'], '--out: found room.ply/x, where nothing can be written'),
-    (['room.ply', '--out', '/proc'], '--out: found /proc, where nothing can be written'),
+    (['room.ply', '--out', '/proc/a'], '--out: found /proc/a, where nothing can be written'),
     (['8', '--up', 'y'], '--up: found it with the generated room 8'),
     (['room.ply', '--rig', 'rig.yaml', '--mount', 'walls'], '--mount: found walls with --rig'),
     (['room.ply', '--rig', 'rig.yaml', '--count', 'auto'], 'cameras: found 2 groups; expected'),

@@ -45,7 +45,7 @@ mount: {on: plane, height: 1.9}
 pitch: [10, 40]
 keep_clear: 0.35
 spacing: 1.2
-no_go:
+keep_out:
   - {polygon: [[2.5, 2.5], [4.5, 2.5], [4.5, 4.5], [2.5, 4.5]]}
 regions:
   - {name: table, box: [[2, 2, 0], [5, 5, 1.5]], weight: 2.0}
@@ -140,7 +140,7 @@ def test_whatever_is_proposed_is_hung_where_it_may(
         furnished, mount, spacing, side, in_place, cameras, places):
     fixed = [{'sensor': 'kinect_v2', 'position': [1.0, 1.0, 2.0], 'name': 'door'}] * in_place
     zone = {'polygon': [[side, 0.0], [side + 0.8, 0.0], [side + 0.8, 4.0], [side, 4.0]]}
-    rig = rig_of(1, mount=MOUNTS[mount], pitch=[10, 40], spacing=spacing, no_go=[zone],
+    rig = rig_of(1, mount=MOUNTS[mount], pitch=[10, 40], spacing=spacing, keep_out=[zone],
                  fixed=fixed)
     rig = replace(rig, cameras=tuple(rig_of(1, name).cameras[0]._replace(name=f'{name}_{k}')
                                      for k, name in enumerate(cameras)))
@@ -158,7 +158,7 @@ def test_whatever_is_proposed_is_hung_where_it_may(
 
 
 def test_a_place_that_is_allowed_is_kept_and_another_is_the_nearest(furnished):
-    rig = rig_of(2, 'omnidirectional', no_go=[{'box': [[0, 0, 0], [2, 4, 3]]}], spacing=0.5)
+    rig = rig_of(2, 'omnidirectional', keep_out=[{'box': [[0, 0, 0], [2, 4, 3]]}], spacing=0.5)
     decode = decoder_of(furnished, rig)
     free, inside = np.array([2.7132, 3.1457]), np.array([1.0, 2.0])
     first, second = decode(np.array([free, inside]))

@@ -35,7 +35,7 @@ cameras: [{sensor: realsense_d455, count: 2}, {sensor: omnidirectional}]
 fixed: [{sensor: realsense_d455, position: [6.0, 6.0, 1.9], yaw: 225, pitch: 25}]
 pitch: [0, 60]
 spacing: 0.6
-no_go: [{box: [[2.8, 2.8, 0], [4.0, 4.0, 3]]}]
+keep_out: [{box: [[2.8, 2.8, 0], [4.0, 4.0, 3]]}]
 regions: [{name: corner, box: [[0, 0, 0], [2, 2, 2]], weight: 2.0}]
 """
 

@@ -27,7 +27,7 @@ mount: {on: walls, height: [1.8, 2.4]}
 pitch: [0, 60]
 keep_clear: 0.3
 spacing: 0.5
-no_go:
+keep_out:
   - {box: [[0, 0, 0], [1, 1, 3]]}
   - {polygon: [[0, 0], [2, 0], [2, 1]], height: [0.5, 3.0]}
 regions:
@@ -122,19 +122,10 @@ def test_zones_are_boxes_and_polygons_between_heights_above_the_floor(tmp_path, 
     assert box.contains(points, -7.0)[0] == box.contains(points, 0.0)[0]
 
 
-def test_the_former_name_of_keep_out_zones_still_works(tmp_path):
-    for key in ('keep_out', 'no_go'):
-        rig = rig_in(tmp_path, f'cameras: [{{sensor: kinect_v2}}]\n{key}: [{{box: '
-                               '[[0, 0, 0], [1, 2, 3]]}]')
-        assert len(rig.keep_out) == 1
-        assert rig.keep_out[0].contains(np.array([[0.5, 1.5, 1.0], [1.5, 1.5, 1.0]]),
-                                        0.0).tolist() == [True, False]
-
-
 @pytest.mark.parametrize('corners', [
     [[0, 0], [2, 0], [2, 1]], [[0, 0], [4, 0], [4, 4], [2, 1], [0, 4]]])
 def test_a_polygon_holds_as_many_places_as_its_area_says(tmp_path, corners):
-    zone = rig_in(tmp_path, f'cameras: [{{sensor: kinect_v2}}]\nno_go: [{{polygon: {corners}}}]'
+    zone = rig_in(tmp_path, f'cameras: [{{sensor: kinect_v2}}]\nkeep_out: [{{polygon: {corners}}}]'
                   ).keep_out[0]
     points = np.random.default_rng(0).uniform(0.0, 4.0, (20000, 3))
     x, y = np.array(corners, dtype=float).T
@@ -191,30 +182,30 @@ BAD = {
     'infinity': ('spacing: 0.5', 'spacing: 1e99', 'line 10, spacing', 'spacing: 0.5'),
     'nothing': ('spacing: 0.5', 'spacing:', 'line 10, spacing', 'spacing: 0.5'),
     'a box inside out': ('[[0, 0, 0], [1, 1, 3]]', '[[0, 0, 5], [1, 1, 3]]',
-                         'line 12, no_go[0].box', 'exchange'),
+                         'line 12, keep_out[0].box', 'exchange'),
     'a box with a height': ('[1, 1, 3]]', '[1, 1, 3]], height: [0, 1]',
-                            'line 12, no_go[0].height', 'remove it'),
-    'a zone of nothing': ('box: [[0, 0, 0], [1, 1, 3]]', '', 'line 12, no_go[0]',
+                            'line 12, keep_out[0].height', 'remove it'),
+    'a zone of nothing': ('box: [[0, 0, 0], [1, 1, 3]]', '', 'line 12, keep_out[0]',
                           'write, for example, box'),
-    'a polygon on a line': ('[2, 1]], height', '[4, 0]], height', 'line 13, no_go[1].polygon',
+    'a polygon on a line': ('[2, 1]], height', '[4, 0]], height', 'line 13, keep_out[1].polygon',
                             'one after the other'),
     'heights the wrong way round': ('height: [0.5, 3.0]', 'height: [3.0, 0.5]',
-                                    'line 13, no_go[1].height', 'write [0.5, 3]'),
+                                    'line 13, keep_out[1].height', 'write [0.5, 3]'),
     'a region without a name': ('name: table, ', '', 'line 15, regions[0]', 'add, for example, '
                                 'name'),
     'a name that ends with a line': ('name: wide', 'name: "wide\\n"', 'line 4, cameras[1].name',
                                      'name: door'),
     'heights that are the same': ('height: [0.5, 3.0]', 'height: [2, 2]',
-                                  'line 13, no_go[1].height', 'raise the second'),
-    'a box without an inside': ('[1, 1, 3]', '[1, 0, 3]', 'line 12, no_go[0].box',
+                                  'line 13, keep_out[1].height', 'raise the second'),
+    'a box without an inside': ('[1, 1, 3]', '[1, 0, 3]', 'line 12, keep_out[0].box',
                                 'correct those'),
     'a polygon that crosses itself': ('[[0, 0], [2, 0], [2, 1]], height',
                                       '[[0, 0], [2, 0], [0, 1], [2, 1.5]], height',
-                                      'line 13, no_go[1].polygon: found edges that cross',
+                                      'line 13, keep_out[1].polygon: found edges that cross',
                                       'round it once'),
     'a polygon that crosses itself in halves': (
         '[[0, 0], [2, 0], [2, 1]], height', '[[0, 0], [2, 2], [2, 0], [0, 2]], height',
-        'line 13, no_go[1].polygon: found edges that cross', 'round it once'),
+        'line 13, keep_out[1].polygon: found edges that cross', 'round it once'),
     'a sensor as a camera': ('{sensor: realsense_d455, count: 3}', 'realsense_d455',
                              'line 2, cameras[0]: found', 'write, for example, {sensor: '),
     'a number as a region': (

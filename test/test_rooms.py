@@ -187,7 +187,7 @@ def test_rooms_are_listed_made_and_drawn(tmp_path, capsys):
     assert cli.main(['rooms', 'preview', '30', str(tmp_path / 'room-30.ply'), '--points', '3000',
                      '--out', str(picture)]) == 0
     assert imread(picture).shape == (315, 750, 4)
-    assert cli.main(['rooms', 'preview', 'none.ply', '--out', str(picture)]) == 2
+    assert cli.main(['rooms', 'preview', 'none.ply', '--out', str(tmp_path / 'none.png')]) == 2
     assert 'found no such file' in capsys.readouterr().err
 
 

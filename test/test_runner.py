@@ -104,20 +104,23 @@ def test_an_interrupt_that_a_callback_takes_for_an_error_of_its_own_ends_a_node(
 #: Waits in native code that keeps the interpreter's lock.
 STUCK = """
 import ctypes
-from ocp_ros.ros.runtime.exit_timer import leaving_within
+from ocp_ros.ros.runtime import node_main
 
+class Stuck:
+    def destroy_node(self):
+        ctypes.PyDLL(None).sleep(1000)
+
+node_main.PATIENCE = 0.2
 print('saved')
-with leaving_within(0.2, 2):
-    pass
-with leaving_within(0.2, 7):
-    ctypes.PyDLL(None).sleep(1000)
+node_main.take_down(Stuck(), None)
 print('not here')
 """
 
 
 def test_native_code_that_never_returns_keeps_no_process():
     done = subprocess.run([sys.executable, '-c', STUCK], capture_output=True, text=True)
-    assert (done.returncode, done.stdout) == (7, 'saved\n'), done.stderr
+    assert 'in destroy_node' in done.stderr
+    assert (done.returncode, done.stdout) == (1, 'saved\n'), done.stderr
 
 
 #: Starts a node, tells its process id, and waits to be killed.

@@ -205,7 +205,7 @@ def test_commands_are_held_to_a_rig_file(robot, tmp_path, monkeypatch):
         mount: {on: plane, height: 1.9}
         keep_clear: 0.4
         spacing: 0.7
-        no_go: [{box: [[3.5, 0.0, 0.0], [4.5, 4.0, 3.0]]}]"""))
+        keep_out: [{box: [[3.5, 0.0, 0.0], [4.5, 4.0, 3.0]]}]"""))
     rng = np.random.default_rng(0)
     monkeypatch.setattr(policy.planner, 'move', lambda *turn: rng.normal(0.0, 0.5, (2, 2)))
     positions = np.array([[1.5, 1.0, 1.9], [1.5, 3.0, 1.9], [3.0, 2.0, 1.9]])
@@ -248,7 +248,7 @@ def test_poses_of_another_rig_are_refused(robot, tmp_path, capfd):
 def test_a_camera_that_may_go_nowhere_is_a_warning(robot, tmp_path):
     policy = robot.start(rig_file=rig_file(tmp_path, """
         cameras: [{sensor: omnidirectional, count: 3}]
-        no_go: [{box: [[0, 0, 0], [6, 4, 3]]}]"""))
+        keep_out: [{box: [[0, 0, 0], [6, 4, 3]]}]"""))
     np.testing.assert_array_equal(robot.turn(1), POSITIONS)
     level, message, _ = policy._status()
     assert level != b'\0' and 'omnidirectional_1 stays at' in message

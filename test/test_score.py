@@ -121,7 +121,7 @@ def test_what_is_printed_names_all_of_it(files, capsys):
 
 
 def test_what_is_exported_has_the_same_scores(files, capsys):
-    first = scored(capsys, 'room.ply', 'placement.yaml', '--rig', 'rig.yaml', '--export', 'out')
+    first = scored(capsys, 'room.ply', 'placement.yaml', '--rig', 'rig.yaml', '--out', 'out')
     written = {path.name for path in (files / 'out').glob('[!.]*')}
     assert written == {'placement.yaml', 'placement.json', 'cameras.csv', 'cameras.launch.py',
                        'cameras.urdf.xacro', 'cameras.rviz', 'installer.md', 'plan.png',
@@ -140,7 +140,7 @@ def test_a_placement_written_by_hand_is_exported_with_what_it_asks_for(files, ca
     (files / 'placement.yaml').write_text('cameras:\n' + ''.join(
         f'  - {{sensor: {sensor}, position: [{x}, 1.0, 2.0], yaw: 80, pitch: 30}}\n'
         for sensor, x in (('kinect_v2', 1.0), ('realsense_d455', 6.0))))
-    first = scored(capsys, 'room.ply', 'placement.yaml', '--export', 'out')
+    first = scored(capsys, 'room.ply', 'placement.yaml', '--out', 'out')
     again = scored(capsys, 'room.ply', 'out/placement.yaml')
     assert again['scores'] == first['scores'] and again['notes'] == first['broken'] == []
     assert again['one_more'] == first['one_more']
@@ -150,7 +150,7 @@ def test_a_placement_remembers_how_its_room_was_read(files, capsys):
     points = made_room(8, 2500).points * 100.0
     np.save('turned.npy', points[:, [0, 2, 1]] * [1, 1, -1])
     first = scored(capsys, 'turned.npy', 'placement.yaml', '--rig', 'rig.yaml', '--scale', 0.01,
-                   '--up', 'y', '--export', 'out')
+                   '--up', 'y', '--out', 'out')
     assert first['room']['scale'] == 0.01 and first['room']['up'] == 'y'
     again = scored(capsys, 'turned.npy', 'out/placement.yaml')
     assert again['scores'] == first['scores']
@@ -159,7 +159,7 @@ def test_a_placement_remembers_how_its_room_was_read(files, capsys):
 
 
 def test_another_room_or_rig_than_that_of_the_scores_is_noted(files, capsys):
-    scored(capsys, '8', 'placement.yaml', '--rig', 'rig.yaml', '--export', 'out')
+    scored(capsys, '8', 'placement.yaml', '--rig', 'rig.yaml', '--out', 'out')
     other = scored(capsys, 'room.ply', 'out/placement.yaml')
     assert 'made for another scan' in other['notes'][0]
     (files / 'rig.yaml').write_text(RIG.replace('weight: 2.0', 'weight: 5.0'))
@@ -175,7 +175,7 @@ def test_a_generated_room_is_known_by_its_points():
 
 
 def test_where_nothing_more_may_hang_no_camera_is_offered(room):
-    rig = rig_of(1, 'd455', no_go=[{'box': [[-9, -9, -9], [99, 99, 99]]}])
+    rig = rig_of(1, 'd455', keep_out=[{'box': [[-9, -9, -9], [99, 99, 99]]}])
     problem = Problem.of(room, rig, SimulationConfig(engine=EngineConfig(preset='fast')))
     poses = np.array([[2.0, 2.0, 1.9, 0.0, 0.4, 0.0]])
     found = improvements(problem, poses, problem.look(poses))
@@ -207,7 +207,7 @@ def test_a_bad_room_is_refused_in_one_sentence(files, capsys, name, write, words
     (['room.ply', 'room.ply'], 'room.ply: line'),
     (['room.ply', 'rig.yaml'], 'rig.yaml: line 2, cameras[0].count: found the unknown key'),
     (['room.ply', 'placement.yaml', '--rig', 'rig.yaml', '--scale', '0'], 'room.ply: found scale'),
-    (['room.ply', 'placement.yaml', '--rig', 'rig.yaml', '--export', 'rig.yaml'],
+    (['room.ply', 'placement.yaml', '--rig', 'rig.yaml', '--out', 'rig.yaml'],
      '--out: found rig.yaml, where nothing can be written (it is a file)'),
     (['8', 'placement.yaml', '--rig', 'rig.yaml', '--up', 'y'],
      '--up: found it with the generated room 8; expected a scan'),

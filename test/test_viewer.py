@@ -21,7 +21,7 @@ from ocp_ros.rig.rig_file import rig_of, sensor_named, SENSORS
 from ocp_ros.scenes.scene_source import room_named
 
 ASKED = {'regions': [{'name': 'table', 'box': [[2, 2, 0], [5, 5, 1.5]]}],
-         'no_go': [{'polygon': [[0, 0], [1, 0], [1, 1]], 'height': [0, 9]}]}
+         'keep_out': [{'polygon': [[0, 0], [1, 0], [1, 1]], 'height': [0, 9]}]}
 
 
 def judged_with(points, **more):

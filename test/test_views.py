@@ -223,9 +223,8 @@ def test_foxglove_shows_every_topic_that_can_be_shown():
             found = {panel['topicPath'].removesuffix('.data').lstrip('/')}
             assert {topics.TYPES[topic] for topic in found} == {'std_msgs/msg/String'}
         seen |= found
-    # What policies tell each other is for nobody to read.
-    assert seen == {topic for topic, kind in topics.TYPES.items() if topic != topics.COMMANDERS
-                    and kind in {*RVIZ.values(), 'std_msgs/msg/Float64', 'std_msgs/msg/String'}}
+    assert seen == {topic for topic, kind in topics.TYPES.items()
+                    if kind in {*RVIZ.values(), 'std_msgs/msg/Float64', 'std_msgs/msg/String'}}
 
 
 def test_the_types_of_topics_are_those_that_nodes_publish(graph, tmp_path):

@@ -3,7 +3,7 @@
 """What cameras see: the kernels against NumPy and ray casting, and what must hold of them."""
 
 from conftest import made_room
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
 import numpy as np
@@ -124,6 +124,7 @@ def test_cubes_agree_with_their_twins(seed):
 
 
 @given(seed=seeds)
+@example(seed=15384)
 @budget(max_examples=40, deadline=None)
 def test_a_surfel_is_a_disc_on_its_plane(seed):
     rng = np.random.default_rng(seed)
@@ -143,7 +144,9 @@ def test_a_surfel_is_a_disc_on_its_plane(seed):
     if abs(point[2]) > np.sin(np.radians(65.0)) * np.linalg.norm(point):
         # Near a pole a disc is no ellipse of azimuth and elevation, but for its inner half.
         assert covered[offset < 0.5 * radius].all()
-        assert covered[offset < 0.8 * radius].mean() > 0.85
+        # A disc smaller than a cell may lie between all rays.
+        inner = offset < 0.8 * radius
+        assert (inner & ~covered).sum() <= 0.15 * inner.sum()
         assert covered[offset > 1.3 * radius].sum() <= 0.15 * covered.sum() + 1
         return
     # Well inside the disc every cell is covered, well outside only the point's own.

@@ -42,7 +42,6 @@ TOPICS = (
     ((8.35, 4.45), (6.75, 4.45), ('camera_commands',), (7.55, 4.25)),
     ((8.85, 4.2), (8.85, 2.3), ('experience', 'camera_poses', 'reward'), (8.35, 3.05)),
     ((9.45, 2.3), (9.45, 4.2), ('policy_weights', 'training'), (9.45, 3.25)),
-    ((8.55, 4.97), (9.65, 4.97), ('commanders',), (9.1, 5.25)),
     ((6.0, 4.2), (6.0, 2.3), (
         'scene', 'markers', 'space_coverage', 'depth_error', 'true_coverage_cloud',
         'true_error_cloud'), (5.95, 3.35)),
@@ -71,11 +70,8 @@ def draw(path: Path) -> None:
         axes.text(x, y, name, fontsize=8.5, fontweight='bold', color=INK, ha='center',
                   va='center', zorder=3)
     for start, end, topics, place in TOPICS:
-        # What policies tell each other leads out of their box and back into it.
-        curve = 'arc3,rad=-0.5' if topics == ('commanders',) else 'arc3'
         axes.add_patch(FancyArrowPatch(start, end, shrinkA=0, shrinkB=0, arrowstyle='-|>',
-                                       connectionstyle=curve, color=PALE_INK, mutation_scale=11,
-                                       linewidth=1.1))
+                                       color=PALE_INK, mutation_scale=11, linewidth=1.1))
         axes.text(*place, '\n'.join(topics), fontsize=7, family='monospace', color=INK,
                   ha='center', va='center', bbox={'facecolor': 'white', 'edgecolor': 'none',
                                                   'pad': 1.5})

@@ -81,6 +81,8 @@ class Lies:
     """
     Send lies to a pair and its trainer; none has the stamp of a turn.
 
+    There are no lies on ``camera_commands``: beside another publisher no policy begins.
+
     :param node: publishes.
     :param namespace: of the pair.
     :param rng: of the lies.
@@ -95,20 +97,17 @@ class Lies:
             for name, kind, profile in (
                 (topics.OBSERVATION, PointCloud2, LOOP), (topics.CAMERA_POSES, PoseArray, LOOP),
                 (topics.REWARD, Float64MultiArray, LOOP),
-                (topics.CAMERA_COMMANDS, PoseArray, LOOP),
                 (topics.EXPERIENCE, UInt8MultiArray, LOOP),
                 (topics.POLICY_WEIGHTS, UInt8MultiArray, LATCHED))}
 
     def send(self) -> None:
         """Send one of each kind."""
-        cloud, poses, command = (spoilt_cloud(self._rng, self._good), spoilt_poses(self._rng),
-                                 spoilt_poses(self._rng))
-        for message in (cloud, poses, command):
+        cloud, poses = spoilt_cloud(self._rng, self._good), spoilt_poses(self._rng)
+        for message in (cloud, poses):
             message.header = Header(stamp=ns_to_stamp(int(self._rng.integers(1, 1000))),
                                     frame_id='lies')
         for name, message in (
                 (topics.OBSERVATION, cloud), (topics.CAMERA_POSES, poses),
-                (topics.CAMERA_COMMANDS, command),
                 (topics.REWARD, spoilt_fields(self._rng, topics.REWARD_FIELDS)),
                 (topics.EXPERIENCE, bytes_to_msg(self._rng.bytes(int(self._rng.integers(500))))),
                 (topics.POLICY_WEIGHTS, bytes_to_msg(

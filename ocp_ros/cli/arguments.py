@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 import re
 
 from ocp_ros.util.settings import (
-    current_name,
     FEWEST_POINTS,
     LARGEST_SEED,
     MOST_CAMERAS,
@@ -59,7 +58,7 @@ def number(text: str, expected: str, holds: Callable[[float], bool]) -> float:
 
 def names(text: str) -> tuple[str, ...]:
     """Read names with commas between."""
-    return tuple(current_name(name) for name in text.split(','))
+    return tuple(text.split(','))
 
 
 def camera_counts(text: str) -> tuple[int, ...]:
@@ -145,9 +144,10 @@ def frame_prefix(text: str) -> str:
 
 
 def add_overwrite(command: argparse.ArgumentParser) -> None:
-    """Add that files of others may be replaced."""
+    """Add that files which exist may be replaced."""
     command.add_argument('--overwrite', action='store_true',
-                         help='replace files that ocp did not write or that were edited since')
+                         help='replace existing files also outside ./out; inputs are never '
+                              'replaced')
 
 
 def add_points(command: argparse.ArgumentParser) -> None:

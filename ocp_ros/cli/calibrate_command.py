@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from ocp_ros.cli.common import document, Found, inputs_of
+from ocp_ros.cli.common import claim_folder, document, Found
 from ocp_ros.cli.score_command import room_asked
 from ocp_ros.geometry.cameras import OPTICAL_TO_BODY
 from ocp_ros.registration.calibration import answer_of, as_built, calibrate
@@ -20,7 +20,6 @@ from ocp_ros.rig.placement_file import load_placement, Placement, save_placement
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.scene_files import load_cloud
 from ocp_ros.util.files import folder_to_write, write_atomically
-from ocp_ros.util.own_files import check_own, note_own
 from ocp_ros.util.settings import check_known, ConfigurationError
 from ocp_ros.util.shown_text import printable
 
@@ -84,7 +83,7 @@ def calibrated(arguments: argparse.Namespace, command: str) -> Found:
     paths = [arguments.out / name for name in WRITTEN]
     read = [arguments.bag] if arguments.bag else [
         text.partition('=')[2] or text for text in arguments.clouds]
-    check_own(paths, [*inputs_of(arguments), *read], arguments.overwrite)
+    claim_folder(arguments, arguments.out, WRITTEN, WRITTEN[-1], read)
     rig = load_rig(arguments.rig) if arguments.rig else None
     placement = load_placement(arguments.placement, rig)
     clouds = clouds_of(arguments, [placed.camera.name for placed in placement.cameras])
@@ -119,7 +118,6 @@ def _write(paths: Sequence[Path], built: Placement, answer: Found, prefix: str) 
     save_placement(paths[0], built)
     write_atomically(paths[1], launch_of(built, (), prefix, refused))
     write_atomically(paths[2], document(answer) + '\n')
-    note_own(paths)
 
 
 def show(found: Found) -> None:

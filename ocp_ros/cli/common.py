@@ -3,7 +3,7 @@
 """What all commands of ``ocp`` have in common: contents, examples, JSON and errors."""
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext, redirect_stdout
 import errno
 import io
@@ -18,7 +18,6 @@ import warnings
 
 from ocp_ros.cli.arguments import joined
 from ocp_ros.util.files import file_to_write
-from ocp_ros.util.own_files import check_own
 from ocp_ros.util.settings import ConfigurationError, UserError
 from ocp_ros.util.shown_text import printable
 
@@ -30,6 +29,9 @@ PLAN, JUDGE, LOOK, LEARN, COMPARE, REPLAY = TITLES = (
 Found = dict[str, Any]
 #: Arguments that name what a command reads.
 READ = ('room', 'rooms', 'placement', 'rig', 'config')
+#: The folder of results in the folder where ocp was started: files there are replaced without
+#: ``--overwrite``, for the default outputs are there.
+RESULTS = Path('out')
 #: Errors of a disk that is full, or on which one may not write more.
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 #: Wrong use, and stopped by hand.
@@ -230,7 +232,51 @@ def claim_file(arguments: argparse.Namespace, path: Path, what: str, option: str
     :param path: of the file.
     :param what: the file is, for the message.
     :param option: which names it.
-    :raises ConfigurationError: if it cannot be written, or somebody would lose it.
+    :raises ConfigurationError: if it cannot be written, is an input, or exists and may not be
+        replaced.
     """
     file_to_write(path, what, option)
-    check_own([path], inputs_of(arguments), arguments.overwrite, option)
+    _check_inputs([path], inputs_of(arguments), option)
+    if (path.exists() or path.is_symlink()) and not _may_replace(arguments, path):
+        raise ConfigurationError(
+            f'{option}: found {path}, which exists already; expected a new file; name another '
+            'one, or add --overwrite to replace this one')
+
+
+def claim_folder(arguments: argparse.Namespace, folder: Path, names: Iterable[str], mark: str,
+                 read: Iterable[str | Path] = (), option: str = '--out') -> None:
+    """
+    Check that files may be written to a folder before any work is done for them.
+
+    The folder is new or empty, or an earlier run has left its mark there.
+
+    :param names: of the files that are written, or removed if an earlier run has left them.
+    :param mark: name of a file that every run leaves there, perhaps with ``*``.
+    :param read: inputs beside those that the command line always names.
+    :param option: which names the folder.
+    :raises ConfigurationError: if an input would be replaced, or other files are there.
+    """
+    _check_inputs([folder / name for name in names], [*inputs_of(arguments), *read], option)
+    if not folder.is_dir() or _may_replace(arguments, folder) or any(folder.glob(mark)):
+        return
+    others = sorted(path.name for path in folder.iterdir() if not path.name.startswith('.'))
+    if others:
+        raise ConfigurationError(
+            f'{option}: found {folder / others[0]}, and no {mark} of an earlier run; expected a '
+            'new or empty folder, or that of an earlier run; name another one, or add --overwrite '
+            'to write to this one')
+
+
+def _may_replace(arguments: argparse.Namespace, path: Path) -> bool:
+    """Return whether files of a path, or in it, may be replaced."""
+    return arguments.overwrite or path.resolve().is_relative_to(RESULTS.resolve())
+
+
+def _check_inputs(paths: Iterable[Path], inputs: Iterable[str | Path], option: str) -> None:
+    """Refuse to replace an input, with ``--overwrite`` too."""
+    read = [path for path in map(Path, inputs) if path.exists()]
+    for path in paths:
+        if path.exists() and any(path.samefile(one) for one in read):
+            raise ConfigurationError(
+                f'{option}: found {path}, which is an input of this command and would be '
+                'replaced; expected an output that replaces no input; name another one')

@@ -12,7 +12,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from ocp_ros.cli.common import claim_file, Found, show_written
+from ocp_ros.cli.common import claim_folder, Found, show_written
 from ocp_ros.compare.benchmark_rooms import rooms_in, rooms_of_s3dis
 from ocp_ros.compare.comparison import compare, Comparison, RESULTS
 from ocp_ros.compare.protocol import placing, PRESETS, Protocol
@@ -23,7 +23,6 @@ from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.scenes.scene_files import check_file
 from ocp_ros.scenes.splits import SETS
 from ocp_ros.util.files import folder_to_write, write_atomically
-from ocp_ros.util.own_files import note_own
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.yaml_files import timestamp, written
 
@@ -40,15 +39,12 @@ def benchmark(arguments: argparse.Namespace, command: str) -> Found:
     :returns: the summary.
     """
     _check_cameras(arguments)
+    claim_folder(arguments, arguments.out, RESULTS, 'protocol.json')
     rig = [] if arguments.sensor is None else [_write_rig(arguments)]
     protocol = protocol_of(arguments)
     folder = folder_to_write(arguments.out)
-    paths = [folder / name for name in RESULTS]
-    for path in paths:
-        claim_file(arguments, path, 'results')
     summary = _compared(arguments, protocol, folder, command).summary
-    note_own(paths)
-    return {**summary, 'written': [*rig, *paths]}
+    return {**summary, 'written': [*rig, *(folder / name for name in RESULTS)]}
 
 
 def protocol_of(arguments: argparse.Namespace) -> Protocol:
@@ -95,9 +91,7 @@ def _write_rig(arguments: argparse.Namespace) -> Path:
     rig = rig_of(arguments.cameras or CAMERAS, arguments.sensor,
                  mount={'on': arguments.mount or MOUNT})
     path = folder_to_write(arguments.out) / RIG
-    claim_file(arguments, path, 'a rig file')
     write_atomically(path, written(rig.document.data, path.suffix))
-    note_own([path])
     arguments.rig, arguments.cameras = path, None
     return path
 
@@ -129,7 +123,7 @@ def evaluate(arguments: argparse.Namespace, command: str) -> Found:
     """
     protocols = protocols_of(arguments)
     path = folder_to_write(arguments.out) / EVALUATION
-    claim_file(arguments, path, 'an evaluation')
+    claim_folder(arguments, arguments.out, [EVALUATION], '*-cameras')
     found: dict[str, Any] = {
         'command': command, 'date': timestamp(), 'model': arguments.model,
         'rotations': list(arguments.rotations), 'seeds': arguments.seeds, 'cameras': {}}
@@ -138,7 +132,6 @@ def evaluate(arguments: argparse.Namespace, command: str) -> Found:
         found['cameras'][count] = _by_room(protocol, _compared(
             arguments, protocol, arguments.out / f'{count}-cameras', command))
     write_atomically(path, json.dumps(found, indent=1) + '\n')
-    note_own([path])
     return {**found, 'written': [path]}
 
 

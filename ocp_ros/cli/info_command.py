@@ -7,7 +7,6 @@ from pathlib import Path
 
 from ocp_ros.cli.arguments import add_overwrite, add_points, add_reading
 from ocp_ros.cli.common import claim_file, Commands, Found, LOOK, show_written
-from ocp_ros.util.own_files import note_own
 
 
 def _info(arguments: argparse.Namespace) -> Found:
@@ -20,7 +19,6 @@ def _info(arguments: argparse.Namespace) -> Found:
     found = facts_of(scene)
     size = ' x '.join(f'{edge:.1f}' for edge in found['size'])
     draw_rooms(arguments.out, [(f'{scene.name}: {size} m', scene)])
-    note_own([arguments.out])
     return {'room': room, **found, 'written': [arguments.out]}
 
 

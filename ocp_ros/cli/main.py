@@ -38,7 +38,6 @@ from ocp_ros.cli.plan_parser import add_plan
 from ocp_ros.cli.replay_command import add_replay
 from ocp_ros.cli.rooms_command import add_rooms
 from ocp_ros.util.files import folder_to_write
-from ocp_ros.util.own_files import note_own
 from ocp_ros.util.resources import DEFAULT_MODEL, find_config
 from ocp_ros.util.shown_text import printable
 
@@ -64,7 +63,6 @@ def _train(arguments: argparse.Namespace) -> Found:
         raise
     if arguments.model:
         checkpoint.save(arguments.model)
-        note_own(written)
     return {'test': checkpoint.provenance['test'],
             'written': [arguments.model] if arguments.model else []}
 
@@ -212,7 +210,7 @@ def _add_score(commands: Commands) -> None:
     judged.add_argument('--rig', type=find_config,
                         help='rig file, used instead of the one in the placement: '
                         'docs/reference/rig.md')
-    judged.add_argument('--out', '--export', type=Path, metavar='DIR',
+    judged.add_argument('--out', type=Path, metavar='DIR',
                         help='folder for report, placement, CSV, launch file, xacro and more')
     add_frame(judged)
     add_overwrite(judged)

@@ -16,12 +16,14 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
+from ocp_ros.cli.common import claim_folder
 from ocp_ros.cli.score_command import (
-    claim_folder,
     CURVE,
     earlier_files,
+    MARK,
     room_asked,
     show_written,
+    WRITTEN,
     written_to,
 )
 from ocp_ros.planners.budget import Budget
@@ -32,7 +34,6 @@ from ocp_ros.report.verdict_tables import show_plan, WIDTH
 from ocp_ros.rig.placement_file import Placement, save_placement
 from ocp_ros.rig.rig_file import load_rig, Rig, rig_of, with_count
 from ocp_ros.util.files import folder_to_write
-from ocp_ros.util.own_files import note_own
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
 
@@ -46,7 +47,7 @@ def plan(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     :returns: what ``--json`` prints.
     """
     task = task_of(arguments)
-    claim_folder(arguments, arguments.out, task.counting is not None)
+    claim_folder(arguments, arguments.out, WRITTEN, MARK)
     rig = rig_asked(arguments)
     scene, room = room_asked(arguments, {})
     folder = folder_to_write(arguments.out)
@@ -81,7 +82,6 @@ def _kept(folder: Path, placement: Placement) -> Iterator[None]:
     with suppress(OSError):
         for path in paths:
             save_placement(path, placement)
-            note_own([path])
     try:
         yield
     except KeyboardInterrupt:

@@ -19,7 +19,7 @@ from ocp_ros.cli.arguments import (
 )
 from ocp_ros.cli.common import command_of, Commands, Found, PLAN
 from ocp_ros.util.resources import find_config
-from ocp_ros.util.settings import ConfigurationError, current_name
+from ocp_ros.util.settings import ConfigurationError
 
 #: Defaults of counting cameras.
 COUNTING = {'target': 0.95, 'by': 'error', 'most': 12}
@@ -68,7 +68,7 @@ def add_plan(commands: Commands) -> None:
                               'the space coverage')
     planned.add_argument('--most', type=cameras,
                          help='with auto: largest number of cameras; default: 12')
-    planned.add_argument('--planner', type=current_name, default='rig_search', metavar='NAME',
+    planned.add_argument('--planner', default='rig_search', metavar='NAME',
                          help='planner that searches: rig_search (default) or a name of '
                          'docs/reference/planners.md, such as cma_es or lookahead')
     planned.add_argument('--seconds', type=seconds, help='seconds of search for each number of '

@@ -8,7 +8,6 @@ from pathlib import Path
 from ocp_ros.cli.arguments import add_overwrite, add_reading, at_least
 from ocp_ros.cli.common import claim_file, Commands, Found, LOOK, show_written
 from ocp_ros.util.files import folder_to_write
-from ocp_ros.util.own_files import check_own, note_own
 from ocp_ros.util.shown_text import printable
 
 
@@ -41,12 +40,12 @@ def _make_rooms(arguments: argparse.Namespace) -> Found:
     from ocp_ros.scenes.synthetic.generator import generate_room
     folder_to_write(arguments.out)
     paths = [arguments.out / f'room-{seed}.ply' for seed in arguments.seeds]
-    check_own([name for path in paths for name in (path, mesh_of(path))],
-              overwrite=arguments.overwrite)
+    for path in paths:
+        for name in (path, mesh_of(path)):
+            claim_file(arguments, name, 'a room')
     for seed, path in track(list(zip(arguments.seeds, paths)), 'making rooms',
                             console=Console(stderr=True)):
         save_scene(generate_room(seed, arguments.points), path)
-        note_own([path, mesh_of(path)])
     return {'folder': arguments.out, 'written': paths}
 
 
@@ -71,7 +70,6 @@ def _preview_rooms(arguments: argparse.Namespace) -> Found:
                                 up=arguments.up or 'z', drop_nonfinite=arguments.drop_nonfinite)
             scenes.append((scene.name, scene))
     draw_rooms(arguments.out, scenes)
-    note_own([arguments.out])
     return {'written': [arguments.out]}
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from rich.console import Console
 
-from ocp_ros.cli.common import inputs_of
+from ocp_ros.cli.common import claim_folder
 from ocp_ros.report.assessment import Assessment, judge
 from ocp_ros.report.exports import export, FORMS
 from ocp_ros.report.verdict_tables import show_verdict, WIDTH
@@ -19,14 +19,15 @@ from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_source import room_named
 from ocp_ros.util.files import folder_to_write
-from ocp_ros.util.own_files import check_own, note_own, remove_own
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
 from ocp_ros.util.yaml_files import written
 
-#: All that is written of a placement, and the part of it that counting cameras adds.
+#: All that is written of a placement, the part of it that counting cameras adds, and the part
+#: that is always there.
 CURVE = 'curve.png'
 WRITTEN = (*FORMS, 'report.png', 'report_2.png', 'report.html', CURVE)
+MARK = 'placement.json'
 #: How a scan is read, as command lines and placement files say it.
 READING = ('scale', 'up', 'drop_nonfinite')
 
@@ -40,24 +41,13 @@ def score(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     :returns: what ``--json`` prints.
     """
     if arguments.out:
-        claim_folder(arguments, arguments.out)
+        claim_folder(arguments, arguments.out, WRITTEN, MARK)
     scene, placement, room = room_and_placement(arguments)
     folder = arguments.out and folder_to_write(arguments.out)
     judged = judge(scene, placement, room, command, arguments.frame)
     if folder is None:
         return dict(judged.found)
     return {**judged.found, **written_to(folder, judged, prefix=arguments.frame_prefix)}
-
-
-def claim_folder(arguments: argparse.Namespace, folder: Path, curve: bool = False) -> None:
-    """
-    Check that all that belongs to a placement may be written, before any work is done for it.
-
-    :param curve: whether what more cameras are worth is to be drawn as well.
-    :raises ConfigurationError: if somebody would lose a file.
-    """
-    names = [name for name in WRITTEN if curve or name != CURVE]
-    check_own([folder / name for name in names], inputs_of(arguments), arguments.overwrite)
 
 
 def written_to(folder: Path, judged: Assessment, more: Iterable[Path] = (), prefix: str = ''
@@ -73,8 +63,8 @@ def written_to(folder: Path, judged: Assessment, more: Iterable[Path] = (), pref
     try:
         for path in chain(export(folder, judged, prefix), reports(folder, judged), more):
             paths.append(path)
-            note_own([path])
-        remove_own(_earlier(folder, paths))
+        for path in _earlier(folder, paths):
+            path.unlink(missing_ok=True)
     except OSError as error:
         return {'written': [str(path) for path in paths], 'error': (
             f'--out: found {folder}, where not all could be written ({error.strerror or error}); '

@@ -10,7 +10,6 @@ import webbrowser
 from ocp_ros.cli.score_command import room_and_placement, room_asked
 from ocp_ros.report.assessment import judge
 from ocp_ros.report.viewer import write_view
-from ocp_ros.util.own_files import note_own
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
 
@@ -32,7 +31,6 @@ def view(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     else:
         scene, placement, room = room_and_placement(arguments)
         write_view(arguments.out, scene, judge(scene, placement, room, command))
-    note_own([arguments.out])
     if arguments.open and not webbrowser.open(arguments.out.resolve().as_uri()):
         print(f'no browser was found; open {printable(str(arguments.out))} in one',
               file=sys.stderr)

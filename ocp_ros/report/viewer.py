@@ -33,7 +33,7 @@ ROUND = 3
 PLAIN, WALL = '#dcdcd6', 0.3
 #: How far a cone is drawn, as a share of the room's diagonal.
 CONE = 0.12
-REGION, NO_GO, MORE = '#009e73', '#cc79a7', '#e69f00'
+REGION, KEEP_OUT, MORE = '#009e73', '#cc79a7', '#e69f00'
 
 
 class Layer(NamedTuple):
@@ -180,7 +180,7 @@ def layers_of(judged: Assessment) -> Iterator[Layer]:
     for name, zones, colour in (
             ('regions', {region.name: region.zone for region in rig.regions}, REGION),
             ('keep-out zones',
-             {f'keep-out zone {k + 1}': zone for k, zone in enumerate(rig.keep_out)}, NO_GO)):
+             {f'keep-out zone {k + 1}': zone for k, zone in enumerate(rig.keep_out)}, KEEP_OUT)):
         yield Layer(name, [_line(_outline(zone, scene, judged.floor), colour, label)
                            for label, zone in zones.items()])
     more = judged.found.get('one_more')

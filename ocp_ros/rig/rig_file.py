@@ -321,8 +321,8 @@ def rig_from(document: Document) -> Rig:
     return Rig(cameras, fixed, _mount(document), (float(np.deg2rad(low)), float(np.deg2rad(high))),
                tuple(map(float, np.deg2rad(data.get('roll', [0.0])))),
                float(data.get('keep_clear', 0.2)), float(data.get('spacing', SPACING)),
-               tuple(zone_of(document, (key, k)) for key in ('keep_out', 'no_go')
-                     for k in range(len(data.get(key, ())))),
+               tuple(zone_of(document, ('keep_out', k))
+                     for k in range(len(data.get('keep_out', ())))),
                regions, seen_by, _calibratable(data), document)
 
 

@@ -94,7 +94,7 @@ CAMERA = mapping(
 FIXED = mapping(
     'a camera and its position', {'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2], 'yaw': 90},
     ('position',), **MODEL, **ANGLES, position=POSITION, name=NAME)
-NO_GO = mapping('a box or a polygon', {'box': [[0, 0, 0], [1, 1, 3]]}, (), **ZONE)
+KEEP_OUT = mapping('a box or a polygon', {'box': [[0, 0, 0], [1, 1, 3]]}, (), **ZONE)
 REGION = mapping(
     'a name with a box or a polygon', {'name': 'table', 'box': [[1, 1, 0.5], [2, 2, 1.2]]},
     ('name',), name=NAME, **ZONE,
@@ -122,10 +122,8 @@ RIG = mapping(
               {'type': 'number', 'minimum': -180, 'maximum': 180}, [0, 90], 1, 8),
     keep_clear=number('metres, 0 to 10', 0.2, minimum=0, maximum=10),
     spacing=number('metres, 0 to 100', 0.5, minimum=0, maximum=100),
-    keep_out=many('a list of boxes and polygons', NO_GO, [{'box': [[0, 0, 0], [1, 1, 3]]}], 0,
+    keep_out=many('a list of boxes and polygons', KEEP_OUT, [{'box': [[0, 0, 0], [1, 1, 3]]}], 0,
                   1000),
-    # What keep_out was called before.
-    no_go=many('a list of boxes and polygons', NO_GO, [{'box': [[0, 0, 0], [1, 1, 3]]}], 0, 1000),
     regions=many('a list of regions', REGION,
                  [{'name': 'table', 'box': [[1, 1, 0.5], [2, 2, 1.2]]}], 0, 1000),
     seen_by={'description': 'a whole number of cameras, 1 or more', 'type': 'integer',

@@ -31,8 +31,8 @@ from ocp_ros.ros.interface.conversions import (
     shortened,
     stamp_to_ns,
 )
-from ocp_ros.ros.interface.qos import LATCHED, LOOP
-from ocp_ros.ros.policy.arbitration import Arbitration
+from ocp_ros.ros.interface.qos import LATCHED
+from ocp_ros.ros.policy.commands import Commands
 from ocp_ros.ros.policy.convergence import Convergence
 from ocp_ros.ros.policy.decider import Decider
 from ocp_ros.ros.policy.live_turns import LiveTurns
@@ -70,7 +70,6 @@ class PolicyNode(ManagedNode):
     """
 
     def __init__(self, **kwargs) -> None:
-        self._commander: Arbitration | None = None
         self._turns: SimulatedTurns | None = None
         self._live: LiveTurns | None = None
         self._calibrator: Calibrator | None = None
@@ -87,7 +86,7 @@ class PolicyNode(ManagedNode):
                         'weights_refused': 0}
         self._finality = Convergence(self)
         self._start_episode(episode=0)
-        self._commands = self.create_publisher(PoseArray, topics.CAMERA_COMMANDS, LOOP)
+        self._commands = Commands(self)
         self._placement = self.create_publisher(PoseArray, topics.PLACEMENT, LATCHED)
         self._experiences = None
         if self.config.explore:
@@ -123,18 +122,15 @@ class PolicyNode(ManagedNode):
 
     def activate(self) -> None:
         """Command the cameras, unless somebody else does."""
-        # From now on it speaks, and nothing that follows can fail.
-        self._commander = Arbitration(self)
-        self._go_on()
+        self._commands.begin(self._go_on)
 
     def deactivate(self) -> None:
         """Leave the cameras where they are, and let others command."""
         self._hold()
-        self.stop()
+        self._commands.end()
 
     def release(self) -> None:
         """Forget weights, rig and all that was seen."""
-        self.stop()
         if self._calibrator is not None:
             self._calibrator.close()
         self._live = self._turns = self._experiences = self._calibrator = None
@@ -186,7 +182,7 @@ class PolicyNode(ManagedNode):
 
     def _hold(self) -> None:
         """Tell cameras that may be on their way to stay where they are."""
-        if self._live is not None and self.active and not self._commander.first:
+        if self._live is not None and self.active and not self._commands.waits:
             self._live.hold()
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -211,11 +207,7 @@ class PolicyNode(ManagedNode):
 
     def _waits(self) -> bool:
         """Tell whether others command, or have to catch up, before this turn is answered."""
-        if self._commander is None or self._paused:
-            return True
-        if self._commander.first:
-            self.get_logger().error(self._commander.wrong(), throttle_duration_sec=5.0)
-        return bool(self._commander.first or self._commander.settling or (
+        return bool(not self.active or self._paused or self._commands.waits or (
             self._experiences and self._experiences.held))
 
     def _go_on(self) -> None:
@@ -248,17 +240,6 @@ class PolicyNode(ManagedNode):
         self._views.turn(cloud, poses)
         self._finality.say(self._step, self.config)
         return answer
-
-    def stop(self) -> None:
-        """Stop commanding, before anything of ROS is taken down."""
-        if self._commander is not None:
-            self._commander.close()
-            self._commander = None
-
-    def destroy_node(self) -> None:
-        """Stop commanding before the node goes."""
-        self.stop()
-        super().destroy_node()
 
     def _why(self) -> str:
         """Say why the cameras shall stay where they are; nothing while they shall not."""
@@ -311,13 +292,13 @@ class PolicyNode(ManagedNode):
         """Say what the planner is doing."""
         message = 'placement is final' if self._settled else 'answering turns'
         wrong, live = self._live.status() if self._live else (
-            diagnostics.crowd(self, topics.OBSERVATION), {})
+            diagnostics.crowd(self, topics.OBSERVATION, diagnostics.ONE_SIMULATION), {})
         drifted, checks = self._calibrator.status() if self._calibrator else ('', {})
         wrong = wrong or '; '.join(self._decider.held) or drifted
-        if self._commander is None or self._paused:
+        if not self.active or self._paused:
             message = 'paused' if self.active else 'inactive'
         else:
-            wrong = self._commander.wrong() or wrong
+            wrong = self._commands.wrong() or wrong
         run, updates = '-', 0
         if self.policy is not None:
             run, updates = self.policy.checkpoint.run or '-', self.policy.checkpoint.updates

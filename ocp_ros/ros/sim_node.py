@@ -242,7 +242,7 @@ class SimNode(ManagedNode):
         waiting = 'episode over' if turn.truncated else 'waiting for commands'
         if not self.active:
             waiting = 'inactive'
-        wrong = diagnostics.crowd(self, topics.OBSERVATION)
+        wrong = diagnostics.crowd(self, topics.OBSERVATION, diagnostics.ONE_SIMULATION)
         return diagnostics.WARN if wrong else diagnostics.OK, wrong or waiting, {
             'episode': self._episodes, 'step': turn.step, **self._counts}
 

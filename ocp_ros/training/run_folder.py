@@ -13,7 +13,6 @@ import yaml
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import PARTS, room_names
 from ocp_ros.util.files import write_atomically
-from ocp_ros.util.own_files import is_own, note_own
 from ocp_ros.util.settings import ConfigurationError, from_nested, to_nested
 from ocp_ros.util.shown_text import printable
 from ocp_ros.util.yaml_files import read_plain
@@ -53,7 +52,7 @@ def claim(folder: Path, config: TrainingConfig) -> None:
     """
     path, rooms = folder / CONFIG, folder / ROOMS
     _check_name(folder)
-    if not rooms.exists() and not is_own(path):
+    if not rooms.exists() and not path.exists():
         _refuse_strangers(folder)
     sets = {part: [Path(name).name for name in room_names(config.rooms, part)] for part in PARTS}
     asked = _flat(to_nested(config))
@@ -69,9 +68,8 @@ def claim(folder: Path, config: TrainingConfig) -> None:
             'this one to begin anew')
     if not rooms.exists():
         write_atomically(rooms, json.dumps(sets) + '\n')
-        note_own([rooms])
     if not path.exists() or asked != before:
-        _write_settings(path, config)
+        write_atomically(path, yaml.safe_dump(to_nested(config), sort_keys=False))
 
 
 def _check_name(folder: Path) -> None:
@@ -82,16 +80,6 @@ def _check_name(folder: Path) -> None:
         raise ConfigurationError(
             f'{printable(str(folder))}: found a name that is not in UTF-8; expected one that '
             'TensorBoard can write to; name another folder') from error
-
-
-def _write_settings(path: Path, config: TrainingConfig) -> None:
-    """Write settings in place of those that were written before, unless somebody has since."""
-    if path.exists() and not is_own(path):
-        raise ConfigurationError(
-            f'{path}: found that it was edited, or not written by a run; expected it unchanged to '
-            'write the new settings in its place; move it elsewhere, and the run goes on')
-    write_atomically(path, yaml.safe_dump(to_nested(config), sort_keys=False))
-    note_own([path])
 
 
 def _refuse_strangers(folder: Path) -> None:

@@ -9,15 +9,11 @@ values are saved with each result.
 
 from dataclasses import asdict, Field, field, fields, is_dataclass
 import difflib
-import logging
 from numbers import Integral, Real
 from typing import Any, TypeVar
 
 T = TypeVar('T')
-_log = logging.getLogger(__name__)
 
-#: Values that have another name now.
-RENAMED = {'hand_rule': 'greedy_step', 'learned+lookahead': 'learned_lookahead'}
 #: The most cameras of a rig, and the largest seed.
 MOST_CAMERAS, LARGEST_SEED = 64, 1 << 31
 #: Points of a room.
@@ -63,14 +59,6 @@ def leaves(cls: type, prefix: str = '') -> dict[str, Field]:
         else:
             found[prefix + item.name] = item
     return found
-
-
-def current_name(name: str) -> str:
-    """Return what a value is called now; who says an older name is told the new one."""
-    if name not in RENAMED:
-        return name
-    _log.warning('found %r; going on with %r, as it is called now', name, RENAMED[name])
-    return RENAMED[name]
 
 
 def check_known(names, known, what: str) -> None:
@@ -124,8 +112,6 @@ def _checked(name: str, item: Field, value: Any) -> Any:
     if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
         raise ConfigurationError(
             f'{name}: found {_brief(value)} ({type(value).__name__}); expected {kind.__name__}')
-    if kind is str:
-        value = current_name(value)
     low, high, choices = (item.metadata[key] for key in ('low', 'high', 'choices'))
     if choices and value not in choices:
         raise ConfigurationError(f'{name}: found {_brief(value)}; expected one of {list(choices)}')

@@ -16,7 +16,6 @@ INSTRUCTIONS = 'instructions'
 POLICY_WEIGHTS = 'policy_weights'
 EXPERIENCE = 'experience'
 TRAINING = 'training'
-COMMANDERS = 'commanders'
 RIG_MARKERS = 'rig_markers'
 COVERAGE_CLOUD = 'coverage_cloud'
 ERROR_CLOUD = 'error_cloud'
@@ -33,7 +32,6 @@ TYPES = {
     INSTRUCTIONS: 'std_msgs/msg/String',
     POLICY_WEIGHTS: 'std_msgs/msg/UInt8MultiArray',
     EXPERIENCE: 'std_msgs/msg/UInt8MultiArray', TRAINING: 'std_msgs/msg/Float64MultiArray',
-    COMMANDERS: 'std_msgs/msg/String',
     RIG_MARKERS: 'visualization_msgs/msg/MarkerArray',
     COVERAGE_CLOUD: 'sensor_msgs/msg/PointCloud2', ERROR_CLOUD: 'sensor_msgs/msg/PointCloud2',
     TRUE_COVERAGE_CLOUD: 'sensor_msgs/msg/PointCloud2',

@@ -10,7 +10,6 @@ import numpy as np
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64MultiArray
 
@@ -23,6 +22,7 @@ from ocp_ros.ros.interface.conversions import (
     stamp_to_ns,
 )
 from ocp_ros.ros.interface.qos import LOOP
+from ocp_ros.ros.policy.commands import Commands
 
 #: Poses that are remembered: those of a turn and its observation need not be heard side by side,
 #: where others publish as well and this node is slow.
@@ -62,7 +62,7 @@ class SimulatedTurns:
     :param reflect: is called after each command, to think while the cameras move.
     """
 
-    def __init__(self, node: Node, commands: Publisher,
+    def __init__(self, node: Node, commands: Commands,
                  answer: Callable[[np.ndarray, PoseArray], PoseArray],
                  told: Callable[[TurnInfo], None], refuse: Callable[[ValueError], None],
                  waits: Callable[[], bool], reflect: Callable[[], None]) -> None:

@@ -11,24 +11,29 @@ from rclpy.node import Node
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
+#: Why only one simulation sends turns.
+ONE_SIMULATION = 'one simulation, or their turns get mixed up'
 #: Level, message in a few words, values to show.
 Status = tuple[bytes, str, Mapping[str, object]]
 
 
-def crowd(node: Node, topic: str) -> str:
+def crowd(node: Node, topic: str, expected: str, most: int = 1) -> str:
     """
-    Say so, here and in the log, if several nodes publish on a topic that is one simulation's.
+    Say so, here and in the log, if too many nodes publish on a topic.
 
     :param node: knows who is there.
-    :param topic: relative name.
-    :returns: a sentence, empty if there is one at most.
+    :param topic: relative or full name.
+    :param expected: who should publish there.
+    :param most: how many publishers there may be.
+    :returns: a sentence, empty if there are not too many.
     """
-    count = node.count_publishers(node.resolve_topic_name(topic))
-    if count < 2:
+    found = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
+    if len(found) <= most:
         return ''
-    wrong = (f'found {count} nodes that publish {topic}; expected one simulation, or their turns '
-             'get mixed up; end the others, or give each its own namespace (one that was killed '
-             'counts for 20 s more)')
+    names = sorted(f'{one.node_namespace.rstrip("/")}/{one.node_name}' for one in found)
+    wrong = (f'found publishers of {topic}: {", ".join(names)}; expected {expected}; end the '
+             'others, or give each its own namespace (a node that was killed is found for up to '
+             '20 s more)')
     node.get_logger().warning(wrong, throttle_duration_sec=10.0)
     return wrong
 

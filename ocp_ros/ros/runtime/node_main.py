@@ -13,6 +13,7 @@ the main thread does at that moment. ``make endings`` looks for such crashes.
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import ctypes
+import faulthandler
 import logging
 import os
 import signal
@@ -28,7 +29,6 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from ocp_ros.agent.errors import CheckpointError
-from ocp_ros.ros.runtime.exit_timer import leaving_within
 from ocp_ros.ros.runtime.network import stay_local
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.util.settings import ConfigurationError
@@ -41,6 +41,8 @@ PARENT = 'OCP_ROS_PARENT'
 LOOK = 0.1
 #: Seconds that the middleware has to take a node down: ``ros2 launch`` kills 10 s after Ctrl-C.
 PATIENCE = 3.0
+#: Number of the file of errors, whatever ``sys.stderr`` is at the moment.
+STDERR = 2
 #: ``PR_SET_PDEATHSIG`` of prctl(2).
 DEATH_SIGNAL = 1
 #: Packages that make kernels.
@@ -194,23 +196,30 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
             code = 0
     finally:
         ignore_signals()
-        take_down(node, executor, code)
+        take_down(node, executor)
     return code
 
 
-def take_down(node: Node | None, executor: SingleThreadedExecutor | None, code: int) -> None:
+def take_down(node: Node | None, executor: SingleThreadedExecutor | None) -> None:
     """
     Save what a node has to save, then end executor, node and context, in this order.
 
-    :param code: with which the process ends where the middleware never returns.
+    Fast DDS 2.14 may wait for ever while it takes down a participant at the moment that another
+    one leaves (``DomainParticipantImpl::set_listener``): it waits until no callback runs, by
+    taking and releasing a lock in a tight loop, and the callback waits for that same lock. rclpy
+    keeps the interpreter's lock meanwhile. A thread in C writes the stacks and ends the process
+    then, with exit code 1.
     """
     try:
         if hasattr(node, 'stop'):
             node.stop()
     finally:
-        with leaving_within(PATIENCE, code):
-            if executor is not None:
-                executor.shutdown()
-            if node is not None:
-                node.destroy_node()
-            rclpy.try_shutdown()
+        # What was printed is not lost: the process may end without finalisers.
+        sys.stdout.flush()
+        faulthandler.dump_traceback_later(PATIENCE, exit=True, file=STDERR)
+        if executor is not None:
+            executor.shutdown()
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+        faulthandler.cancel_dump_traceback_later()

@@ -1,0 +1,100 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Commands to the cameras, which one policy sends: ROS counts who publishes them.
+
+A node creates its publisher only where the graph has no other one, and commands once it has been
+alone for a while: discovery takes time. If several nodes create theirs at the same moment, they
+see each other, destroy them and look again, each at intervals of its own, so one of them is the
+next to be alone. A node that has commanded goes on, whoever publishes beside it.
+"""
+
+from collections.abc import Callable
+import random
+import time
+
+from geometry_msgs.msg import PoseArray
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.lifecycle import LifecycleNode
+from rclpy.publisher import Publisher
+
+from ocp_ros.ros.interface import topics
+from ocp_ros.ros.interface.qos import LOOP
+from ocp_ros.ros.runtime import diagnostics
+
+#: Seconds until a new node knows all others: those of config/fastdds_local.xml announce
+#: themselves once a second.
+SETTLING = 1.5
+#: Seconds from one look at the graph to the next, at least and at most, and seconds that a new
+#: publisher is visible before it is used.
+LOOK, VISIBLE = (0.15, 0.35), 0.5
+#: The longest time that the last command of a node has to arrive.
+ARRIVAL = Duration(seconds=0.5)
+
+
+class Commands:
+    """
+    Publish commands while no other node does.
+
+    :param node: gets the publisher while it is active.
+    """
+
+    def __init__(self, node: LifecycleNode) -> None:
+        self._node, self._topic = node, node.resolve_topic_name(topics.CAMERA_COMMANDS)
+        self._publisher: Publisher | None = None
+        self._commanded, self._ready = False, time.monotonic() + SETTLING
+
+    def begin(self, go_on: Callable[[], None]) -> None:
+        """
+        Try to command, again and again.
+
+        :param go_on: is called while this node may command and has not done so.
+        """
+        self._go_on = go_on
+        self._node.create_timer(random.uniform(*LOOK), self._look,
+                                clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._look()
+
+    def end(self) -> None:
+        """Let others command; the node destroys what it has created since :meth:`begin`."""
+        if self._publisher is not None:
+            self._publisher.wait_for_all_acked(ARRIVAL)
+        self._publisher, self._commanded = None, False
+
+    def publish(self, message: PoseArray) -> None:
+        """Command the cameras; expects that nothing waits."""
+        self._commanded = True
+        self._publisher.publish(message)
+
+    @property
+    def waits(self) -> bool:
+        """Return whether this node has to let others command."""
+        return not self._commanded and (
+            self._publisher is None or time.monotonic() < self._ready or self._others > 0)
+
+    @property
+    def _others(self) -> int:
+        """Return how many others publish commands."""
+        return self._node.count_publishers(self._topic) - (self._publisher is not None)
+
+    def _look(self) -> None:
+        """Take the place that is free, or leave it to others."""
+        if self._commanded:
+            return
+        if self._others > 0:
+            if self._publisher is not None:
+                self._node.destroy_publisher(self._publisher)
+                self._publisher = None
+        elif self._publisher is None:
+            self._publisher = self._node.create_publisher(PoseArray, self._topic, LOOP)
+            self._ready = max(self._ready, time.monotonic() + VISIBLE)
+        elif not self.waits:
+            self._go_on()
+
+    def wrong(self) -> str:
+        """Return what is wrong, if anything, and tell the log."""
+        if self._publisher is None:
+            return diagnostics.crowd(self._node, self._topic, 'one policy, so this one holds', 0)
+        return diagnostics.crowd(self._node, self._topic, 'one policy')
