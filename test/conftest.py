@@ -196,9 +196,9 @@ class Graph:
 @pytest.fixture
 def graph(domain, monkeypatch):
     """Return a graph of nodes of its own, which know each other at once."""
-    from ocp_ros.ros.policy import commands
-    monkeypatch.setattr(commands, 'SETTLING', 0.0)
-    monkeypatch.setattr(commands, 'VISIBLE', 0.0)
+    from ocp_ros.ros.policy import commander
+    monkeypatch.setattr(commander, 'SETTLING', 0.0)
+    monkeypatch.setattr(commander, 'VISIBLE', 0.0)
     with ExitStack() as stack:
         made = Graph(domain)
         stack.callback(made.close)

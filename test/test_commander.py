@@ -18,7 +18,7 @@ from ocp_ros.ros.interface.conversions import (
     positions_to_msg,
     stamp_to_ns,
 )
-from ocp_ros.ros.policy.commands import Commands
+from ocp_ros.ros.policy.commander import Commander
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.runtime import diagnostics
 from ocp_ros.ros.sim_node import SimNode
@@ -95,7 +95,7 @@ def test_a_policy_that_has_commanded_goes_on_beside_another_publisher(graph, pro
 def test_of_several_that_begin_at_once_one_commands(graph, monkeypatch):
     """Those that do not see each other in time give way, and look again."""
     with monkeypatch.context() as blind:
-        blind.setattr(Commands, '_others', 0)
+        blind.setattr(Commander, '_others', 0)
         nodes = [graph.add(PolicyNode) for _ in range(3)]
     assert nodes[0].count_publishers(topics.CAMERA_COMMANDS) == 3
     graph.until(lambda: sum(not node._waits() for node in nodes) == 1)

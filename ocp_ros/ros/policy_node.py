@@ -32,7 +32,7 @@ from ocp_ros.ros.interface.conversions import (
     stamp_to_ns,
 )
 from ocp_ros.ros.interface.qos import LATCHED
-from ocp_ros.ros.policy.commands import Commands
+from ocp_ros.ros.policy.commander import Commander
 from ocp_ros.ros.policy.convergence import Convergence
 from ocp_ros.ros.policy.decider import Decider
 from ocp_ros.ros.policy.live_turns import LiveTurns
@@ -86,7 +86,7 @@ class PolicyNode(ManagedNode):
                         'weights_refused': 0}
         self._finality = Convergence(self)
         self._start_episode(episode=0)
-        self._commands = Commands(self)
+        self._commands = Commander(self)
         self._placement = self.create_publisher(PoseArray, topics.PLACEMENT, LATCHED)
         self._experiences = None
         if self.config.explore:

@@ -50,7 +50,7 @@ from ocp_ros.ros.interface.frames import (
 )
 from ocp_ros.ros.interface.markers import move_markers
 from ocp_ros.ros.interface.qos import LATCHED, LOOP, SENSOR
-from ocp_ros.ros.policy.commands import Commands
+from ocp_ros.ros.policy.commander import Commander
 from ocp_ros.ros.policy.instructions import FINAL, instructions, moving
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from ocp_ros.ros.policy.turns import Turns
@@ -79,7 +79,7 @@ class LiveTurns:
     :raises ConfigurationError: if there can be no such topic.
     """
 
-    def __init__(self, node: Node, config: PolicyNodeConfig, commands: Commands,
+    def __init__(self, node: Node, config: PolicyNodeConfig, commands: Commander,
                  answer: Callable[[np.ndarray, PoseArray], PoseArray], final: Callable[[], bool],
                  refuse: Callable[[ValueError], None], waits: Callable[[], bool],
                  expect: Callable[[np.ndarray, PoseArray, PoseArray], str],

@@ -22,7 +22,7 @@ from ocp_ros.ros.interface.conversions import (
     stamp_to_ns,
 )
 from ocp_ros.ros.interface.qos import LOOP
-from ocp_ros.ros.policy.commands import Commands
+from ocp_ros.ros.policy.commander import Commander
 
 #: Poses that are remembered: those of a turn and its observation need not be heard side by side,
 #: where others publish as well and this node is slow.
@@ -62,7 +62,7 @@ class SimulatedTurns:
     :param reflect: is called after each command, to think while the cameras move.
     """
 
-    def __init__(self, node: Node, commands: Commands,
+    def __init__(self, node: Node, commands: Commander,
                  answer: Callable[[np.ndarray, PoseArray], PoseArray],
                  told: Callable[[TurnInfo], None], refuse: Callable[[ValueError], None],
                  waits: Callable[[], bool], reflect: Callable[[], None]) -> None:

@@ -34,7 +34,7 @@ LOOK, VISIBLE = (0.15, 0.35), 0.5
 ARRIVAL = Duration(seconds=0.5)
 
 
-class Commands:
+class Commander:
     """
     Publish commands while no other node does.
 
