@@ -25,7 +25,7 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.geometry.visibility import DISC_SCALE, PRESETS
 from ocp_ros.rig.rig_config import RigConfig
-from ocp_ros.scenes.ray_casting import RayCaster
+from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.episode import Episode
@@ -105,7 +105,7 @@ class Case(NamedTuple):
 
     scene: Scene
     simulators: dict[str, Simulator]
-    caster: RayCaster
+    caster: MeshRays
     position: np.ndarray
     truth: np.ndarray
 
@@ -123,7 +123,7 @@ def cases(density: int, rooms: int, positions: int) -> Iterator[Case]:
         simulators = {preset: Simulator(scene, SimulationConfig(
             rig=RigConfig(max_range=RANGE), engine=EngineConfig(preset=preset)))
             for preset in PRESETS}
-        caster = RayCaster(scene.mesh)
+        caster = MeshRays(scene.mesh)
         for position in free_places(scene, simulators['fine'].height, positions, rng):
             yield Case(scene, simulators, caster, position,
                        caster.visible(scene.points, position, RANGE))

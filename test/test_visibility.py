@@ -35,7 +35,6 @@ from ocp_ros.geometry.visibility import (
 )
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.scenes.mesh_rays import MeshRays
-from ocp_ros.scenes.ray_casting import RayCaster
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.synthetic.generator import mesh_of, plan_of
 
@@ -334,7 +333,7 @@ def test_visibility_agrees_with_ray_casting(preset, least):
     for seed in range(3):
         scene = made_room(seed, 15000)
         for position in free_places(scene, 1.9, 2, np.random.default_rng(seed)):
-            truth = RayCaster(scene.mesh).visible(scene.points, position, 6.0)
+            truth = MeshRays(scene.mesh).visible(scene.points, position, 6.0)
             seen = look_at_scene(scene, Pose(position, LEVEL), CameraModel(0.0, 6.0), preset)
             right += (seen & truth).sum()
             wrong += (seen & ~truth).sum()
@@ -349,7 +348,7 @@ def test_a_real_sensor_agrees_with_ray_casting_in_its_cone(name):
     for k, position in enumerate(free_places(scene, 1.9, 4, np.random.default_rng(1))):
         pose = Pose(position, rotation_matrix(1.7 * k, 0.4, 0.1))
         cone, _, _ = twins.project(scene.points, *pose, model)
-        truth = RayCaster(scene.mesh).visible(scene.points, position, model.max_range)
+        truth = MeshRays(scene.mesh).visible(scene.points, position, model.max_range)
         truth &= np.isfinite(cone)
         seen = look_at_scene(scene, pose, model, 'fine')
         right += (seen & truth).sum()
@@ -367,7 +366,7 @@ def test_a_place_in_the_air_is_covered_unless_something_is_in_front(preset):
     engine = visibility(scene.points, sizes, scene.normals_or_estimate, preset, places)
     covered = Subset.none(engine.place_order)
     engine.look(Pose.of(camera), CameraModel(0.0, 6.0).lens, no_bits(len(scene)), covered.bits)
-    truth = RayCaster(scene.mesh).visible(places, camera, 6.0)
+    truth = MeshRays(scene.mesh).visible(places, camera, 6.0)
     assert (covered.mask == truth).mean() > 0.95
 
 
@@ -393,7 +392,7 @@ def f1_of_fast(scenes, position):
                                   PRESETS['fast'])
         seen = Subset.none(engine.order)
         engine.look(Pose.of(position), CameraModel(0.0, 6.0).lens, seen.bits)
-        truth = RayCaster(scene.mesh).visible(scene.points, position, 6.0)
+        truth = MeshRays(scene.mesh).visible(scene.points, position, 6.0)
         scores.append(confusion(seen.mask, truth))
     return np.array(scores)
 
