@@ -284,7 +284,19 @@ def scale(points: int) -> dict[str, float]:
     places = free_places(scene, simulator.height, 4, np.random.default_rng(0))
     seconds = np.mean([median_seconds(partial(simulator.look, place)) for place in places])
     return {'points': len(scene), 'ns_per_point_camera': 1e9 * float(seconds) / len(scene),
-            'bytes_per_point': simulator.nbytes / len(scene), 'seconds_to_build': ready}
+            'bytes_per_point': bytes_held(simulator) / len(scene), 'seconds_to_build': ready}
+
+
+def bytes_held(simulator: Simulator) -> int:
+    """Return the bytes that a simulator holds for its scene, the points included."""
+    def held(value: Any) -> int:
+        if isinstance(value, np.ndarray):
+            return value.nbytes
+        return sum(map(held, value)) if isinstance(value, (tuple, list)) else 0
+
+    scene, parts = simulator.scene, (simulator.visibility, simulator.depth_error)
+    return held((scene.points, scene.spacing, simulator.grid,
+                 *(value for part in parts for value in vars(part).values())))
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:

@@ -18,9 +18,8 @@ from benchmarks.numpy_twin import Twin
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose, rotation_matrix
 from ocp_ros.geometry.coverage import coverage_grid
 from ocp_ros.geometry.packed_bits import no_bits, Subset
-from ocp_ros.geometry.shadow_maps import project, Projection, splat, visible
+from ocp_ros.geometry.shadow_maps import project, projected, Projection, splat, visible
 from ocp_ros.geometry.surfels import (
-    distances,
     project_block,
     splat_surfels,
     Surfels,
@@ -52,6 +51,11 @@ def cloud(seed, count=120, size=6.0):
     sizes = rng.uniform(0.0, 0.4, count).astype(np.float32)
     normals = rng.normal(size=(count, 3))
     return points, sizes, (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype('f4')
+
+
+def distances(inverse_map, rows):
+    """Return a map from ``splat_surfels`` as (H, W) distances in metres."""
+    return 1.0 / inverse_map.reshape(rows + 2, 2 * rows + 2)[1:-1, 1:-1]
 
 
 def visibility(points, sizes, normals, preset, places=NOWHERE):
@@ -256,8 +260,16 @@ def test_degenerate_points_do_no_harm(preset):
     points = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 0], [0, 1, 0], [9, 0, 0], [0, 0, 1]], 'f4')
     sizes = np.array([1.0, 0.0, 0.0, 50.0, 1.0, 0.1], np.float32)
     normals = np.array([[1, 0, 0], [1, 0, 0], [0, 1, 0], [0, 1, 0], [1, 0, 0], [0, 0, 0]], 'f4')
-    lens = MODELS['omnidirectional'].lens
-    assert np.isfinite(visibility(points, sizes, normals, preset).shadow_map(HERE, lens)).all()
+    lens, rules = MODELS['omnidirectional'].lens, PRESETS[preset]
+    shadow = np.empty((rules.rows, 2 * rules.rows), np.float32)
+    if preset == 'paper':
+        splat(projected(points, HERE, lens), sizes, rules.cube_scale, lens.max_range, shadow)
+    else:
+        work = Workspace.of(rules.rows, len(points))
+        splat_surfels(Surfels.of(points, normals, sizes), ALL, HERE.position, lens.max_range,
+                      rules, work)
+        shadow = distances(work.inverse_map, rules.rows)
+    assert np.isfinite(shadow).all()
     seen = look(points, sizes, normals, HERE, MODELS['omnidirectional'], preset)
     # On the camera, twice in one place, as large as the room, out of range, without a normal.
     assert seen[[0, 1, 2, 3, 4]].tolist() == [False, True, True, True, False]

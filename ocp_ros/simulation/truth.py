@@ -7,6 +7,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import Frustum, Pose
 from ocp_ros.geometry.packed_bits import pack, spatial_order
 from ocp_ros.geometry.shadow_maps import in_reach
+from ocp_ros.geometry.visibility import NO_BITS
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Mesh, Scene
 from ocp_ros.simulation.simulator import Simulator
@@ -31,10 +32,10 @@ class RayVisibility:
         self._rays = MeshRays(mesh)
 
     def look(self, pose: Pose, lens: Frustum, seen: np.ndarray,
-             covered: np.ndarray | None = None) -> None:
+             covered: np.ndarray = NO_BITS) -> None:
         """Add what a camera sees to what others see; see ``SurfelVisibility.look``."""
         seen |= self._visible(self._points, pose, lens)
-        if covered is not None:
+        if len(covered):
             covered |= self._visible(self._places, pose, lens)
 
     def narrowed(self, pose: Pose, lens: Frustum, seen: np.ndarray, covered: np.ndarray
@@ -49,12 +50,6 @@ class RayVisibility:
         seen = np.zeros(len(points), dtype=bool)
         seen[near] = self._rays.visible(points[near], pose.position, lens.max_range)
         return pack(seen)
-
-    @property
-    def nbytes(self) -> int:
-        """Return the bytes held for the scene, without the mesh."""
-        return sum(array.nbytes for array in (self._points, self._places, self.order,
-                                              self.place_order))
 
 
 class TrueSimulator(Simulator):
