@@ -38,8 +38,8 @@ from ocp_ros.registration.camera_registration import register
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.scan_surfaces import ScanSurfaces
 from ocp_ros.rig.sensors import SENSORS
+from ocp_ros.scenes.mesh_files import sampled
 from ocp_ros.scenes.mesh_rays import MeshRays
-from ocp_ros.scenes.mesh_sampling import sampled
 from ocp_ros.scenes.scene import Mesh, Scene
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.scenes.splits import SETS
@@ -154,7 +154,7 @@ def generated(seed: int) -> Iterator[BenchRoom]:
 
     yield BenchRoom('tripod', str(seed), generate_room(seed, POINTS), see, hangs)
     mesh = scan_by_hand(seed).mesh
-    points, normals = sampled(mesh.vertices, mesh.triangles)
+    points, normals = np.hsplit(sampled(mesh.vertices, mesh.triangles), 2)
     yield BenchRoom('hand', str(seed), Scene(points, normals=normals), see, hangs)
 
 

@@ -25,7 +25,7 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.geometry.visibility import DISC_SCALE, PRESETS
 from ocp_ros.rig.rig_config import RigConfig
-from ocp_ros.scenes.ray_casting import RayCaster
+from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.episode import Episode
@@ -105,7 +105,7 @@ class Case(NamedTuple):
 
     scene: Scene
     simulators: dict[str, Simulator]
-    caster: RayCaster
+    caster: MeshRays
     position: np.ndarray
     truth: np.ndarray
 
@@ -123,7 +123,7 @@ def cases(density: int, rooms: int, positions: int) -> Iterator[Case]:
         simulators = {preset: Simulator(scene, SimulationConfig(
             rig=RigConfig(max_range=RANGE), engine=EngineConfig(preset=preset)))
             for preset in PRESETS}
-        caster = RayCaster(scene.mesh)
+        caster = MeshRays(scene.mesh)
         for position in free_places(scene, simulators['fine'].height, positions, rng):
             yield Case(scene, simulators, caster, position,
                        caster.visible(scene.points, position, RANGE))
@@ -284,7 +284,19 @@ def scale(points: int) -> dict[str, float]:
     places = free_places(scene, simulator.height, 4, np.random.default_rng(0))
     seconds = np.mean([median_seconds(partial(simulator.look, place)) for place in places])
     return {'points': len(scene), 'ns_per_point_camera': 1e9 * float(seconds) / len(scene),
-            'bytes_per_point': simulator.nbytes / len(scene), 'seconds_to_build': ready}
+            'bytes_per_point': bytes_held(simulator) / len(scene), 'seconds_to_build': ready}
+
+
+def bytes_held(simulator: Simulator) -> int:
+    """Return the bytes that a simulator holds for its scene, the points included."""
+    def held(value: Any) -> int:
+        if isinstance(value, np.ndarray):
+            return value.nbytes
+        return sum(map(held, value)) if isinstance(value, (tuple, list)) else 0
+
+    scene, parts = simulator.scene, (simulator.visibility, simulator.depth_error)
+    return held((scene.points, scene.spacing, simulator.grid,
+                 *(value for part in parts for value in vars(part).values())))
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:

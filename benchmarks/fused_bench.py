@@ -41,7 +41,6 @@ from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.geometry.shadow_maps import in_reach
 from ocp_ros.geometry.visibility import CubeVisibility, FAST, FINE, PAPER, SurfelVisibility
 from ocp_ros.scenes.mesh_rays import MeshRays
-from ocp_ros.scenes.ray_casting import RayCaster
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.synthetic.generator import mesh_of, plan_of
 
@@ -107,7 +106,7 @@ def looks(scene: Scene) -> dict[str, Look]:
     """Return the methods by name, for one scan."""
     surfels = SurfelVisibility(scene.points, scene.normals_or_estimate, scene.pitch, NOWHERE, FINE)
     cubes = CubeVisibility(scene.points, scene.spacing, NOWHERE, PAPER)
-    caster = RayCaster(scene.mesh)
+    caster = MeshRays(scene.mesh)
     return {
         'fine': partial(_look, surfels), 'fast': partial(_look, surfels.by(FAST)),
         'paper': partial(_look, cubes),

@@ -12,7 +12,7 @@ import twins
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.depth_error import DepthError, viewpoints
 from ocp_ros.geometry.packed_bits import no_bits, pack
-from ocp_ros.scenes.ray_casting import RayCaster
+from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.simulation_config import SimulationConfig
@@ -88,9 +88,9 @@ def test_what_is_settled_may_be_left_out(small, seed, share, more):
 def test_depth_maps_agree_with_ray_casting():
     scene = generate_room(12, 15000, scanned=False)
     engine = Simulator(scene, SimulationConfig()).depth_error
-    caster = RayCaster(scene.mesh)
+    caster = MeshRays(scene.mesh)
     rays = twins.directions(engine.shape[0]).reshape(-1, 3)
-    off = [np.abs(engine.depth_map(k).ravel() - caster.distance(engine.viewpoints[k], rays)).mean()
+    off = [np.abs(engine.depth_map(k).ravel() - caster.lengths(engine.viewpoints[k], rays)).mean()
            for k in range(5)]
     # Cubes reach a little beyond what they stand for; holes would cost metres.
     assert sum(off) < 0.8

@@ -24,7 +24,7 @@ from benchmarks.drills.spoilt_files import (
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.ros.bags.bag_files import Bag
-from ocp_ros.scenes.guarded_reading import read_guarded, ReadingLimits
+from ocp_ros.scenes.guarded_reading import COSTS, read_guarded
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.scenes.synthetic.generator import generate_room
@@ -33,7 +33,6 @@ from ocp_ros.util.files import read_regular
 from ocp_ros.util.settings import ConfigurationError
 
 ROOM = generate_room(3, 2500).points
-LIMITS = ReadingLimits(600_000_000, 20, 1_000_000)
 #: Spoilt files of each format; of those that a process of its own reads only one, for time's sake.
 FILES, GUARDED = 60, 1
 GUARDED_FORMATS = ('las.las', 'laz.laz', 'e57.e57', 'mesh.ply', 'obj.obj', 'off.off', 'stl.stl',
@@ -78,15 +77,19 @@ def test_a_laz_file_that_asks_for_all_memory_is_refused_and_nothing_ends(tmp_pat
     assert 'cannot be read' in refusal(path)
 
 
-def test_a_process_that_takes_too_much_is_stopped(tmp_path):
+def test_a_process_that_takes_too_much_is_stopped(tmp_path, monkeypatch):
     path = tmp_path / 'scan.laz'
     write_las(path, ROOM)
-    assert read_guarded('las', path, 3, LIMITS).shape == ROOM.shape
-    for limits in (LIMITS._replace(memory=20_000_000), LIMITS._replace(output=1000)):
-        with pytest.raises(ValueError, match='.'):
-            read_guarded('las', path, 3, limits)
+    assert read_guarded('las', path, 3, len(ROOM)).shape == ROOM.shape
+    with pytest.raises(ValueError, match='.'):
+        read_guarded('las', path, 3, len(ROOM) // 2)
+    cost = COSTS['las']
+    monkeypatch.setitem(COSTS, 'las', cost._replace(memory=20_000_000))
+    with pytest.raises(ValueError, match='.'):
+        read_guarded('las', path, 3, len(ROOM))
+    monkeypatch.setitem(COSTS, 'las', cost._replace(seconds=0))
     with pytest.raises(ValueError, match='too long'):
-        read_guarded('las', path, 3, LIMITS._replace(seconds=0))
+        read_guarded('las', path, 3, len(ROOM))
 
 
 def test_the_process_that_reads_imports_neither_learning_nor_ros(tmp_path):

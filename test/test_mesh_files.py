@@ -17,7 +17,7 @@ from benchmarks.drills.spoilt_files import (
     write_ply_mesh,
     write_stl,
 )
-from ocp_ros.scenes.mesh_sampling import sampled, SAMPLES
+from ocp_ros.scenes.mesh_files import sampled, SAMPLES
 from ocp_ros.scenes.scene import Mesh, Scene, SceneError
 from ocp_ros.scenes.scene_files import load_scene, scans_in
 from ocp_ros.scenes.synthetic.generator import generate_room
@@ -40,7 +40,7 @@ def refusal(path, **options) -> str:
 
 
 def test_samples_lie_evenly_on_the_faces_and_have_their_normals():
-    points, normals = sampled(VERTICES, TRIANGLES, 8000)
+    points, normals = np.hsplit(sampled(VERTICES, TRIANGLES, 8000), 2)
     floor = abs(points[:, 2]) < 1e-9
     assert np.count_nonzero(floor) == pytest.approx(6000, abs=2)
     np.testing.assert_allclose(points[~floor, 1], 0.0, atol=1e-9)
@@ -52,8 +52,7 @@ def test_samples_lie_evenly_on_the_faces_and_have_their_normals():
 
 
 def test_the_same_mesh_gives_the_same_samples():
-    for one, other in zip(sampled(VERTICES, TRIANGLES, 500), sampled(VERTICES, TRIANGLES, 500)):
-        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(*(sampled(VERTICES, TRIANGLES, 500) for _ in range(2)))
 
 
 def test_small_faces_get_their_share():
@@ -63,7 +62,7 @@ def test_small_faces_get_their_share():
     corner = (101 * np.arange(100)[:, None] + np.arange(100)).ravel()
     triangles = np.concatenate([np.stack([corner, corner + 101, corner + 102], axis=1),
                                 np.stack([corner, corner + 102, corner + 1], axis=1)])
-    points, _ = sampled(vertices, rng.permutation(triangles), 2000)
+    points = sampled(vertices, rng.permutation(triangles), 2000)
     counts = np.histogram2d(*points[:, :2].T, bins=10, range=[[0, 100], [0, 100]])[0]
     assert counts.min() >= 8 and counts.max() <= 36
 
@@ -80,7 +79,7 @@ def test_a_face_with_nan_gives_a_point_of_nan():
     for bad in (np.nan, np.inf, 1e300):
         vertices = VERTICES.copy()
         vertices[5, 0] = bad
-        points, _ = sampled(vertices, TRIANGLES, 500)
+        points = sampled(vertices, TRIANGLES, 500)
         # The faces of that vertex are two, one of which it only stretches without end.
         assert 1 <= np.isnan(points).all(axis=1).sum() <= 2
         assert np.isfinite(points[:500]).all()

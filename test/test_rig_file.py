@@ -10,9 +10,9 @@ from conftest import refused_in_one_sentence, ROOT
 import numpy as np
 import pytest
 
+from benchmarks.docs.schemas import FILES
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.rig.rig_file import load_rig, MUST_SEE, rig_of, sensor_named
-from ocp_ros.rig.schemas import FILES
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.util.settings import ConfigurationError
 

@@ -18,9 +18,8 @@ from benchmarks.numpy_twin import Twin
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose, rotation_matrix
 from ocp_ros.geometry.coverage import coverage_grid
 from ocp_ros.geometry.packed_bits import no_bits, Subset
-from ocp_ros.geometry.shadow_maps import project, Projection, splat, visible
+from ocp_ros.geometry.shadow_maps import project, projected, Projection, splat, visible
 from ocp_ros.geometry.surfels import (
-    distances,
     project_block,
     splat_surfels,
     Surfels,
@@ -35,7 +34,6 @@ from ocp_ros.geometry.visibility import (
 )
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.scenes.mesh_rays import MeshRays
-from ocp_ros.scenes.ray_casting import RayCaster
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.synthetic.generator import mesh_of, plan_of
 
@@ -53,6 +51,11 @@ def cloud(seed, count=120, size=6.0):
     sizes = rng.uniform(0.0, 0.4, count).astype(np.float32)
     normals = rng.normal(size=(count, 3))
     return points, sizes, (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype('f4')
+
+
+def distances(inverse_map, rows):
+    """Return a map from ``splat_surfels`` as (H, W) distances in metres."""
+    return 1.0 / inverse_map.reshape(rows + 2, 2 * rows + 2)[1:-1, 1:-1]
 
 
 def visibility(points, sizes, normals, preset, places=NOWHERE):
@@ -260,8 +263,16 @@ def test_degenerate_points_do_no_harm(preset):
     points = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 0], [0, 1, 0], [9, 0, 0], [0, 0, 1]], 'f4')
     sizes = np.array([1.0, 0.0, 0.0, 50.0, 1.0, 0.1], np.float32)
     normals = np.array([[1, 0, 0], [1, 0, 0], [0, 1, 0], [0, 1, 0], [1, 0, 0], [0, 0, 0]], 'f4')
-    lens = MODELS['omnidirectional'].lens
-    assert np.isfinite(visibility(points, sizes, normals, preset).shadow_map(HERE, lens)).all()
+    lens, rules = MODELS['omnidirectional'].lens, PRESETS[preset]
+    shadow = np.empty((rules.rows, 2 * rules.rows), np.float32)
+    if preset == 'paper':
+        splat(projected(points, HERE, lens), sizes, rules.cube_scale, lens.max_range, shadow)
+    else:
+        work = Workspace.of(rules.rows, len(points))
+        splat_surfels(Surfels.of(points, normals, sizes), ALL, HERE.position, lens.max_range,
+                      rules, work)
+        shadow = distances(work.inverse_map, rules.rows)
+    assert np.isfinite(shadow).all()
     seen = look(points, sizes, normals, HERE, MODELS['omnidirectional'], preset)
     # On the camera, twice in one place, as large as the room, out of range, without a normal.
     assert seen[[0, 1, 2, 3, 4]].tolist() == [False, True, True, True, False]
@@ -337,7 +348,7 @@ def test_visibility_agrees_with_ray_casting(preset, least):
     for seed in range(3):
         scene = made_room(seed, 15000)
         for position in free_places(scene, 1.9, 2, np.random.default_rng(seed)):
-            truth = RayCaster(scene.mesh).visible(scene.points, position, 6.0)
+            truth = MeshRays(scene.mesh).visible(scene.points, position, 6.0)
             seen = look_at_scene(scene, Pose(position, LEVEL), CameraModel(0.0, 6.0), preset)
             right += (seen & truth).sum()
             wrong += (seen & ~truth).sum()
@@ -352,7 +363,7 @@ def test_a_real_sensor_agrees_with_ray_casting_in_its_cone(name):
     for k, position in enumerate(free_places(scene, 1.9, 4, np.random.default_rng(1))):
         pose = Pose(position, rotation_matrix(1.7 * k, 0.4, 0.1))
         cone, _, _ = twins.project(scene.points, *pose, model)
-        truth = RayCaster(scene.mesh).visible(scene.points, position, model.max_range)
+        truth = MeshRays(scene.mesh).visible(scene.points, position, model.max_range)
         truth &= np.isfinite(cone)
         seen = look_at_scene(scene, pose, model, 'fine')
         right += (seen & truth).sum()
@@ -370,7 +381,7 @@ def test_a_place_in_the_air_is_covered_unless_something_is_in_front(preset):
     engine = visibility(scene.points, sizes, scene.normals_or_estimate, preset, places)
     covered = Subset.none(engine.place_order)
     engine.look(Pose.of(camera), CameraModel(0.0, 6.0).lens, no_bits(len(scene)), covered.bits)
-    truth = RayCaster(scene.mesh).visible(places, camera, 6.0)
+    truth = MeshRays(scene.mesh).visible(places, camera, 6.0)
     assert (covered.mask == truth).mean() > 0.95
 
 
@@ -396,7 +407,7 @@ def f1_of_fast(scenes, position):
                                   PRESETS['fast'])
         seen = Subset.none(engine.order)
         engine.look(Pose.of(position), CameraModel(0.0, 6.0).lens, seen.bits)
-        truth = RayCaster(scene.mesh).visible(scene.points, position, 6.0)
+        truth = MeshRays(scene.mesh).visible(scene.points, position, 6.0)
         scores.append(confusion(seen.mask, truth))
     return np.array(scores)
 

@@ -5,7 +5,13 @@
 import json
 
 from benchmarks.results import ROOT
-from ocp_ros.rig.schemas import FILES
+from ocp_ros.rig.schemas import PLACEMENT, RIG
+
+DIALECT = 'https://json-schema.org/draft/2020-12/schema'
+#: The files of docs/ and what is in them.
+FILES = {'rig.schema.json': {'$schema': DIALECT, 'title': 'A rig of depth cameras', **RIG},
+         'placement.schema.json': {
+             '$schema': DIALECT, 'title': 'Poses of the cameras of a rig', **PLACEMENT}}
 
 if __name__ == '__main__':
     for name, schema in FILES.items():

@@ -4,7 +4,22 @@
 
 import numpy as np
 
+from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.rig.sensors import SENSORS
+
+
+def pixel_size(model: CameraModel, distance: float) -> tuple[float, float]:
+    """
+    Return how wide and how high one pixel is on a wall that faces the camera.
+
+    :param model: one with a resolution.
+    :param distance: metres.
+    :returns: metres, straight ahead.
+    """
+    lens = model.lens
+    # A pinhole's half angles are tangents: what half the image spans at one metre.
+    return (2.0 * distance * lens.half_horizontal / model.resolution[0],
+            2.0 * distance * lens.half_vertical / model.resolution[1])
 
 
 def rows() -> list[str]:
@@ -14,7 +29,7 @@ def rows() -> list[str]:
         model = sensor.model
         angles = ' x '.join(f'{np.rad2deg(angle):.0f}'
                             for angle in (model.horizontal_fov, model.vertical_fov))
-        across, down = (f'{1e3 * size:.1f}' for size in model.pixel_size(3.0))
+        across, down = (f'{1e3 * size:.1f}' for size in pixel_size(model, 3.0))
         lines.append(f'| `{name}` | {sensor.title} | {model.min_range:g} to {model.max_range:g} | '
                      f'{angles} | {model.resolution[0]} x {model.resolution[1]} | '
                      f'{across} x {down} |')

@@ -58,6 +58,11 @@ class Pose(NamedTuple):
                              'or x, y, z, yaw, pitch, roll with angles in radians, all finite')
         return cls(camera[:3], rotation_matrix(*camera[3:]) if len(camera) == 6 else LEVEL)
 
+    def away_from(self, other: 'Pose') -> tuple[float, float]:
+        """Return how far the pose is from another one: metres, and radians of one rotation."""
+        return (float(np.linalg.norm(self.position - other.position)),
+                angle_between(self.rotation, other.rotation))
+
 
 @dataclass(frozen=True)
 class CameraModel:
@@ -115,20 +120,6 @@ class CameraModel:
         return Frustum(kind, float(self.min_range), float(self.max_range),
                        float(half_horizontal), float(half_vertical))
 
-    def pixel_size(self, distance: float) -> tuple[float, float] | None:
-        """
-        Return how wide and how high one pixel is on a wall that faces the camera.
-
-        :param distance: metres.
-        :returns: metres, straight ahead; None without a resolution.
-        """
-        if self.resolution is None:
-            return None
-        lens = self.lens
-        # A pinhole's half angles are tangents: what half the image spans at one metre.
-        return (2.0 * distance * lens.half_horizontal / self.resolution[0],
-                2.0 * distance * lens.half_vertical / self.resolution[1])
-
 
 def rotation_matrix(yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:
     """
@@ -183,3 +174,13 @@ def in_view(x: float, y: float, z: float, lens: Frustum) -> bool:
         return x > 0.0 and abs(y) <= x * lens.half_horizontal and abs(z) <= x * lens.half_vertical
     return (abs(math.atan2(y, x)) <= lens.half_horizontal
             and abs(math.atan2(z, math.hypot(x, y))) <= lens.half_vertical)
+
+
+@njit(cache=True, nogil=True, inline='always')
+def in_cone(dx: float, dy: float, dz: float, pose: Pose, lens: Frustum) -> bool:
+    """Tell whether a way from a camera, metres, map frame, leads into its viewing cone."""
+    rotation = pose.rotation
+    x = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
+    y = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
+    z = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
+    return in_view(x, y, z, lens)

@@ -19,7 +19,7 @@ import numpy as np
 
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose
 from ocp_ros.geometry.packed_bits import no_bits
-from ocp_ros.geometry.shadow_maps import footprint, project, Projection
+from ocp_ros.geometry.shadow_maps import footprint, projected
 from ocp_ros.util.threads import mapped
 
 #: Viewpoints of the paper, and rows that a map has at least.
@@ -249,10 +249,9 @@ class DepthError:
                    ) -> tuple[Trees, np.ndarray]:
         """List the candidates of every pixel of one viewpoint, and draw its depth map."""
         rows, columns = self.shape
-        projection = Projection.empty(len(points))
         # Far enough that a room's own far corner is never cut off by rounding.
         lens = CameraModel(max_range=2.0 * self.far).lens
-        project(points, Pose(position, LEVEL), lens, projection)
+        projection = projected(points, Pose(position, LEVEL), lens)
         if kept is not None:
             projection.distance[~kept] = np.inf
         order = np.argsort(projection.distance, kind='stable')
@@ -328,8 +327,3 @@ class DepthError:
         lost = np.zeros(self._count)
         _lost_at(self.trees, seen, lost)
         return lost / self.pixels
-
-    @property
-    def nbytes(self) -> int:
-        """Return the bytes held for the scene."""
-        return sum(array.nbytes for array in (*self.trees, *self._maps))

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from numba import njit
 import numpy as np
 
-from ocp_ros.geometry.cameras import Frustum, in_view, OMNIDIRECTIONAL, Pose
+from ocp_ros.geometry.cameras import Frustum, in_cone, OMNIDIRECTIONAL, Pose
 
 HALF_PI = 0.5 * np.pi
 TWO_PI = 2.0 * np.pi
@@ -63,7 +63,6 @@ def project(points, pose, lens, out):
     :param out: :class:`Projection` of N points.
     """
     x0, y0, z0 = pose.position[0], pose.position[1], pose.position[2]
-    rotation = pose.rotation
     for i in range(points.shape[0]):
         dx, dy, dz = points[i, 0] - x0, points[i, 1] - y0, points[i, 2] - z0
         flat = math.sqrt(dx * dx + dy * dy)
@@ -71,22 +70,21 @@ def project(points, pose, lens, out):
         out.distance[i] = r
         out.elevation[i] = math.atan2(dz, flat)
         out.azimuth[i] = math.atan2(dy, dx)
-        if r < lens.min_range or r > lens.max_range or r == 0.0:
+        if (r < lens.min_range or r > lens.max_range or r == 0.0
+                or not (lens.kind == OMNIDIRECTIONAL or in_cone(dx, dy, dz, pose, lens))):
             out.distance[i] = np.inf
-            continue
-        if lens.kind != OMNIDIRECTIONAL:
-            x = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
-            y = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
-            z = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
-            if not in_view(x, y, z, lens):
-                out.distance[i] = np.inf
+
+
+def projected(points: np.ndarray, pose: Pose, lens: Frustum) -> Projection:
+    """Return where points (N, 3) float32, metres, appear from a camera; see :func:`project`."""
+    view = Projection.empty(len(points))
+    project(points, pose, lens, view)
+    return view
 
 
 def in_reach(points: np.ndarray, pose: Pose, lens: Frustum) -> np.ndarray:
     """Return (N,) bool, which points (N, 3) are in a camera's viewing cone and its range."""
-    view = Projection.empty(len(points))
-    project(points, pose, lens, view)
-    return np.isfinite(view.distance)
+    return np.isfinite(projected(points, pose, lens).distance)
 
 
 @njit(cache=True, nogil=True, inline='always')

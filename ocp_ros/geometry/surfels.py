@@ -21,7 +21,7 @@ from typing import NamedTuple
 from numba import njit
 import numpy as np
 
-from ocp_ros.geometry.cameras import in_view, OMNIDIRECTIONAL
+from ocp_ros.geometry.cameras import in_cone, OMNIDIRECTIONAL
 from ocp_ros.geometry.packed_bits import BLOCK, blocks_in_view, WORDS
 
 f32, i32, u32, u64 = np.float32, np.int32, np.uint32, np.uint64
@@ -420,14 +420,32 @@ def see_places(places, blocks, pose, lens, settings, work, seen):
 def _keep_in_cone(points, first, count, pose, lens, flags):
     """Clear the flags of points outside the viewing cone."""
     x0, y0, z0 = pose.position[0], pose.position[1], pose.position[2]
-    rotation = pose.rotation
     for j in range(count):
         i = first + j
-        dx, dy, dz = points.x[i] - x0, points.y[i] - y0, points.z[i] - z0
-        x = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
-        y = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
-        z = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
-        flags[j] &= in_view(x, y, z, lens)
+        flags[j] &= in_cone(points.x[i] - x0, points.y[i] - y0, points.z[i] - z0, pose, lens)
+
+
+@njit(cache=True, nogil=True)
+def kept_in_cone(points, pose, lens, seen):
+    """
+    Clip what an omnidirectional camera sees to a frustum.
+
+    :param points: N :class:`Surfels` or :class:`SurfelPlaces`.
+    :param pose: the camera's :class:`~ocp_ros.geometry.cameras.Pose`.
+    :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Frustum`.
+    :param seen: (W,) uint64, packed bits of the points.
+    :returns: (W,) uint64, packed bits of those in the viewing cone.
+    """
+    x0, y0, z0 = pose.position[0], pose.position[1], pose.position[2]
+    kept = np.zeros_like(seen)
+    for word in range(seen.shape[0]):
+        bits, i, flag = seen[word], word * 64, u64(1)
+        while bits != u64(0):
+            if bits & u64(1) and in_cone(points.x[i] - x0, points.y[i] - y0, points.z[i] - z0,
+                                         pose, lens):
+                kept[word] |= flag
+            bits, flag, i = bits >> u64(1), flag << u64(1), i + 1
+    return kept
 
 
 @njit(nogil=True, inline='always')
@@ -465,8 +483,3 @@ def look_at_surfels(surfels, bounds, places, place_bounds, pose, lens, settings,
     if covered.shape[0]:
         blocks = work.blocks[:blocks_in_view(place_bounds, pose, lens, work.blocks)]
         see_places(places, blocks, pose, lens, settings, work, covered)
-
-
-def distances(inverse_map: np.ndarray, rows: int) -> np.ndarray:
-    """Return a map from :func:`splat_surfels` as (H, W) float32 distances in metres."""
-    return 1.0 / inverse_map.reshape(rows + 2, 2 * rows + 2)[1:-1, 1:-1]

@@ -8,24 +8,19 @@ What a camera sees of a scene, by presets.
 describes it.
 
 Either class keeps its points in spatial order and answers in packed bits of that order; see
-:mod:`ocp_ros.geometry.packed_bits`. Threads may share one: what a look writes is borrowed for the
-look.
+:mod:`ocp_ros.geometry.packed_bits`. Threads may share one: each look writes to memory of its own.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from copy import copy
-from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from ocp_ros.geometry.cameras import Frustum, Pose
-from ocp_ros.geometry.frustum import keep_in_cone
 from ocp_ros.geometry.packed_bits import block_bounds, no_bits, pack, spatial_order
-from ocp_ros.geometry.shadow_maps import CubeSettings, project, Projection, splat, visible
+from ocp_ros.geometry.shadow_maps import CubeSettings, projected, Projection, splat, visible
 from ocp_ros.geometry.surfels import (
-    distances,
+    kept_in_cone,
     look_at_surfels,
     SurfelPlaces,
     Surfels,
@@ -41,25 +36,6 @@ PRESETS = {'fine': FINE, 'fast': FAST, 'paper': PAPER}
 #: Radius of a surfel in multiples of the pitch: discs of 0.71 would just cover a square grid.
 DISC_SCALE = 0.9
 NO_BITS = no_bits(0)
-
-T = TypeVar('T')
-
-
-class _Shelf(Generic[T]):
-    """Workspaces to borrow: as many are made as are ever in use at once."""
-
-    def __init__(self, make: Callable[[], T]) -> None:
-        self._make, self._free = make, deque()
-
-    @contextmanager
-    def borrowed(self) -> Iterator[T]:
-        """Lend one for the time of the context."""
-        try:
-            work = self._free.pop()
-        except IndexError:
-            work = self._make()
-        yield work
-        self._free.append(work)
 
 
 class SurfelVisibility:
@@ -83,34 +59,33 @@ class SurfelVisibility:
         self._bounds = block_bounds(points, radius)
         self._places = SurfelPlaces.of(places[self.place_order])
         self._place_bounds = block_bounds(places[self.place_order], self._places.radius)
-        self._use(settings)
-
-    def _use(self, settings: SurfelSettings) -> None:
-        """Look by some rules from now on."""
         self.settings = settings
-        count = max(len(self.order), len(self.place_order))
-        self._shelf = _Shelf(lambda: Workspace.of(settings.rows, count))
+        #: As many workspaces are made as are ever in use at once.
+        self._free_workspaces: deque[Workspace] = deque()
 
     def by(self, settings: SurfelSettings) -> 'SurfelVisibility':
         """Return visibility of the same points and places, which are shared, by other rules."""
         other = copy(self)
-        other._use(settings)
+        other.settings, other._free_workspaces = settings, deque()
         return other
 
     def look(self, pose: Pose, lens: Frustum, seen: np.ndarray,
-             covered: np.ndarray | None = None) -> None:
+             covered: np.ndarray = NO_BITS) -> None:
         """
         Add what a camera sees to what others see.
 
         :param pose: the camera's pose.
         :param lens: its model.
         :param seen: packed bits of the points, in and out.
-        :param covered: packed bits of the places, in and out; None to leave them out.
+        :param covered: packed bits of the places, in and out; ``NO_BITS`` to leave them out.
         """
-        with self._shelf.borrowed() as work:
-            look_at_surfels(self._surfels, self._bounds, self._places, self._place_bounds, pose,
-                            lens, self.settings, work, seen,
-                            NO_BITS if covered is None else covered)
+        try:
+            work = self._free_workspaces.pop()
+        except IndexError:
+            work = Workspace.of(self.settings.rows, max(len(self.order), len(self.place_order)))
+        look_at_surfels(self._surfels, self._bounds, self._places, self._place_bounds, pose, lens,
+                        self.settings, work, seen, covered)
+        self._free_workspaces.append(work)
 
     def narrowed(self, pose: Pose, lens: Frustum, seen: np.ndarray, covered: np.ndarray
                  ) -> tuple[np.ndarray, np.ndarray]:
@@ -123,31 +98,8 @@ class SurfelVisibility:
         :param covered: packed bits of the places that it covers.
         :returns: the bits of both that are in the cone.
         """
-        kept = np.empty_like(seen), np.empty_like(covered)
-        for points, bits, found in zip((self._surfels, self._places), (seen, covered), kept):
-            keep_in_cone(points, pose, lens, bits, found)
-        return kept
-
-    def shadow_map(self, pose: Pose, lens: Frustum) -> np.ndarray:
-        """Return a camera's map: (H, W) float32 distances, metres; filled where it looks."""
-        with self._shelf.borrowed() as work:
-            look_at_surfels(self._surfels, self._bounds, self._places, self._place_bounds, pose,
-                            lens, self.settings, work, no_bits(len(self.order)), NO_BITS)
-            return distances(work.inverse_map, self.settings.rows)
-
-    @property
-    def nbytes(self) -> int:
-        """Return the bytes held for the scene, without the copy that the caller has."""
-        return sum(array.nbytes for array in (*self._surfels, *self._places, self._bounds,
-                                              self._place_bounds, self.order, self.place_order))
-
-
-class _CubeWorkspace(NamedTuple):
-    """What one look writes."""
-
-    view: Projection
-    place_view: Projection
-    shadow_map: np.ndarray
+        return (kept_in_cone(self._surfels, pose, lens, seen),
+                kept_in_cone(self._places, pose, lens, covered))
 
 
 class CubeVisibility:
@@ -168,39 +120,19 @@ class CubeVisibility:
         self.order, self.place_order = spatial_order(points), spatial_order(places)
         self._points, self._spacing = points[self.order], spacing[self.order]
         self._places = places[self.place_order]
-        self._shelf = _Shelf(lambda: _CubeWorkspace(
-            Projection.empty(len(points)), Projection.empty(len(places)),
-            np.empty((settings.rows, 2 * settings.rows), dtype=np.float32)))
 
     def look(self, pose: Pose, lens: Frustum, seen: np.ndarray,
-             covered: np.ndarray | None = None) -> None:
+             covered: np.ndarray = NO_BITS) -> None:
         """Add what a camera sees to what others see; see :meth:`SurfelVisibility.look`."""
-        with self._shelf.borrowed() as work:
-            self._fill(pose, lens, work)
-            seen |= self._visible(work.view, work.shadow_map)
-            if covered is not None:
-                project(self._places, pose, lens, work.place_view)
-                covered |= self._visible(work.place_view, work.shadow_map)
-
-    def _fill(self, pose: Pose, lens: Frustum, work: _CubeWorkspace) -> None:
-        """Fill a camera's map."""
-        project(self._points, pose, lens, work.view)
-        splat(work.view, self._spacing, self.settings.cube_scale, lens.max_range, work.shadow_map)
+        view, rows = projected(self._points, pose, lens), self.settings.rows
+        shadow_map = np.empty((rows, 2 * rows), dtype=np.float32)
+        splat(view, self._spacing, self.settings.cube_scale, lens.max_range, shadow_map)
+        seen |= self._visible(view, shadow_map)
+        if len(covered):
+            covered |= self._visible(projected(self._places, pose, lens), shadow_map)
 
     def _visible(self, view: Projection, shadow_map: np.ndarray) -> np.ndarray:
         """Return packed bits of what the map does not hide."""
         flags = np.zeros(len(view.distance), dtype=bool)
         visible(view, self.settings.compensation, shadow_map, flags)
         return pack(flags)
-
-    def shadow_map(self, pose: Pose, lens: Frustum) -> np.ndarray:
-        """Return a camera's map: (H, W) float32 distances, metres."""
-        with self._shelf.borrowed() as work:
-            self._fill(pose, lens, work)
-            return work.shadow_map.copy()
-
-    @property
-    def nbytes(self) -> int:
-        """Return the bytes held for the scene."""
-        return sum(array.nbytes for array in (self._points, self._spacing, self._places,
-                                              self.order, self.place_order))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ocp_ros.geometry.cameras import angle_between, heading_of, Pose
+from ocp_ros.geometry.cameras import heading_of, Pose
 from ocp_ros.registration.camera_registration import checked, register, Registration
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.scan_surfaces import ScanSurfaces
@@ -63,8 +63,8 @@ def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndar
             moved.append(str(error))
             continue
         found = checked(scan, view, start, placed.camera.model)
-        away = float(np.linalg.norm(found.pose.position - start.position))
-        turn = float(np.rad2deg(angle_between(found.pose.rotation, start.rotation)))
+        away, turn = found.pose.away_from(start)
+        turn = float(np.rad2deg(turn))
         if found.unlike:
             moved.append(f'{name} no longer fits the scan: {found.refused}')
         elif (away > max(MOVED[0], SURE * found.certainty.metres[0])
@@ -103,11 +103,10 @@ def answer_of(placed: Placed, found: Registration) -> dict[str, Any]:
                *({'about': axis.tolist(), 'degrees': float(value)}
                  for axis, value in zip(held.about, held.degrees))]}
     if not found.refused:
+        away, turn = found.pose.away_from(start)
         row |= {'position': found.pose.position.round(4).tolist(),
                 **dict(zip(ANGLES, np.rad2deg(heading_of(found.pose.rotation)).round(3).tolist())),
-                'moved_metres': float(np.linalg.norm(found.pose.position - start.position)),
-                'moved_degrees': float(np.rad2deg(
-                    angle_between(found.pose.rotation, start.rotation)))}
+                'moved_metres': away, 'moved_degrees': float(np.rad2deg(turn))}
     return row
 
 

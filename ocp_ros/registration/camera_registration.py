@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import qmc
 
-from ocp_ros.geometry.cameras import angle_between, CameraModel, Pose
+from ocp_ros.geometry.cameras import CameraModel, Pose
 from ocp_ros.registration.alignment import (
     aligned,
     AlignmentStage,
@@ -105,16 +105,16 @@ def register(scan: ScanSurfaces, view: LiveView, start: Pose, model: CameraModel
     :param start: where it is planned to be; within about a metre and 30 degrees.
     :param model: of the camera.
     """
-    found = [_Candidate(pose, _score(scan, view, pose)) for pose in (
-        _refined(scan, view, pose, model) for pose in _apart(scan, view, start))]
-    best = max(found, key=lambda one: one.score)
-    answer = _judged(scan, view, best.pose, model)
-    rivals = [one for one in found if one.score > best.score - LEAD
-              and _are_apart(one.pose, best.pose)]
+    poses = [_refined(scan, view, pose, model) for pose in _apart(scan, view, start)]
+    scores = [_score(scan, view, pose) for pose in poses]
+    best = int(np.argmax(scores))
+    answer = _judged(scan, view, poses[best], model)
+    rivals = [k for k, pose in enumerate(poses) if scores[k] > scores[best] - LEAD
+              and _are_apart(pose, poses[best])]
     if answer.refused or not rivals:
         return answer
-    rival = max(rivals, key=lambda one: one.score).pose
-    return answer._replace(refused=_as_well(best.pose, rival))
+    rival = max(rivals, key=lambda k: scores[k])
+    return answer._replace(refused=_as_well(poses[best], poses[rival]))
 
 
 def checked(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) -> Registration:
@@ -124,13 +124,6 @@ def checked(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) 
     :param pose: where it hung before, to a few centimetres.
     """
     return _judged(scan, view, _refined(scan, view, pose, model), model)
-
-
-class _Candidate(NamedTuple):
-    """A pose, and how well it explains what is seen."""
-
-    pose: Pose
-    score: float
 
 
 def _searched(scan: ScanSurfaces, view: LiveView, start: Pose) -> Poses:
@@ -174,10 +167,8 @@ def _apart(scan: ScanSurfaces, view: LiveView, start: Pose) -> list[Pose]:
     found: list[Pose] = []
     for k in np.argsort(-scores, kind='stable'):
         pose = Pose(poses.positions[k], poses.rotations[k])
-        near = (np.linalg.norm(pose.position - start.position) <= FARTHEST[0]
-                and angle_between(pose.rotation, start.rotation) <= FARTHEST[1])
-        if (near and scores[k] > scores.max() - MUCH_WORSE and len(found) < MOST
-                and all(_are_apart(pose, other) for other in found)):
+        if (not _are_apart(pose, start, FARTHEST) and scores[k] > scores.max() - MUCH_WORSE
+                and len(found) < MOST and all(_are_apart(pose, other) for other in found)):
             found.append(pose)
     return found or [start]
 
@@ -191,8 +182,8 @@ def _score(scan: ScanSurfaces, view: LiveView, pose: Pose) -> float:
 
 def _are_apart(one: Pose, other: Pose, apart: tuple[float, float] = APART) -> bool:
     """Tell whether two poses are not the same one, to some metres and radians."""
-    return bool(np.linalg.norm(one.position - other.position) > apart[0]
-                or angle_between(one.rotation, other.rotation) > apart[1])
+    metres, radians = one.away_from(other)
+    return metres > apart[0] or radians > apart[1]
 
 
 def _refined(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) -> Pose:
@@ -320,10 +311,9 @@ def _behind(surfaces: Surfaces, patches: Patches, poses: Poses) -> np.ndarray:
 
 def _as_well(pose: Pose, rival: Pose) -> str:
     """Say that another pose fits as well."""
-    away = np.linalg.norm(rival.position - pose.position)
-    turn = np.rad2deg(angle_between(rival.rotation, pose.rotation))
-    return (f'another pose, {away:.2f} m and {turn:.0f} degrees away, explains what it sees as '
-            'well')
+    away, turn = rival.away_from(pose)
+    return (f'another pose, {away:.2f} m and {np.rad2deg(turn):.0f} degrees away, explains what '
+            'it sees as well')
 
 
 def _refusal(overlap: float, violated: float, behind: float, held: Certainty, beside: float

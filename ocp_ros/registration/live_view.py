@@ -11,7 +11,6 @@ from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.normals import edge_aware_normals
 from ocp_ros.geometry.voxels import thinned_to
 from ocp_ros.registration.alignment import Patches, Poses
-from ocp_ros.registration.depth_noise import deviation
 from ocp_ros.scenes.neighbours import nearest
 from ocp_ros.scenes.scene import MIN_POINTS, NEIGHBOURS, SceneError
 
@@ -24,6 +23,9 @@ BEAMS, GAP = 300, 0.03
 ROWS = 120
 #: Metres in front of what a camera sees where the space is surely free, beside its noise.
 MARGIN = 0.05
+#: Standard deviation of what registration takes a measured point for: at no distance, metres,
+#: and for each square metre of distance, 1/m; between a stereo camera's and a better one's.
+NEAR, FARTHER = 0.005, 0.0015
 
 
 class LiveView:
@@ -92,6 +94,11 @@ class LiveView:
         known = np.isfinite(low) & (distance < high + margin)
         through = known & (distance < low - margin)
         return float(through.sum() / max(known.sum(), 1))
+
+
+def deviation(distance: np.ndarray) -> np.ndarray:
+    """Return the standard deviation of points, metres, at some distances, metres."""
+    return np.hypot(NEAR, FARTHER * distance * distance)
 
 
 def averaged(points: np.ndarray, distance: np.ndarray) -> np.ndarray:

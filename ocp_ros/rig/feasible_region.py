@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.rig.free_plane import EDGE, FreePlane
-from ocp_ros.rig.mounts import headings_of, onto_mount, places_in, spread
+from ocp_ros.rig.mounts import headings_of, places_in, spread
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.rig.structure import (
     Air,
@@ -19,6 +19,7 @@ from ocp_ros.rig.structure import (
     floor_height,
     MountSurface,
     REACH,
+    STAND_OFF,
     walls_of,
 )
 from ocp_ros.scenes.scene import Scene
@@ -53,25 +54,6 @@ class Check(NamedTuple):
     says: Callable[[int], str]
 
 
-def check_heights(scene: Scene, rig: Rig, top: float | None = None) -> None:
-    """
-    Refuse heights that a room does not have.
-
-    :param top: z up to where the room goes, metres, where its points do not show all of it.
-    :raises ConfigurationError: if the cameras' least height is not inside the room.
-    """
-    highest = float(scene.bounds[1, 2])
-    height = (highest if top is None else max(highest, top)) - floor_height(scene)
-    if rig.mount.heights is not None and rig.mount.heights[0] >= height:
-        given = 'height' in rig.document.data.get('mount', {})
-        raise rig.document.error(
-            ('mount', 'height'), f'{round(rig.mount.heights[0], 2):g} m'
-            f'{"" if given else " by default"}',
-            f'less than the {height:.2f} m that {scene.name} is high', 'lower it' if given else
-            f'write mount: {{on: {rig.mount.on}, height: {0.7 * height:.1f}}} in a rig file '
-            '(--rig)')
-
-
 class FeasibleRegion:
     """
     Judge whether cameras may hang where they are.
@@ -86,10 +68,9 @@ class FeasibleRegion:
 
     def __init__(self, scene: Scene, rig: Rig, top: float | None = None) -> None:
         self.scene, self.rig = scene, rig
-        self.floor, self.top = floor_height(scene), float(scene.bounds[1, 2])
-        if top is not None:
-            self.top = max(self.top, top)
-        check_heights(scene, rig, top)
+        self.floor = floor_height(scene)
+        self.top = max(float(scene.bounds[1, 2]), -np.inf if top is None else top)
+        self._check_heights()
         high = self.top - self.floor if rig.mount.heights is None else rig.mount.heights[1]
         height = self.floor + max(high, LEAST_VIEW)
         self.space = FreePlane.of(scene.points, height, len(rig.cameras), 0.0, clearance=0.0)
@@ -103,6 +84,18 @@ class FeasibleRegion:
                     f'{fixed.where}: found a camera at {_place(position)}, outside {scene.name}; '
                     f'expected one in the box from {_place(scene.bounds[0])} to '
                     f'{_place(scene.bounds[1])}; correct its position')
+
+    def _check_heights(self) -> None:
+        """Refuse heights that the room does not have."""
+        mount, document, height = self.rig.mount, self.rig.document, self.top - self.floor
+        if mount.heights is not None and mount.heights[0] >= height:
+            given = 'height' in document.data.get('mount', {})
+            raise document.error(
+                ('mount', 'height'), f'{round(mount.heights[0], 2):g} m'
+                f'{"" if given else " by default"}',
+                f'less than the {height:.2f} m that {self.scene.name} is high',
+                'lower it' if given else f'write mount: {{on: {mount.on}, height: '
+                f'{0.7 * height:.1f}}} in a rig file (--rig)')
 
     def _find_surface(self) -> MountSurface | None:
         """Find what the cameras hang on, where it is something."""
@@ -159,11 +152,23 @@ class FeasibleRegion:
 
     def onto_mount(self, positions: np.ndarray) -> np.ndarray:
         """
-        Move positions (M, 3), metres, to the nearest places that the mount offers.
+        Move positions to the nearest places that the mount offers; they need not be allowed.
 
-        They need not be allowed; as they were where there is no ceiling or wall near.
+        :param positions: (M, 3) metres, map frame.
+        :returns: (M, 3); as it was where there is no ceiling or wall near.
         """
-        return onto_mount(positions, self.rig, self.floor, self.surface)
+        on, heights = self.rig.mount
+        moved = positions.copy()
+        if on == 'walls':
+            contact = self.surface.at(positions)
+            off = np.where(contact.on, STAND_OFF - contact.distances, 0.0)
+            moved += off[:, None] * contact.normals
+        if heights is None:
+            z = self.surface.height_above(positions[:, :2]) - STAND_OFF
+            moved[:, 2] = np.where(np.isfinite(z), z, positions[:, 2])
+        else:
+            moved[:, 2] = np.clip(moved[:, 2], *(self.floor + np.array(heights)))
+        return moved
 
     def broken(self, poses: np.ndarray, cameras: Sequence[int] | None = None) -> list[str]:
         """
@@ -236,8 +241,7 @@ class FeasibleRegion:
             yield Check(f'keep-out zone {number}', inside, lambda k, number=number: (
                 f'found a position in keep-out zone {number}; expected one outside; '
                 'move it out'))
-        yield from self._pitch(poses, models)
-        yield from self._roll(poses, models)
+        yield from self._turned(poses, models)
         for fixed in self.rig.fixed:
             away = np.linalg.norm(positions - fixed.pose[:3], axis=1)
             near = away < self.rig.spacing - SHORT
@@ -301,29 +305,23 @@ class FeasibleRegion:
                 f'found no {surface} {near} (mount.on); expected one that {self.scene.name} '
                 'shows; mount it there'))
 
-    def _pitch(self, poses: np.ndarray, models: Sequence[CameraModel | None]) -> Iterator[Check]:
-        """Check how far cameras look down that are not omnidirectional."""
+    def _turned(self, poses: np.ndarray, models: Sequence[CameraModel | None]) -> Iterator[Check]:
+        """Check pitch, and roll where the rig file has some, unless all look everywhere."""
         if poses.shape[1] == 3:
             return
-        low, high = self.rig.pitch
-        turned = np.array([model is None or not model.omnidirectional for model in models],
-                          dtype=bool)
-        pitch = poses[:, 4]
-        wrong = turned & ((pitch < low - LEEWAY) | (pitch > high + LEEWAY))
+        aimed = np.array([model is None or not model.omnidirectional for model in models],
+                         dtype=bool)
+        (low, high), pitch, roll = self.rig.pitch, poses[:, 4], poses[:, 5]
+        wrong = aimed & ((pitch < low - LEEWAY) | (pitch > high + LEEWAY))
         yield Check('pitch', wrong, lambda k: (
             f'found a pitch of {np.rad2deg(pitch[k]):.0f} degrees; expected '
             f'{np.rad2deg(low):.0f} to {np.rad2deg(high):.0f} (pitch); tilt it'))
-
-    def _roll(self, poses: np.ndarray, models: Sequence[CameraModel | None]) -> Iterator[Check]:
-        """Check that the mount offers the roll, where the rig file says which it offers."""
-        if poses.shape[1] == 3 or 'roll' not in self.rig.document.data:
+        if 'roll' not in self.rig.document.data:
             return
-        roll, rolls = poses[:, 5], np.array(self.rig.rolls)
+        rolls = np.array(self.rig.rolls)
         away = np.abs((roll[:, None] - rolls + np.pi) % (2.0 * np.pi) - np.pi).min(axis=1)
-        wrong = (away > ROLL_LEEWAY) & np.array(
-            [model is None or not model.omnidirectional for model in models], dtype=bool)
         offered = ' or '.join(f'{angle:.0f}' for angle in np.rad2deg(rolls))
-        yield Check('roll', wrong, lambda k: (
+        yield Check('roll', aimed & (away > ROLL_LEEWAY), lambda k: (
             f'found a roll of {np.rad2deg(roll[k]):.0f} degrees; expected {offered} (roll); turn '
             'it about its viewing direction'))
 

@@ -45,15 +45,19 @@ def outwards(count: int, pitch: float) -> np.ndarray:
     return headings
 
 
+def shortened(ways: np.ndarray, longest: float) -> np.ndarray:
+    """Shorten ways (K, D) that are longer than some length, in the same unit."""
+    length = np.linalg.norm(ways, axis=1, keepdims=True)
+    return ways * np.minimum(longest / np.maximum(length, 1e-12), 1.0)
+
+
 def towards(positions: np.ndarray, targets: np.ndarray, reach: float) -> np.ndarray:
     """
     Go from positions (K, 2) to targets (K, 2), metres, but no farther than some reach, metres.
 
     :returns: (K, 2) metres.
     """
-    way = targets - positions
-    length = np.linalg.norm(way, axis=1, keepdims=True)
-    return positions + way * np.minimum(reach / np.maximum(length, 1e-12), 1.0)
+    return positions + shortened(targets - positions, reach)
 
 
 def turned_towards(headings: np.ndarray, goals: np.ndarray, reach: float) -> np.ndarray:
@@ -68,10 +72,8 @@ def turned_towards(headings: np.ndarray, goals: np.ndarray, reach: float) -> np.
     :param reach: radians.
     :returns: (K, 3) radians: the yaw changes the shorter way, the roll stays.
     """
-    way = way_between(headings, goals)
-    length = np.linalg.norm(way, axis=1, keepdims=True)
     turned = headings.copy()
-    turned[:, :2] += way * np.minimum(reach / np.maximum(length, 1e-12), 1.0)
+    turned[:, :2] += shortened(way_between(headings, goals), reach)
     turned[:, 0] = wrapped(turned[:, 0])
     return turned
 

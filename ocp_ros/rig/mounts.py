@@ -50,7 +50,8 @@ def places_in(rig: Rig, scene: Scene, space: FreePlane,
     if on == 'walls':
         return _along_walls(floor + np.array(heights), space, surface)
     if on == 'free':
-        levels = floor + _levels(*heights)
+        low, high = heights
+        levels = floor + np.linspace(low, high, int(np.ceil((high - low) / LEVELS)) + 1)
         grid = space.grid(max(DENSE // len(levels), 1))
         places = np.repeat(grid, len(levels), axis=0)
         z = np.tile(levels, len(grid))
@@ -60,35 +61,6 @@ def places_in(rig: Rig, scene: Scene, space: FreePlane,
             len(places), floor + heights[0])
         places, z = places[np.isfinite(z)], z[np.isfinite(z)]
     return MountPlaces(np.column_stack([places, z]), np.zeros(len(places)))
-
-
-def onto_mount(positions: np.ndarray, rig: Rig, floor: float, surface: MountSurface | None
-               ) -> np.ndarray:
-    """
-    Move positions to the nearest places that a mount offers, whether or not they are allowed.
-
-    :param positions: (M, 3) metres, map frame.
-    :param floor: its height, metres.
-    :param surface: the ceiling or the walls; None for mounts without.
-    :returns: (M, 3); as it was where there is no ceiling or wall near.
-    """
-    on, heights = rig.mount
-    moved = positions.copy()
-    if on == 'walls':
-        contact = surface.at(positions)
-        off = np.where(contact.on, STAND_OFF - contact.distances, 0.0)
-        moved += off[:, None] * contact.normals
-    if heights is None:
-        z = surface.height_above(positions[:, :2]) - STAND_OFF
-        moved[:, 2] = np.where(np.isfinite(z), z, positions[:, 2])
-    else:
-        moved[:, 2] = np.clip(moved[:, 2], *(floor + np.array(heights)))
-    return moved
-
-
-def _levels(low: float, high: float) -> np.ndarray:
-    """Return heights from the lowest to the highest."""
-    return np.linspace(low, high, int(np.ceil((high - low) / LEVELS)) + 1)
 
 
 def _along_walls(heights: np.ndarray, space: FreePlane, walls: MountSurface) -> MountPlaces:

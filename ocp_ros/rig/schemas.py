@@ -7,6 +7,7 @@ Editors complete and check files with them (docs/rig.schema.json, docs/placement
 messages about a file that breaks one are made of their descriptions and examples.
 """
 
+from collections.abc import Iterable
 from typing import Any
 
 from ocp_ros.geometry.visibility import PRESETS
@@ -15,7 +16,6 @@ from ocp_ros.scenes.up_axis import UP_AXES
 from ocp_ros.util.settings import FEWEST_POINTS, MOST_POINTS
 
 Schema = dict[str, Any]
-DIALECT = 'https://json-schema.org/draft/2020-12/schema'
 MOUNTS = ('plane', 'ceiling', 'walls', 'free')
 #: Metres that nothing in a room exceeds.
 FAR = 1000.0
@@ -29,17 +29,36 @@ def number(description: str, example: float, **limits: float) -> Schema:
     return {'description': description, 'type': 'number', **limits, 'examples': [example]}
 
 
+def whole(description: str, example: int, **limits: int) -> Schema:
+    """Describe a whole number; limits as JSON Schema calls them."""
+    return {'description': description, 'type': 'integer', **limits, 'examples': [example]}
+
+
+def text(description: str, example: str, **limits: str) -> Schema:
+    """Describe a text; limits as JSON Schema calls them."""
+    return {'description': description, 'type': 'string', **limits, 'examples': [example]}
+
+
+def one_of(choices: Iterable[str], example: str) -> Schema:
+    """Describe one of some words."""
+    return {'description': f'one of {", ".join(choices)}', 'enum': list(choices),
+            'examples': [example]}
+
+
+def array(items: Schema, least: int, most: int) -> Schema:
+    """Describe a list without words of its own."""
+    return {'type': 'array', 'items': items, 'minItems': least, 'maxItems': most}
+
+
 def one_or_two(description: str, example: Any, low: float, high: float) -> Schema:
     """Describe a number or the lowest and highest of a range."""
     one = {'type': 'number', 'minimum': low, 'maximum': high}
-    return {'description': description, 'examples': [example], 'anyOf': [
-        one, {'type': 'array', 'items': one, 'minItems': 2, 'maxItems': 2}]}
+    return {'description': description, 'examples': [example], 'anyOf': [one, array(one, 2, 2)]}
 
 
 def many(description: str, items: Schema, example: Any, least: int = 0, most: int = 64) -> Schema:
     """Describe a list."""
-    return {'description': description, 'type': 'array', 'items': items, 'minItems': least,
-            'maxItems': most, 'examples': [example]}
+    return {'description': description, **array(items, least, most), 'examples': [example]}
 
 
 def mapping(description: str, example: Any, required: tuple[str, ...] = (), **keys: Schema
@@ -49,13 +68,10 @@ def mapping(description: str, example: Any, required: tuple[str, ...] = (), **ke
             'required': list(required), 'additionalProperties': False, 'examples': [example]}
 
 
-NAME = {'description': f'a name of letters, digits, _, - and blanks, at most {LONGEST_NAME}',
-        'type': 'string', 'pattern': f'^[A-Za-z0-9_][A-Za-z0-9_ -]{{0,{LONGEST_NAME - 1}}}$',
-        'examples': ['door']}
+NAME = text(f'a name of letters, digits, _, - and blanks, at most {LONGEST_NAME}', 'door',
+            pattern=f'^[A-Za-z0-9_][A-Za-z0-9_ -]{{0,{LONGEST_NAME - 1}}}$')
 MODEL: dict[str, Schema] = {
-    'sensor': {
-        'description': f'one of {", ".join(KINDS)}', 'enum': list(KINDS),
-        'examples': ['realsense_d455']},
+    'sensor': one_of(KINDS, 'realsense_d455'),
     'horizontal_fov': number('degrees above 0, at most 360', 90.0, exclusiveMinimum=0,
                              maximum=360),
     'vertical_fov': number('degrees above 0, at most 180', 60.0, exclusiveMinimum=0, maximum=180),
@@ -77,11 +93,9 @@ ANGLES: dict[str, Schema] = {
     'roll': number('degrees about the viewing direction, -180 to 180', 0.0, minimum=-180,
                    maximum=180),
 }
-BOX = many('the lowest and the highest corner, metres, map frame',
-           {'type': 'array', 'items': POINT, 'minItems': 3, 'maxItems': 3},
+BOX = many('the lowest and the highest corner, metres, map frame', array(POINT, 3, 3),
            [[0, 0, 0], [1, 1, 3]], 2, 2)
-POLYGON = many('three or more corners x, y in metres, map frame',
-               {'type': 'array', 'items': POINT, 'minItems': 2, 'maxItems': 2},
+POLYGON = many('three or more corners x, y in metres, map frame', array(POINT, 2, 2),
                [[0, 0], [2, 0], [2, 1]], 3, 1000)
 BETWEEN = many('the lowest and the highest metres above the floor', POINT, [0.0, 3.0], 2, 2)
 #: A zone is a box, or a polygon between two heights.
@@ -89,8 +103,7 @@ ZONE = {'box': BOX, 'polygon': POLYGON, 'height': BETWEEN}
 CAMERA = mapping(
     'a sensor, or horizontal_fov, vertical_fov and max_range',
     {'sensor': 'realsense_d455', 'count': 3}, (), **MODEL, name=NAME,
-    count={'description': 'a whole number from 1 to 64', 'type': 'integer', 'minimum': 1,
-           'maximum': 64, 'examples': [3]})
+    count=whole('a whole number from 1 to 64', 3, minimum=1, maximum=64))
 FIXED = mapping(
     'a camera and its position', {'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2], 'yaw': 90},
     ('position',), **MODEL, **ANGLES, position=POSITION, name=NAME)
@@ -112,8 +125,7 @@ RIG = mapping(
                [{'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2]}]),
     mount=mapping(
         'a mapping with the key on', {'on': 'plane', 'height': 1.9}, ('on',),
-        on={'description': f'one of {", ".join(MOUNTS)}', 'enum': list(MOUNTS),
-            'examples': ['plane']},
+        on=one_of(MOUNTS, 'plane'),
         height=one_or_two('metres above the floor, for walls and free one number or [low, high]',
                           1.9, 0.0, 100.0)),
     pitch=one_or_two('degrees downwards, one number or [low, high] within -90 to 90', [0, 60],
@@ -126,8 +138,7 @@ RIG = mapping(
                   1000),
     regions=many('a list of regions', REGION,
                  [{'name': 'table', 'box': [[1, 1, 0.5], [2, 2, 1.2]]}], 0, 1000),
-    seen_by={'description': 'a whole number of cameras, 1 or more', 'type': 'integer',
-             'minimum': 1, 'maximum': 64, 'examples': [2]},
+    seen_by=whole('a whole number of cameras, 1 or more', 2, minimum=1, maximum=64),
     calibratable=mapping(
         'a mapping with overlap, angle or neither', {'overlap': 0.2, 'angle': 60}, (),
         overlap=number('a share above 0, at most 1', 0.2, exclusiveMinimum=0, maximum=1),
@@ -143,18 +154,14 @@ PLACED = mapping(
                     **ANGLES))
 ROOM = mapping(
     'a mapping with the key file or seed', {'file': 'room.ply'}, (),
-    file={'description': 'the path of a scan', 'type': 'string', 'examples': ['room.ply']},
-    seed={'description': 'the seed of a generated room', 'type': 'integer', 'minimum': 0,
-          'examples': [7]},
-    sha256={'description': 'the SHA-256 of the file, or of the points of a generated room, as 64 '
-            'hexadecimal digits', 'type': 'string', 'pattern': '^[0-9a-f]{64}$',
-            'examples': ['0' * 64]},
-    points={'description': 'the most points that are kept of the scan, 1000 or more',
-            'type': 'integer', 'minimum': FEWEST_POINTS, 'maximum': MOST_POINTS,
-            'examples': [25000]},
+    file=text('the path of a scan', 'room.ply'),
+    seed=whole('the seed of a generated room', 7, minimum=0),
+    sha256=text('the SHA-256 of the file, or of the points of a generated room, as 64 hexadecimal '
+                'digits', '0' * 64, pattern='^[0-9a-f]{64}$'),
+    points=whole('the most points that are kept of the scan, 1000 or more', 25000,
+                 minimum=FEWEST_POINTS, maximum=MOST_POINTS),
     scale=number('metres per unit of the file, above 0', 1.0, exclusiveMinimum=0),
-    up={'description': f'one of {", ".join(UP_AXES)}', 'enum': list(UP_AXES),
-        'examples': ['z']},
+    up=one_of(UP_AXES, 'z'),
     drop_nonfinite={'description': 'true or false', 'type': 'boolean', 'examples': [True]},
     source_from_map={
         'description': 'four rows of four numbers: map coordinates to those of the scan',
@@ -163,19 +170,16 @@ ROOM = mapping(
         'examples': [[[1, 0, 0, 500], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]]})
 ENGINE = mapping(
     'settings of the engine', {'preset': 'fine'}, (),
-    preset={'description': f'one of {", ".join(PRESETS)}', 'enum': list(PRESETS),
-            'examples': ['fine']},
-    error_rows={'description': 'a whole number from 16 to 2048', 'type': 'integer', 'minimum': 16,
-                'maximum': 2048, 'examples': [128]},
-    error_folds={'description': 'a whole number from 1 to 16', 'type': 'integer', 'minimum': 1,
-                 'maximum': 16, 'examples': [4]},
+    preset=one_of(PRESETS, 'fine'),
+    error_rows=whole('a whole number from 16 to 2048', 128, minimum=16, maximum=2048),
+    error_folds=whole('a whole number from 1 to 16', 4, minimum=1, maximum=16),
     coverage_cell=number('metres from 0.02 to 5', 0.25, minimum=0.02, maximum=5))
 PLACEMENT = mapping(
     'a placement with the key cameras',
     {'cameras': [{'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2]}]}, ('cameras',),
     version={'description': 'the number 1', 'const': 1, 'examples': [1]},
-    frame={'description': 'the name of the frame of all positions', 'type': 'string',
-           'pattern': '^[A-Za-z][A-Za-z0-9_/]{0,99}$', 'examples': ['map']},
+    frame=text('the name of the frame of all positions', 'map',
+               pattern='^[A-Za-z][A-Za-z0-9_/]{0,99}$'),
     room=ROOM, engine=ENGINE,
     cameras=many('a list of one camera or more', PLACED,
                  [{'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2]}], 1),
@@ -184,7 +188,3 @@ PLACEMENT = mapping(
             'examples': [{'depth_error': 1.0}]},
     created={'description': 'a mapping of texts', 'type': 'object',
              'additionalProperties': {'type': 'string'}, 'examples': [{'date': '2026-01-01'}]})
-#: The files of docs/ and what is in them.
-FILES = {'rig.schema.json': {'$schema': DIALECT, 'title': 'A rig of depth cameras', **RIG},
-         'placement.schema.json': {
-             '$schema': DIALECT, 'title': 'Poses of the cameras of a rig', **PLACEMENT}}

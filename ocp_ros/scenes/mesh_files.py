@@ -1,42 +1,87 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Meshes, read with Open3D: points on their faces stand for the room."""
+"""
+Meshes, read with Open3D: points on their faces stand for the room.
+
+The points are as even as those of a careful scan.
+"""
 
 from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
-from ocp_ros.scenes.guarded_reading import read_guarded, ReadingLimits, WORDS
-from ocp_ros.scenes.mesh_sampling import SAMPLES
+from ocp_ros.scenes.guarded_reading import read_guarded
 
 #: Formats of meshes. PLY files are meshes where they have faces.
 MESHES = ('.glb', '.gltf', '.obj', '.off', '.stl')
-#: Bytes of memory that reading takes: with any file, and for each byte of it.
-MEMORY, MEMORY_PER_BYTE = 700_000_000, 40
-#: Seconds of all cores: with any file, and for each million bytes.
-SECONDS, SECONDS_PER_MB = 20, 4
-#: Bytes of a point and its normal. A face with NaN gives one more point, and takes a byte or more.
-ROW = 48
+#: Points on a mesh, whatever its size: 2 cm apart in an office, 5 cm in a hall.
+SAMPLES = 300_000
+#: Shares whose multiples fill a square evenly (M. Roberts, 2018: the sequence R2).
+SPREAD = np.array([0.7548776662466927, 0.5698402909980532])
 
 
-def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
+def read_mesh(path: Path) -> np.ndarray:
     """
     Read a mesh as points that lie evenly on its faces, as dense as those of a good scan.
 
     All parts of a scene graph are placed as it says; textures do not matter. Open3D runs in a
     process of its own, which takes about two seconds.
 
-    :returns: (N, 3) points and (N, 3) normals, float64, in the file's unit and axes; see
-        :func:`~ocp_ros.scenes.mesh_sampling.sampled`.
+    :returns: (N, 6) float64, points and normals in the file's unit and axes; see :func:`sampled`.
     :raises ValueError: if the file is broken or has no faces.
     :raises ImportError: if there is no Open3D.
     """
     if not find_spec('open3d'):
         raise ImportError('open3d; pip install open3d')
-    size = path.stat().st_size
-    limits = ReadingLimits(MEMORY + MEMORY_PER_BYTE * size,
-                           SECONDS + SECONDS_PER_MB * size // 1_000_000,
-                           ROW * (SAMPLES + size) + WORDS)
-    rows = read_guarded('mesh', path, 6, limits)
-    return rows[:, :3], rows[:, 3:]
+    # A face with NaN gives one more point, and takes a byte or more.
+    return read_guarded('mesh', path, 6, SAMPLES + path.stat().st_size)
+
+
+def sampled(vertices: np.ndarray, triangles: np.ndarray, samples: int = SAMPLES) -> np.ndarray:
+    """
+    Spread points evenly by area over the faces of a mesh; the same mesh gives the same points.
+
+    A face with NaN or inf gives one point of NaN: whoever reads the points refuses those, or
+    leaves them out.
+
+    :param vertices: (V, 3), in any unit.
+    :param triangles: (T, 3), indices into the vertices.
+    :param samples: how many points.
+    :returns: (N, 6) float64, points and unit normals of their faces.
+    :raises ValueError: if there are no faces, if they have no area, or name vertices that are not
+        there.
+    """
+    if len(triangles) == 0:
+        raise ValueError('no faces')
+    if triangles.min() < 0 or triangles.max() >= len(vertices):
+        raise ValueError('faces with vertices that are not there')
+    with np.errstate(over='ignore', invalid='ignore'):
+        corners = np.asarray(vertices, dtype=np.float64)[triangles]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        areas = np.linalg.norm(normals, axis=1)
+    finite = np.isfinite(areas)
+    kept = finite & (areas > 0.0)
+    if finite.any() and not kept.any():
+        raise ValueError('faces without area')
+    points, faces = _spread(corners[kept], areas[kept], samples)
+    normals = (normals[kept] / areas[kept, None])[faces]
+    broken = np.full((np.count_nonzero(~finite), 6), np.nan)
+    return np.concatenate([np.hstack([points, normals]), broken])
+
+
+def _spread(corners: np.ndarray, areas: np.ndarray, samples: int
+            ) -> tuple[np.ndarray, np.ndarray]:
+    """Return points (N, 3) on triangles (T, 3, 3) of some areas (T,), and which each is on."""
+    if len(areas) == 0:
+        return np.empty((0, 3)), np.empty(0, dtype=np.int64)
+    ends = np.cumsum(areas / areas.max())
+    # One point in each of as many equal shares of the area, in the order of the faces.
+    within = np.random.default_rng(0).random(samples)
+    places = (np.arange(samples) + within) * (ends[-1] / samples)
+    faces = np.minimum(np.searchsorted(ends, places, side='right'), len(ends) - 1)
+    shares = np.arange(samples)[:, None] * SPREAD % 1.0
+    # What lies beyond the diagonal of the square is turned into the triangle.
+    shares = np.where(shares.sum(axis=1, keepdims=True) > 1.0, 1.0 - shares, shares)
+    first, second, third = (corners[faces, corner] for corner in range(3))
+    return (first + shares[:, :1] * (second - first) + shares[:, 1:] * (third - first)), faces

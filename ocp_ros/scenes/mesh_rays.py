@@ -1,10 +1,16 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rays against a mesh, with Embree behind Open3D."""
+"""Rays against a mesh, with Embree behind Open3D: the truth for visibility."""
 
 import numpy as np
 
 from ocp_ros.scenes.scene import Mesh
+
+#: A ray that ends this near to a point has reached it, metres: three times the noise of a scan.
+TOLERANCE = 0.03
+
+#: A point that is no farther from a camera has no direction, metres.
+TINY = 1e-9
 
 
 class MeshRays:
@@ -34,3 +40,17 @@ class MeshRays:
         rays = np.empty((*directions.shape[:-1], 6), dtype=np.float32)
         rays[..., :3], rays[..., 3:] = origin, directions
         return self._scene.cast_rays(self._tensor(rays))['t_hit'].numpy()
+
+    def visible(self, points: np.ndarray, position: np.ndarray, max_range: float) -> np.ndarray:
+        """
+        Tell which points nothing of the mesh hides from a camera.
+
+        :param points: (N, 3) float32, metres.
+        :param position: (3,), metres.
+        :param max_range: metres.
+        :returns: (N,) bool.
+        """
+        offset = points - np.asarray(position, dtype=np.float32)
+        distance = np.linalg.norm(offset, axis=1)
+        hit = self.lengths(position, offset / np.maximum(distance, TINY)[:, None])
+        return (hit >= distance - TOLERANCE) & (distance <= max_range)

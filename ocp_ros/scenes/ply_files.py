@@ -39,7 +39,7 @@ def read_ply_fields(path: Path) -> dict[str, np.ndarray]:
     """
     parts = _parts(path)
     if any(part.name == 'face' and part.count and part.lists for part in parts):
-        return dict(zip(('x', 'y', 'z', 'nx', 'ny', 'nz'), np.hstack(read_mesh(path)).T))
+        return dict(zip(('x', 'y', 'z', 'nx', 'ny', 'nz'), read_mesh(path).T))
     content = PlyData.read(str(path))
     if 'vertex' not in content:
         return {}

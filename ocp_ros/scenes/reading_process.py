@@ -44,10 +44,10 @@ def mesh_rows(path: str) -> Iterator[np.ndarray]:
     """Yield points and normals (N, 6) on the faces of a mesh, in the file's unit and axes."""
     import open3d
 
-    from ocp_ros.scenes.mesh_sampling import sampled
+    from ocp_ros.scenes.mesh_files import sampled
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     vertices, triangles = _mesh(open3d.io, path)
-    yield np.concatenate(sampled(vertices, triangles), axis=1)
+    yield sampled(vertices, triangles)
 
 
 def _mesh(io, path: str) -> tuple[np.ndarray, np.ndarray]:

@@ -6,30 +6,29 @@ from pathlib import Path
 
 import numpy as np
 
-from ocp_ros.scenes.e57_files import read_e57_points
-from ocp_ros.scenes.las_files import read_las_points
+from ocp_ros.scenes.laser_files import read_e57_points, read_las_points
 from ocp_ros.scenes.mesh_files import MESHES, read_mesh
 from ocp_ros.scenes.pcd_files import read_pcd_fields
 from ocp_ros.scenes.ply_files import read_ply_fields
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.text_tables import read_points
 
+#: What columns of normals are called.
+NORMALS = (('nx', 'ny', 'nz'), ('normal_x', 'normal_y', 'normal_z'))
 
-def _from_fields(fields: dict[str, np.ndarray], name: str):
-    """Take points and normals out of named columns."""
+
+def _from_fields(fields: dict[str, np.ndarray], name: str) -> np.ndarray:
+    """Take points, and normals where there are any, out of named columns."""
     missing = [axis for axis in 'xyz' if axis not in fields]
     if missing:
         raise SceneError(f'{name}: found the fields {" ".join(fields) or "(none)"} and no '
                          f'{" ".join(missing)}; expected x, y and z; export the coordinates too')
-    points = np.stack([np.ravel(fields[axis]).astype(np.float64) for axis in 'xyz'], axis=-1)
-    for names in (('nx', 'ny', 'nz'), ('normal_x', 'normal_y', 'normal_z')):
-        if all(axis in fields for axis in names):
-            return points, np.stack([np.ravel(fields[axis]).astype(np.float64)
-                                     for axis in names], axis=-1)
-    return points, None
+    normals = next((names for names in NORMALS if all(axis in fields for axis in names)), ())
+    return np.stack([np.ravel(fields[axis]).astype(np.float64) for axis in (*'xyz', *normals)],
+                    axis=-1)
 
 
-def _read_ply(path: Path):
+def _read_ply(path: Path) -> np.ndarray:
     """Read the vertices of a PLY file, or points on its faces if it has any."""
     fields = read_ply_fields(path)
     if not fields:
@@ -38,7 +37,7 @@ def _read_ply(path: Path):
     return _from_fields(fields, path.name)
 
 
-def _read_npy(path: Path):
+def _read_npy(path: Path) -> np.ndarray:
     """Read a NumPy array of x y z and more columns, or of records; never unpickle."""
     with path.open('rb') as file:
         array = np.lib.format.read_array(file, allow_pickle=False)
@@ -47,31 +46,16 @@ def _read_npy(path: Path):
     if array.ndim != 2 or array.shape[1] < 3 or array.dtype.kind not in 'fiu':
         raise SceneError(f'{path.name}: found {array.dtype} of shape {array.shape}; expected '
                          'numbers of shape (N, 3) or wider, one row x y z per point; save it so')
-    return array[:, :3].astype(np.float64), None
+    return array[:, :3].astype(np.float64)
 
 
-def _read_las(path: Path):
-    """Read a LAS file, compressed or not."""
-    return read_las_points(path), None
-
-
-def _read_e57(path: Path):
-    """Read all scans of an E57 file."""
-    return read_e57_points(path), None
-
-
-def _read_text(path: Path):
-    """Read text with x, y and z in each line."""
-    return read_points(path), None
-
-
-def _read_pcd(path: Path):
+def _read_pcd(path: Path) -> np.ndarray:
     """Read a PCD file: ascii, binary or binary_compressed."""
     return _from_fields(read_pcd_fields(path), path.name)
 
 
-#: Each returns points (N, 3), and normals (N, 3) or None, in the unit and the axes of the file.
-READERS = {'.las': _read_las, '.laz': _read_las, '.npy': _read_npy, '.pcd': _read_pcd,
-           '.ply': _read_ply, **dict.fromkeys(('.csv', '.txt', '.xyz'), _read_text),
-           '.e57': _read_e57,
-           **dict.fromkeys(MESHES, read_mesh)}
+#: Each returns points (N, 3), or points and normals (N, 6), float64, in the unit and the axes of
+#: the file.
+READERS = {'.las': read_las_points, '.laz': read_las_points, '.npy': _read_npy, '.pcd': _read_pcd,
+           '.ply': _read_ply, **dict.fromkeys(('.csv', '.txt', '.xyz'), read_points),
+           '.e57': read_e57_points, **dict.fromkeys(MESHES, read_mesh)}

@@ -79,8 +79,7 @@ def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: flo
                          'points in memory scene_of makes a room')
     path = Path(path)
     _check_options(path.name, voxel_size, max_points, scale, up)
-    points, normals = _read(path)
-    return _scene_from(points, normals, path.name, _scene_name(path), voxel_size=voxel_size,
+    return _scene_from(_read(path), path.name, _scene_name(path), voxel_size=voxel_size,
                        max_points=max_points, scale=scale, up=up, drop_nonfinite=drop_nonfinite)
 
 
@@ -101,20 +100,24 @@ def scene_of(points, *, name: str = 'points', voxel_size: float = 0.0, max_point
                          'expected (N, 3), one row x y z per point') from error
     if points.ndim != 2 or points.shape[1] != 3:
         check_numbers(points, name)
-    return _scene_from(points, None, name, printable(name), voxel_size=voxel_size,
+    return _scene_from(points, name, printable(name), voxel_size=voxel_size,
                        max_points=max_points, scale=scale, up=up, drop_nonfinite=drop_nonfinite)
 
 
-def _scene_from(points: np.ndarray, normals: np.ndarray | None, name: str, called: str, *,
-                voxel_size: float, max_points: int, scale: float, up: str,
-                drop_nonfinite: bool) -> Scene:
-    """Make a room of points in the units and axes of a file; messages name the file."""
+def _scene_from(rows: np.ndarray, name: str, called: str, *, voxel_size: float, max_points: int,
+                scale: float, up: str, drop_nonfinite: bool) -> Scene:
+    """
+    Make a room of points in the units and axes of a file; messages name the file.
+
+    :param rows: (N, 3) points, or (N, 6) with their normals, overwritten.
+    """
     if drop_nonfinite:
-        points, normals = _without_nonfinite(points, normals, name)
+        rows = _without_nonfinite(rows, name)
     with np.errstate(over='ignore'):
-        points = points * scale
-    check_numbers(points, name)
-    points, normals, remarks = _without_strays(points, normals, name)
+        rows[:, :3] *= scale
+    check_numbers(rows[:, :3], name)
+    rows, remarks = _without_strays(rows, name)
+    points = rows[:, :3]
     check_points(points, name, 'z' if up == AUTO else up)
     if up == AUTO:
         up = likely_up(points)
@@ -122,8 +125,8 @@ def _scene_from(points: np.ndarray, normals: np.ndarray | None, name: str, calle
     notes = _size_notes(points, up)
     rotation = map_from_file(up)
     points, shift = _near_origin(points @ rotation.T, name)
-    normals = None if normals is None else _unit(normals @ rotation.T)
-    points, normals = _without_duplicates(points.astype(np.float32), normals, name)
+    points, normals = _without_duplicates(points.astype(np.float32),
+                                          _unit(rows[:, 3:], rotation), name)
     if axis_of(up) == 2:
         notes += _up_notes(points)
     for note in notes:
@@ -144,7 +147,7 @@ def load_cloud(path: str | Path) -> np.ndarray:
     :returns: (N, 3) float64 finite points, in the file's unit and axes.
     :raises SceneError: if it cannot be read.
     """
-    points = _read(Path(path))[0]
+    points = _read(Path(path))[:, :3]
     return points[np.isfinite(points).all(axis=1)]
 
 
@@ -246,8 +249,8 @@ def _scene_name(path: Path) -> str:
     return printable(f'{area}_{room}' if s3dis else path.stem)
 
 
-def _read(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
-    """Read (N, 3) float64 points in the file's own units and axes, and normals if it has them."""
+def _read(path: Path) -> np.ndarray:
+    """Read what one of ``READERS`` reads, and say in our words why where it cannot."""
     try:
         check_file(path)
         return READERS[path.suffix.lower()](path)
@@ -265,26 +268,26 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
                          f'plain, complete {path.suffix} file; copy or export it again') from error
 
 
-def _without_nonfinite(points: np.ndarray, normals: np.ndarray | None, name: str):
+def _without_nonfinite(rows: np.ndarray, name: str) -> np.ndarray:
     """Leave out the points with NaN or inf, and their normals."""
-    keep = np.isfinite(points).all(axis=1)
+    keep = np.isfinite(rows[:, :3]).all(axis=1)
     if not keep.all():
         _log.info('%s: %d of %d points kept, the others are NaN or inf',
                   name, keep.sum(), len(keep))
-    return points[keep], None if normals is None else normals[keep]
+    return rows[keep]
 
 
-def _without_strays(points: np.ndarray, normals: np.ndarray | None, name: str
-                    ) -> tuple[np.ndarray, np.ndarray | None, tuple[str, ...]]:
+def _without_strays(rows: np.ndarray, name: str) -> tuple[np.ndarray, tuple[str, ...]]:
     """Leave out points that are no part of the room, and their normals; say which these were."""
+    points = rows[:, :3]
     stray = stray_points(points)
     if not stray.any():
-        return points, normals, ()
+        return rows, ()
     away = away_from(points[stray], corners_of(points[~stray]))
     remark = (f'{len(away):,} stray point{"s" * (len(away) > 1)} left out, up to '
               f'{away.max():.3g} m outside of the rest')
     _log.warning('%s: %s', printable(name), remark)
-    return points[~stray], None if normals is None else normals[~stray], (remark,)
+    return rows[~stray], (remark,)
 
 
 def _near_origin(points: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]:
@@ -299,8 +302,11 @@ def _near_origin(points: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]
     return points - offset, offset
 
 
-def _unit(normals: np.ndarray) -> np.ndarray | None:
-    """Return normals of length one, or None where some have no direction."""
+def _unit(normals: np.ndarray, rotation: np.ndarray) -> np.ndarray | None:
+    """Return rotated normals of length one; None without any, or if some have no direction."""
+    if not normals.size:
+        return None
+    normals = normals @ rotation.T
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     usable = np.isfinite(length).all() and (length > 0.0).all()
     return (normals / length).astype(np.float32) if usable else None

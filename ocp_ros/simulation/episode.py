@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ocp_ros.scenes.scene import Scene
+from ocp_ros.rig.motion import shortened
 from ocp_ros.simulation.problem import PlaneProblem, Problem
 from ocp_ros.simulation.reward import NO_REWARD, reward, RewardTerms
-from ocp_ros.simulation.simulator import Simulator, View
+from ocp_ros.simulation.simulator import View
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,8 @@ class Episode:
     :param problem: the rig in the scene.
     :param rng: where the cameras start is drawn from it.
     :param cameras: how many there are; those of the problem by default.
+    :ivar simulator: the engine.
+    :ivar scene: the room.
     :ivar views: what each camera that is to be placed sees now.
     :ivar value: space coverage, cubic metres, and the error of rewards, metres, now; see
         :meth:`value_of`.
@@ -50,23 +52,14 @@ class Episode:
 
     def __init__(self, problem: PlaneProblem | Problem, rng: np.random.Generator,
                  cameras: int | None = None) -> None:
-        self.problem, self.config = problem, problem.simulator.config.episode
+        self.problem, self.simulator = problem, problem.simulator
+        self.scene, self.config = self.simulator.scene, self.simulator.config.episode
         self.observed = problem.nothing()
         count = len(problem.models) - len(problem.fixed_poses)
         start = problem.start(rng, self.config, count if cameras is None else cameras)
         self.turn = self._look(0, start)
         #: The value before the turn, and what each camera saw then.
         self._before = self.value, self.views
-
-    @property
-    def simulator(self) -> Simulator:
-        """Return the engine."""
-        return self.problem.simulator
-
-    @property
-    def scene(self) -> Scene:
-        """Return the room."""
-        return self.problem.simulator.scene
 
     @property
     def placement(self) -> np.ndarray:
@@ -85,11 +78,9 @@ class Episode:
         :returns: the new state, also kept as ``turn``.
         """
         moves = np.asarray(moves, dtype=np.float64)[:, :self.problem.dimensions]
-        length = np.linalg.norm(moves, axis=1, keepdims=True)
         poses = np.hstack([self.turn.positions, self.turn.headings])
         target = poses.copy()
-        target[:, :moves.shape[1]] += moves * np.minimum(
-            self.config.max_step / np.maximum(length, 1e-12), 1.0)
+        target[:, :moves.shape[1]] += shortened(moves, self.config.max_step)
         if headings is not None:
             target[:, 3:] = headings
         target, outside = self.problem.reached(poses, target, self.config)
@@ -124,9 +115,8 @@ class Episode:
     def reward(self, before: tuple[float, float], after: tuple[float, float],
                outside: bool = False) -> RewardTerms:
         """Reward what led from one value, of :meth:`value_of`, to another."""
-        simulator = self.simulator
-        return reward(before, after, outside, simulator.volume, simulator.depth_error.worst,
-                      simulator.config.reward)
+        return reward(before, after, outside, self.simulator.volume,
+                      self.simulator.depth_error.worst, self.simulator.config.reward)
 
     def _look(self, step: int, poses: np.ndarray) -> Turn:
         """Judge the placement (K, 6) and remember what it sees."""

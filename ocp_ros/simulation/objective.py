@@ -117,18 +117,17 @@ class Objective:
         :param views: of some of the cameras to be placed, from :meth:`look` or
             :meth:`~ocp_ros.simulation.simulator.Simulator.look`.
         """
-        views, simulator = self._with_fixed(views), self.simulator
-        seen = self._seen(views)
-        covered = seen_by([view.covered for view in views], self.rig.seen_by)[-1]
+        everyone, missing = self._with_fixed(views), self._missing(views)
+        seen = self._seen(everyone)
+        covered = seen_by([view.covered for view in everyone], self.rig.seen_by)[-1]
         loss, error, shares = self._loss_of(seen)
-        missing = self._missing(views)
-        return RigEvaluation(loss + missing, error, space_coverage(covered, simulator.cell_volume),
-                             shares, Subset(seen, self._order), missing <= ROUNDING)
+        return RigEvaluation(
+            loss + missing, error, space_coverage(covered, self.simulator.cell_volume), shares,
+            Subset(seen, self._order), missing <= ROUNDING)
 
     def loss(self, views: Sequence[View]) -> float:
         """Return the loss alone, of views as for :meth:`judge`."""
-        views = self._with_fixed(views)
-        return self._loss_of(self._seen(views))[0] + self._missing(views)
+        return self._loss_of(self._seen(self._with_fixed(views)))[0] + self._missing(views)
 
     def promise(self, views: Sequence[View]) -> float:
         """
@@ -138,8 +137,7 @@ class Objective:
 
         :param views: as for :meth:`judge`.
         """
-        views = self._with_fixed(views)
-        levels = [self._loss_of(seen)[0] for seen in self._levels(views)]
+        levels = [self._loss_of(seen)[0] for seen in self._levels(self._with_fixed(views))]
         return float(np.mean(levels)) + self._missing(views)
 
     def _loss_of(self, seen: np.ndarray) -> tuple[float, float, np.ndarray]:
@@ -158,18 +156,14 @@ class Objective:
         :returns: of these cameras and those in place; None where the rig does not ask for it, or
             where views are of several positions at once.
         """
-        return self._compared(self._with_fixed(views))
-
-    def _compared(self, views: Sequence[View]) -> Covisibility | None:
-        """Compare cameras, those in place included."""
-        asked = self.rig.calibratable
+        views, asked = self._with_fixed(views), self.rig.calibratable
         if asked is None or any(view.position is None for view in views):
             return None
         return covisibility(self._points, views, asked, len(self.fixed))
 
     def _missing(self, views: Sequence[View]) -> float:
         """Return what it costs that cameras are not linked."""
-        found = self._compared(views)
+        found = self.covisibility(views)
         return 0.0 if found is None else MUST * found.missing
 
     def evaluate(self, poses: np.ndarray) -> RigEvaluation:

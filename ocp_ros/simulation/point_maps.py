@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ocp_ros.geometry.cameras import LEVEL, OMNIDIRECTIONAL, Pose
-from ocp_ros.geometry.packed_bits import no_bits, unpack
-from ocp_ros.simulation.simulator import Simulator, View
+from ocp_ros.geometry.cameras import Pose
+from ocp_ros.geometry.packed_bits import unpack
+from ocp_ros.simulation.simulator import Simulator
 
 
 class PointMaps(NamedTuple):
@@ -35,18 +35,10 @@ def maps_of(simulator: Simulator, poses: Sequence[Pose]) -> PointMaps:
         one.
     :param poses: K >= 1.
     """
-    models, visibility = simulator.models, simulator.visibility
-    counted = np.zeros(len(simulator.scene), dtype=np.int64)
-    seen = no_bits(len(simulator.scene))
-    for camera, pose in enumerate(poses):
-        view = View(no_bits(len(simulator.scene)), no_bits(len(simulator.grid)))
-        lens = models[camera if len(models) > 1 else 0].lens
-        # How an omnidirectional camera is turned makes no difference.
-        turned = Pose(pose.position, LEVEL) if lens.kind == OMNIDIRECTIONAL else pose
-        visibility.look(turned, lens, view.seen, view.covered)
-        counted += unpack(view.seen, len(counted))
-        seen |= view.seen
-    count, error = np.empty_like(counted), np.empty(len(counted))
-    count[visibility.order], error[visibility.order] = (
-        counted, simulator.depth_error.by_point(seen))
+    views = [simulator.look(pose, camera) for camera, pose in enumerate(poses)]
+    order = simulator.visibility.order
+    count, error = np.empty(len(order), dtype=np.int64), np.empty(len(order))
+    count[order] = np.sum([unpack(view.seen, len(order)) for view in views], axis=0)
+    error[order] = simulator.depth_error.by_point(
+        np.bitwise_or.reduce([view.seen for view in views]))
     return PointMaps(simulator.scene.points, count, error)

@@ -7,9 +7,8 @@ A :class:`Problem` is that of a rig file; a :class:`PlaneProblem` the simplest o
 move freely on a horizontal plane. Whoever plays an episode need not know which of them it is.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 
@@ -81,6 +80,7 @@ class PlaneProblem:
     :ivar rig: None: there is no rig file.
     :ivar axes: what an action changes, see :attr:`ocp_ros.rig.rig_file.Rig.axes`.
     :ivar dimensions: in which cameras move.
+    :ivar models: what each camera sees.
     :ivar fixed_poses: (0, 6), no camera is in place.
     """
 
@@ -89,14 +89,9 @@ class PlaneProblem:
     dimensions = 2
 
     def __init__(self, simulator: Simulator) -> None:
-        self.simulator = simulator
+        self.simulator, count = simulator, simulator.config.rig.cameras
+        self.models = simulator.models * (count // len(simulator.models))
         self.fixed_poses = np.empty((0, 6))
-
-    @property
-    def models(self) -> tuple[CameraModel, ...]:
-        """Return what each camera sees."""
-        models, count = self.simulator.models, self.simulator.config.rig.cameras
-        return models * (count // len(models))
 
     def nothing(self) -> Subset:
         """Return what is seen before the cameras look: no point."""
@@ -149,19 +144,25 @@ class PlaneProblem:
         return result.depth_error
 
 
-@dataclass(frozen=True, eq=False)
 class Problem:
     """
     A rig in a room.
 
-    :ivar objective: judges placements; its simulator is the engine.
-    :ivar region: where its cameras may be.
+    :param objective: judges placements; its simulator is the engine.
+    :param region: where its cameras may be.
+    :ivar axes: what an action changes, see :attr:`ocp_ros.rig.rig_file.Rig.axes`.
     :ivar dimensions: in which cameras move.
+    :ivar models: what each camera sees: K to be placed, then F in place.
+    :ivar fixed_poses: (F, 6) metres, map frame, and radians, of the cameras in place.
     """
 
-    dimensions: ClassVar[int] = 3
-    objective: Objective
-    region: FeasibleRegion
+    dimensions = 3
+
+    def __init__(self, objective: Objective, region: FeasibleRegion) -> None:
+        self.objective, self.region = objective, region
+        self.simulator, self.rig = objective.simulator, objective.rig
+        self.axes, self.models = self.rig.axes, self.rig.models
+        self.fixed_poses = self.rig.fixed_poses
 
     @classmethod
     def of(cls, scene: Scene, rig: Rig, config: SimulationConfig | None = None,
@@ -176,31 +177,6 @@ class Problem:
         region = FeasibleRegion(scene, rig)
         simulator = engine(scene, config or SimulationConfig(), rig.models, region.air)
         return cls(Objective(simulator, rig), region)
-
-    @property
-    def rig(self) -> Rig:
-        """Return the rig."""
-        return self.objective.rig
-
-    @property
-    def simulator(self) -> Simulator:
-        """Return the engine."""
-        return self.objective.simulator
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Return what an action changes, see :attr:`ocp_ros.rig.rig_file.Rig.axes`."""
-        return self.rig.axes
-
-    @property
-    def models(self) -> tuple[CameraModel, ...]:
-        """Return what each camera sees: K to be placed, then F in place."""
-        return self.rig.models
-
-    @property
-    def fixed_poses(self) -> np.ndarray:
-        """Return the poses of the cameras in place: (F, 6) metres, map frame, and radians."""
-        return self.rig.fixed_poses
 
     def nothing(self) -> Subset:
         """Return what is seen before the cameras look: what those in place see."""

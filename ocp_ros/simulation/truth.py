@@ -7,7 +7,8 @@ import numpy as np
 from ocp_ros.geometry.cameras import Frustum, Pose
 from ocp_ros.geometry.packed_bits import pack, spatial_order
 from ocp_ros.geometry.shadow_maps import in_reach
-from ocp_ros.scenes.ray_casting import RayCaster
+from ocp_ros.geometry.visibility import NO_BITS
+from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Mesh, Scene
 from ocp_ros.simulation.simulator import Simulator
 
@@ -28,13 +29,13 @@ class RayVisibility:
     def __init__(self, points: np.ndarray, places: np.ndarray, mesh: Mesh) -> None:
         self.order, self.place_order = spatial_order(points), spatial_order(places)
         self._points, self._places = points[self.order], places[self.place_order]
-        self._caster = RayCaster(mesh)
+        self._rays = MeshRays(mesh)
 
     def look(self, pose: Pose, lens: Frustum, seen: np.ndarray,
-             covered: np.ndarray | None = None) -> None:
+             covered: np.ndarray = NO_BITS) -> None:
         """Add what a camera sees to what others see; see ``SurfelVisibility.look``."""
         seen |= self._visible(self._points, pose, lens)
-        if covered is not None:
+        if len(covered):
             covered |= self._visible(self._places, pose, lens)
 
     def narrowed(self, pose: Pose, lens: Frustum, seen: np.ndarray, covered: np.ndarray
@@ -47,14 +48,8 @@ class RayVisibility:
         """Return the packed bits of what nothing hides in the viewing cone and the range."""
         near = np.flatnonzero(in_reach(points, pose, lens))
         seen = np.zeros(len(points), dtype=bool)
-        seen[near] = self._caster.visible(points[near], pose.position, lens.max_range)
+        seen[near] = self._rays.visible(points[near], pose.position, lens.max_range)
         return pack(seen)
-
-    @property
-    def nbytes(self) -> int:
-        """Return the bytes held for the scene, without the mesh."""
-        return sum(array.nbytes for array in (self._points, self._places, self.order,
-                                              self.place_order))
 
 
 class TrueSimulator(Simulator):

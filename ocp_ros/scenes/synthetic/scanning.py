@@ -7,6 +7,7 @@ Density falls with distance and slant, returns are off along the ray, glass and 
 nothing.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numba
@@ -83,11 +84,8 @@ def scan(plan: RoomPlan, n_points: int, rng: np.random.Generator) -> tuple[np.nd
     boxes = boxes_of(plan)
     tripods = _tripods(plan, boxes, rng)
     patches = _patches(plan, rng)
-    pitch = 0.2
-    for _ in range(4):
-        found = _returns(plan, boxes, tripods, patches, pitch, np.random.default_rng(0))
-        pitch *= np.sqrt(max(len(found.points), 1) / n_points)
-    found = _returns(plan, boxes, tripods, patches, pitch, rng)
+    found = _so_many(n_points, rng, lambda pitch, rng: _returns(plan, boxes, tripods, patches,
+                                                                pitch, rng))
     offset = found.points[:, None] - tripods[None]
     nearest = np.argmin((offset ** 2).sum(axis=2), axis=1)
     ray = offset[np.arange(len(nearest)), nearest]
@@ -103,11 +101,19 @@ def sample(plan: RoomPlan, n_points: int, rng: np.random.Generator) -> np.ndarra
 
     :returns: (N, 3) float32, metres.
     """
-    boxes, pitch = boxes_of(plan), 0.2
+    boxes = boxes_of(plan)
+    found = _so_many(n_points, rng, lambda pitch, rng: _outside(plan, boxes, pitch, rng))
+    return found.points.astype(np.float32)
+
+
+def _so_many(n_points: int, rng: np.random.Generator,
+             take: Callable[[float, np.random.Generator], ScannedSurface]) -> ScannedSurface:
+    """Take points at the pitch that gives about so many of them."""
+    pitch = 0.2
     for _ in range(4):
-        found = _outside(plan, boxes, pitch, np.random.default_rng(0))
+        found = take(pitch, np.random.default_rng(0))
         pitch *= np.sqrt(max(len(found.points), 1) / n_points)
-    return _outside(plan, boxes, pitch, rng).points.astype(np.float32)
+    return take(pitch, rng)
 
 
 def _outside(plan: RoomPlan, boxes: Boxes, pitch: float,

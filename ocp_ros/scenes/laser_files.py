@@ -1,6 +1,6 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""LAS and LAZ, the formats of laser scanners, read with laspy."""
+"""LAS, LAZ and E57 (ASTM E2807), the formats of laser scanners, read with laspy and pye57."""
 
 from importlib.util import find_spec
 from pathlib import Path
@@ -8,17 +8,14 @@ import struct
 
 import numpy as np
 
-from ocp_ros.scenes.guarded_reading import read_guarded, ReadingLimits, WORDS
+from ocp_ros.scenes.guarded_reading import read_guarded
 
-#: Bytes of the longest header that is looked at.
-HEADER = 255
+#: Bytes of the headers that are looked at.
+LAS_HEADER, E57_HEADER = 255, 48
 #: Bytes of a record before the points, at least.
 RECORD = 54
 #: Points that a byte may hold where they are compressed; real scans need one byte or more each.
 PER_BYTE = 4
-#: Bytes of memory that reading takes anyway, and seconds of all cores: with any file, and for each
-#: million bytes.
-MEMORY, SECONDS, SECONDS_PER_MB = 600_000_000, 10, 4
 
 
 def read_las_points(path: Path) -> np.ndarray:
@@ -36,9 +33,7 @@ def read_las_points(path: Path) -> np.ndarray:
     count, compressed = _declared(path, size)
     if not find_spec('laspy') or compressed and not (find_spec('lazrs') or find_spec('laszip')):
         raise ImportError('laspy and lazrs; pip install "laspy[lazrs]"')
-    limits = ReadingLimits(MEMORY + 3 * size, SECONDS + SECONDS_PER_MB * size // 1_000_000,
-                           24 * count + WORDS)
-    points = read_guarded('las', path, 3, limits)
+    points = read_guarded('las', path, 3, count)
     if len(points) != count:
         raise ValueError(f'{len(points):,} of {count:,} points')
     return points
@@ -47,12 +42,12 @@ def read_las_points(path: Path) -> np.ndarray:
 def _declared(path: Path, size: int) -> tuple[int, bool]:
     """Return how many points a file says it has, if they can be in it, and if they are packed."""
     with path.open('rb') as file:
-        head = file.read(HEADER)
+        head = file.read(LAS_HEADER)
     if head[:4] != b'LASF' or len(head) < 227:
         raise ValueError('no LAS header')
     offset, records, form, length, count = struct.unpack_from('<IIBHI', head, 96)
     if head[25] >= 4:
-        count, = struct.unpack_from('<Q', head.ljust(HEADER, b'\0'), 247)
+        count, = struct.unpack_from('<Q', head.ljust(LAS_HEADER, b'\0'), 247)
     if offset > size or RECORD * records > offset:
         raise ValueError(f'{records:,} records in the {offset:,} bytes before the points')
     compressed = form >= 64
@@ -60,3 +55,27 @@ def _declared(path: Path, size: int) -> tuple[int, bool]:
     if least > size - offset:
         raise ValueError(f'{size - offset:,} bytes for {count:,} points')
     return count, compressed
+
+
+def read_e57_points(path: Path) -> np.ndarray:
+    """
+    Read all scans of an E57 file, each at its pose in the file.
+
+    It is read in a process of its own, since broken files may crash the library.
+
+    :returns: (N, 3) float64, in the file's unit, which is the metre by the standard.
+    :raises ValueError: if the file is broken.
+    :raises ImportError: if there is no pye57.
+    """
+    size = path.stat().st_size
+    with path.open('rb') as file:
+        head = file.read(E57_HEADER)
+    if len(head) < E57_HEADER or head[:8] != b'ASTM-E57':
+        raise ValueError('no E57 header')
+    length, = struct.unpack_from('<Q', head, 16)
+    if length != size:
+        raise ValueError(f'{size:,} of {length:,} bytes')
+    if not find_spec('pye57'):
+        raise ImportError('pye57; pip install pye57')
+    # Real files pack a point in 6 bytes or more.
+    return read_guarded('e57', path, 3, size)
