@@ -19,9 +19,9 @@ import pytest
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.report import sheet
 from ocp_ros.report.assessment import judge
-from ocp_ros.report.drawing import assessment_pictures, floor_plan, fonts
-from ocp_ros.report.drawing.camera_labels import apart
-from ocp_ros.report.drawing.figure_table import shortened, width_of
+from ocp_ros.report.drawing import assessment_pictures, figures, floor_plan
+from ocp_ros.report.drawing.figures import shortened, width_of
+from ocp_ros.report.drawing.plan_marks import apart
 from ocp_ros.report.key_figures import metres
 from ocp_ros.rig.placement_file import placement_of
 from ocp_ros.rig.rig_file import rig_from, rig_of
@@ -179,13 +179,13 @@ def font_of(path, family, letter):
 def test_letters_that_the_usual_font_lacks_are_those_of_an_installed_one(tmp_path, monkeypatch):
     manager = font_manager.fontManager
     monkeypatch.setattr(manager, 'ttflist', [
-        one for one in manager.ttflist if one.name not in fonts.FALLBACKS])
-    before = fonts.families()
-    font_of(tmp_path / 'block.ttf', fonts.FALLBACKS[-1], '\u4f1a')
+        one for one in manager.ttflist if one.name not in figures.FALLBACKS])
+    before = figures.families()
+    font_of(tmp_path / 'block.ttf', figures.FALLBACKS[-1], '\u4f1a')
     manager.addfont(tmp_path / 'block.ttf')
-    assert fonts.families() == [*before, fonts.FALLBACKS[-1]]
+    assert figures.families() == [*before, figures.FALLBACKS[-1]]
     width_of.cache_clear()
-    with fonts.all_letters():
+    with figures.all_letters():
         assert width_of('\u4f1a', 72.0) == pytest.approx(3.0, abs=0.05)
         usual = width_of('room', 72.0)
     width_of.cache_clear()

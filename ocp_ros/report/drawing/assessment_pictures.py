@@ -13,26 +13,29 @@ import numpy as np
 from scipy import ndimage
 
 from ocp_ros.report.assessment import Assessment
-from ocp_ros.report.drawing.camera_labels import (
-    apart,
+from ocp_ros.report.drawing.frustum_drawing import edges, reach
+from ocp_ros.report.drawing.plan_marks import (
     camera_colour,
     draw_headings,
+    draw_inner_letters,
+    draw_letters,
     draw_numbers,
+    draw_zones,
     unit_of,
 )
-from ocp_ros.report.drawing.frustum_drawing import edges, reach
 from ocp_ros.report.drawing.room_drawing import (
     cut_open,
     draw_discs,
     eye_at,
+    fit,
     HEIGHTS,
     heights_of,
     INK,
     PALE_INK,
     Room,
     room_of,
+    some_of,
 )
-from ocp_ros.report.drawing.zone_drawing import draw_zones
 
 #: Seen by 0, 1, 2, and 3 or more cameras: lightness tells them apart as well as hue does.
 COUNT_COLOURS = ('#d55e00', '#b7d4ea', '#5b9bd0', '#174f8f')
@@ -77,9 +80,7 @@ class Stage(NamedTuple):
 def stage_of(judged: Assessment) -> Stage:
     """Prepare the room of a placement for drawing."""
     points, upright = judged.scene.points.astype(np.float64), judged.upright
-    some = np.arange(len(points))
-    if len(points) > SHOWN:
-        some = np.sort(np.random.default_rng(0).choice(len(points), SHOWN, replace=False))
+    some = some_of(len(points), SHOWN)
     return Stage(room_of(points[some] @ upright.T, some[:, None]), upright)
 
 
@@ -105,14 +106,12 @@ def draw_room_plan(axes: Axes, stage: Stage, judged: Assessment) -> None:
     draw_zones(axes, judged.objective.rig, stage.upright[:2, :2], 3.8)
     _frame(axes, stage, judged, 0.1)
     letters = _draw_walls(axes, judged)
-    places = positions(judged) @ stage.upright[:2].T
+    places = judged.positions @ stage.upright[:2].T
     longer = max(wall.length for wall in judged.walls)
     draw_headings(axes, judged.placement, places, 0.07 * longer * stage.upright[:2, :2], 1.2)
     draw_numbers(axes, places, 7.0, _area(judged), letters, always=True)
-    left, bottom = _corner(judged)
-    for axis, start, edge in ((axes.xaxis, left, judged.walls[0]),
-                              (axes.yaxis, bottom, judged.walls[1])):
-        ticks = _ticks(edge.length)
+    for axis, start, wall in zip((axes.xaxis, axes.yaxis), _corners(judged)[0], judged.walls):
+        ticks = _ticks(wall.length)
         axis.set_ticks(start + ticks, [f'{tick:g}' for tick in ticks])
     axes.tick_params(colors=PALE_INK, labelsize=6.5, length=2.0, pad=1.5)
 
@@ -146,7 +145,7 @@ def _draw_walls(axes: Axes, judged: Assessment) -> np.ndarray:
 
     :returns: where the letters are: (M, 2), those of walls inside the room as well.
     """
-    (left, bottom), (right, top) = _corner(judged), _corner(judged, far=True)
+    (left, bottom), (right, top) = _corners(judged)
     sides = [((left, right), (top, top)), ((right, right), (top, bottom)),
              ((right, left), (bottom, bottom)), ((left, left), (bottom, top))]
     away, letters = 0.055 * max(right - left, top - bottom), []
@@ -154,24 +153,22 @@ def _draw_walls(axes: Axes, judged: Assessment) -> np.ndarray:
         axes.plot(x, y, color=INK, linewidth=0.9, linestyle='-' if wall.stands else (0, (3, 3)),
                   zorder=4)
         letters.append((np.mean(x) + away * dx, np.mean(y) + away * dy))
-        axes.text(*letters[-1], wall.letter, fontsize=10, fontweight='bold', color=INK,
-                  ha='center', va='center', zorder=5,
-                  path_effects=[patheffects.withStroke(linewidth=2.5, foreground='white')])
-    inner_walls = judged.references.inner
-    beside = np.array([judged.upright[:2, :2] @ (wall.at + 0.5 * away * wall.outward)
-                       for wall in inner_walls]).reshape(-1, 2)
-    for inner, at in zip(inner_walls, apart(beside, LETTER * unit_of(axes), np.array(letters))):
-        letters.append((at[0], at[1]))
-        axes.text(at[0], at[1], inner.letter, fontsize=7, fontweight='bold', color=INK,
-                  ha='center', va='center', zorder=5,
-                  path_effects=[patheffects.withStroke(linewidth=2.0, foreground='white')])
-    return np.array(letters)
+    draw_letters(axes, judged.walls, letters, 10, zorder=5, path_effects=_halo(2.5))
+    inner = draw_inner_letters(
+        axes, judged.references.inner, judged.upright[:2, :2], 0.5 * away, LETTER * unit_of(axes),
+        np.array(letters), 7, zorder=5, path_effects=_halo(2.0))
+    return np.concatenate([letters, inner])
 
 
-def _corner(judged: Assessment, far: bool = False) -> tuple[float, float]:
-    """Return where walls D and C meet, or with ``far`` B and A, in the frame of the plan."""
-    walls = judged.walls
-    return (walls[1].offset, walls[0].offset) if far else (-walls[3].offset, -walls[2].offset)
+def _halo(width: float) -> list[patheffects.AbstractPathEffect]:
+    """Return what sets letters off from the room, with a white line of so many points."""
+    return [patheffects.withStroke(linewidth=width, foreground='white')]
+
+
+def _corners(judged: Assessment) -> np.ndarray:
+    """Return where walls D and C meet, and B and A, in the frame of the plan: (2, 2) metres."""
+    top, right, bottom, left = (wall.offset for wall in judged.walls)
+    return np.array([[-left, -bottom], [right, top]])
 
 
 def _area(judged: Assessment) -> float:
@@ -181,22 +178,9 @@ def _area(judged: Assessment) -> float:
 
 def _frame(axes: Axes, stage: Stage, judged: Assessment, margin: float) -> None:
     """Fit the axes to the room, its walls and cameras."""
-    _fit(axes, np.concatenate([positions(judged) @ stage.upright[:2].T, stage.room.points[:, :2],
-                               [_corner(judged), _corner(judged, far=True)]]), margin)
+    fit(axes, np.concatenate([judged.positions @ stage.upright[:2].T, stage.room.points[:, :2],
+                              _corners(judged)]), margin)
     axes.spines[:].set_visible(False)
-
-
-def _fit(axes: Axes, shown: np.ndarray, margin: float) -> None:
-    """Fit the axes to places (M, 2), with a margin as a share of the longer edge."""
-    low, high = np.nanmin(shown, axis=0), np.nanmax(shown, axis=0)
-    room = margin * (high - low).max()
-    axes.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room),
-             aspect='equal', anchor='C')
-
-
-def positions(judged: Assessment) -> np.ndarray:
-    """Return where all cameras are: (K, 3) metres, map frame."""
-    return np.array([placed.position for placed in judged.placement.cameras])
 
 
 def draw_count_map(axes: Axes, stage: Stage, judged: Assessment) -> None:
@@ -235,7 +219,7 @@ def _small_map(axes: Axes, stage: Stage, judged: Assessment) -> None:
     axes.set_xticks([])
     axes.set_yticks([])
     _frame(axes, stage, judged, 0.02)
-    draw_numbers(axes, positions(judged) @ stage.upright[:2].T, 5.0, _area(judged))
+    draw_numbers(axes, judged.positions @ stage.upright[:2].T, 5.0, _area(judged))
 
 
 def draw_look(axes: Axes, stage: Stage, judged: Assessment, azimuth: float) -> None:
@@ -250,7 +234,7 @@ def draw_look(axes: Axes, stage: Stage, judged: Assessment, azimuth: float) -> N
     outline = draw_discs(axes, part, eye.view, eye, 0.5)
     floor = float(np.percentile(room.points[:, 2], 2.0))
     long = min(CONE * float(np.ptp(room.points, axis=0).max()), LONGEST)
-    places = positions(judged) @ stage.upright.T
+    places = judged.positions @ stage.upright.T
     shown = [outline.get_xy(), eye(places)]
     for number, (placed, place) in enumerate(zip(judged.placement.cameras, places)):
         model = placed.camera.model
@@ -259,7 +243,7 @@ def draw_look(axes: Axes, stage: Stage, judged: Assessment, azimuth: float) -> N
         axes.plot(*cone.T, color=camera_colour(number), linewidth=0.7, zorder=4)
         axes.plot(*eye(np.stack([place, [*place[:2], floor]])).T, color=INK, linewidth=0.6,
                   linestyle=(0, (2, 2)), zorder=3)
-    _fit(axes, np.concatenate(shown), 0.02)
+    fit(axes, np.concatenate(shown), 0.02)
     axes.set_axis_off()
     # A room seen from a corner fills about half of the rectangle around it.
     draw_numbers(axes, eye(places), 5.0, 0.5 * float(np.prod(np.ptp(outline.get_xy(), axis=0))))

@@ -9,15 +9,17 @@ from matplotlib.figure import Figure
 import numpy as np
 
 from ocp_ros.report.assessment import Assessment
-from ocp_ros.report.drawing.camera_labels import (
-    apart,
+from ocp_ros.report.drawing.figures import save_figure
+from ocp_ros.report.drawing.plan_marks import (
     draw_headings,
+    draw_inner_letters,
+    draw_letters,
     draw_numbers,
     draw_scale_bar,
+    draw_zones,
+    zone_legend,
 )
-from ocp_ros.report.drawing.figure_files import save_figure
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
-from ocp_ros.report.drawing.zone_drawing import draw_zones, zone_legend
 
 #: Metres above the floor and below the ceiling that a plan leaves out, and points that it shows.
 LOW, HIGH, SHOWN = 0.15, 0.4, 12000
@@ -51,9 +53,7 @@ def figure_of(judged: Assessment) -> Figure:
     margin = 0.05 * max(wall.length for wall in walls)
     letters = np.array([(np.mean(x), y[0] + margin), (x[0] + margin, np.mean(y)),
                         (np.mean(x), y[1] - margin), (x[1] - margin, np.mean(y))])
-    for wall, at in zip(walls, letters):
-        axes.text(at[0], at[1], wall.letter, fontsize=LETTERS, fontweight='bold', color=INK,
-                  ha='center', va='center')
+    draw_letters(axes, walls, letters, LETTERS)
     places = np.array([frame @ placed.position[:2] for placed in placement.cameras])
     letters = np.concatenate([letters, _draw_distances(axes, judged, places, frame, margin)])
     corners = np.concatenate([places, np.column_stack([x, y])])
@@ -98,10 +98,5 @@ def _draw_distances(axes: Axes, judged: Assessment, places: np.ndarray, frame: n
             if free and np.linalg.norm(at - place) > MEASURED * margin:
                 _write_distance(axes, middle, at - place, distance.away)
                 taken = np.vstack([taken, middle])
-    inner = judged.references.inner
-    letters = apart(np.array([frame @ (wall.at + 0.4 * margin * wall.outward)
-                              for wall in inner]).reshape(-1, 2), 0.6 * margin, places)
-    for wall, at in zip(inner, letters):
-        axes.text(at[0], at[1], wall.letter, fontsize=INNER, fontweight='bold', color=INK,
-                  ha='center', va='center')
-    return letters
+    return draw_inner_letters(axes, judged.references.inner, frame, 0.4 * margin, 0.6 * margin,
+                              places, INNER)

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How far cameras see, as drawn: the part of a plan that they reach, and the edges of a cone."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.spatial import ConvexHull
 
@@ -76,7 +78,12 @@ def edges(model: CameraModel, pose: np.ndarray, length: float) -> np.ndarray:
     if model.lens.kind == OMNIDIRECTIONAL:
         return np.empty((0, 3))
     ring = pose[:3] + length * rim(model) @ rotation_matrix(*pose[3:]).T
-    gap = np.full((1, 3), np.nan)
     rays = [np.stack([pose[:3], ring[k]]) for k in range(0, len(ring), STEPS)]
-    lines = [np.concatenate([ring, ring[:1]])] + (rays if model.lens.kind == PINHOLE else [])
+    return chained([np.concatenate([ring, ring[:1]]),
+                    *(rays if model.lens.kind == PINHOLE else [])])
+
+
+def chained(lines: Sequence[np.ndarray]) -> np.ndarray:
+    """Return lines (M, 3) as one, with a row of NaN between two."""
+    gap = np.full((1, 3), np.nan)
     return np.concatenate([part for line in lines for part in (line, gap)])[:-1]
