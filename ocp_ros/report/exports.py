@@ -94,8 +94,8 @@ def export(folder: Path, judged: Assessment, prefix: str = '') -> Iterator[Path]
         write_atomically(folder / name, text)
         yield folder / name
     # What draws is slow to import: a placement that is only printed needs none of it.
-    from ocp_ros.report.drawing.floor_plan import draw_plan
-    draw_plan(folder / 'plan.png', judged)
+    from ocp_ros.report.drawing.assessment_pictures import draw_floor_plan
+    draw_floor_plan(folder / 'plan.png', judged)
     yield folder / 'plan.png'
 
 

@@ -1,18 +1,25 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The pictures of a judged placement: plan, coverage, depth error and looks into the room."""
+"""
+The pictures of a judged placement: plan, coverage, depth error and looks into the room.
 
+The installer's page has a plan of its own, which shows what cameras are measured from.
+"""
+
+from pathlib import Path
 from typing import NamedTuple
 
 from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, PowerNorm, to_rgb
+from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import Polygon
 import numpy as np
 from scipy import ndimage
 
 from ocp_ros.report.assessment import Assessment
+from ocp_ros.report.drawing.figures import save_figure
 from ocp_ros.report.drawing.frustum_drawing import edges, reach
 from ocp_ros.report.drawing.plan_marks import (
     camera_colour,
@@ -20,8 +27,10 @@ from ocp_ros.report.drawing.plan_marks import (
     draw_inner_letters,
     draw_letters,
     draw_numbers,
+    draw_scale_bar,
     draw_zones,
     unit_of,
+    zone_legend,
 )
 from ocp_ros.report.drawing.room_drawing import (
     cut_open,
@@ -53,6 +62,15 @@ SHOWN = 16000
 LETTER = 0.17
 #: Metres: edge of the cells that tell inside from outside.
 FINE = 0.1
+#: Of the installer's plan: metres above the floor and below the ceiling that it leaves out, and
+#: points that it shows.
+LOW, HIGH, PLAN_SHOWN = 0.15, 0.4, 12000
+#: Points: size of the cameras' numbers, of the letters of sides, and of walls inside the room.
+NUMBERS, LETTERS, INNER = 12.0, 20.0, 13.0
+#: How long the line of a distance is at least that is written beside it, in margins of the plan.
+MEASURED = 3.0
+#: Inches: the longer edge of the plan, and the least of the shorter one.
+LONG, SHORT = 10.0, 4.5
 
 
 class Stage(NamedTuple):
@@ -148,15 +166,15 @@ def _draw_walls(axes: Axes, judged: Assessment) -> np.ndarray:
     (left, bottom), (right, top) = _corners(judged)
     sides = [((left, right), (top, top)), ((right, right), (top, bottom)),
              ((right, left), (bottom, bottom)), ((left, left), (bottom, top))]
-    away, letters = 0.055 * max(right - left, top - bottom), []
-    for wall, (x, y), (dx, dy) in zip(judged.walls, sides, ((0, 1), (1, 0), (0, -1), (-1, 0))):
+    for wall, (x, y) in zip(judged.walls, sides):
         axes.plot(x, y, color=INK, linewidth=0.9, linestyle='-' if wall.stands else (0, (3, 3)),
                   zorder=4)
-        letters.append((np.mean(x) + away * dx, np.mean(y) + away * dy))
+    away = 0.055 * max(right - left, top - bottom)
+    letters = _around(judged, away)
     draw_letters(axes, judged.walls, letters, 10, zorder=5, path_effects=_halo(2.5))
     inner = draw_inner_letters(
         axes, judged.references.inner, judged.upright[:2, :2], 0.5 * away, LETTER * unit_of(axes),
-        np.array(letters), 7, zorder=5, path_effects=_halo(2.0))
+        letters, 7, zorder=5, path_effects=_halo(2.0))
     return np.concatenate([letters, inner])
 
 
@@ -169,6 +187,13 @@ def _corners(judged: Assessment) -> np.ndarray:
     """Return where walls D and C meet, and B and A, in the frame of the plan: (2, 2) metres."""
     top, right, bottom, left = (wall.offset for wall in judged.walls)
     return np.array([[-left, -bottom], [right, top]])
+
+
+def _around(judged: Assessment, away: float) -> np.ndarray:
+    """Return places so far outside the middles of walls A to D, in the plan: (4, 2) metres."""
+    (left, bottom), (right, top) = corners = _corners(judged)
+    x, y = corners.mean(axis=0)
+    return np.array([(x, top + away), (right + away, y), (x, bottom - away), (left - away, y)])
 
 
 def _area(judged: Assessment) -> float:
@@ -247,3 +272,72 @@ def draw_look(axes: Axes, stage: Stage, judged: Assessment, azimuth: float) -> N
     axes.set_axis_off()
     # A room seen from a corner fills about half of the rectangle around it.
     draw_numbers(axes, eye(places), 5.0, 0.5 * float(np.prod(np.ptp(outline.get_xy(), axis=0))))
+
+
+def draw_floor_plan(path: Path, judged: Assessment) -> None:
+    """Write the installer's plan as PNG."""
+    save_figure(floor_plan_of(judged), path, dpi=100)
+
+
+def floor_plan_of(judged: Assessment) -> Figure:
+    """Draw the room from above, wall A at the top, its cameras and what they are measured from."""
+    scene, frame = judged.scene, judged.upright[:2, :2]
+    low, high = scene.bounds[:, 2]
+    points = scene.points[(scene.points[:, 2] > low + LOW) & (scene.points[:, 2] < high - HIGH)]
+    flat = points[::max(len(points) // PLAN_SHOWN, 1), :2] @ frame.T
+    (left, bottom), (right, top) = corners = _corners(judged)
+    figure = Figure(figsize=_inches(right - left, top - bottom), dpi=100, facecolor='white')
+    axes = figure.add_axes((0.05, 0.05, 0.9, 0.9), aspect='equal')
+    axes.set_axis_off()
+    axes.scatter(*flat.T, s=2.0, color=PALE_INK, alpha=0.4, linewidths=0.0)
+    axes.plot([right, right, left, left, right], [top, bottom, bottom, top, top], color=INK,
+              lw=1.0)
+    margin = 0.05 * max(wall.length for wall in judged.walls)
+    letters = _around(judged, margin)
+    draw_letters(axes, judged.walls, letters, LETTERS)
+    places = judged.positions[:, :2] @ frame.T
+    letters = np.concatenate([letters, _draw_distances(axes, judged, places, frame, margin)])
+    shown = np.concatenate([places, corners])
+    low, high = shown.min(axis=0) - 2.0 * margin, shown.max(axis=0) + 2.0 * margin
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    draw_zones(axes, judged.objective.rig, frame, 1.5)
+    explained = zone_legend(judged.objective.rig)
+    if explained:
+        figure.legend(explained.values(), explained.keys(), loc='lower center', frameon=False,
+                      ncols=len(explained), fontsize=10, labelcolor=INK)
+    draw_headings(axes, judged.placement, places, 2.0 * margin * frame, 2.0)
+    draw_numbers(axes, places, NUMBERS, _area(judged), letters, always=True)
+    draw_scale_bar(axes, 10.0)
+    return figure
+
+
+def _inches(width: float, depth: float) -> tuple[float, float]:
+    """Return width and height of a picture that a room of so many metres fills."""
+    scale = LONG / max(width, depth)
+    return max(scale * width, SHORT), max(scale * depth, SHORT)
+
+
+def _write_distance(axes: Axes, middle: np.ndarray, way: np.ndarray, away: float) -> None:
+    """Write a distance along its line."""
+    turn = np.rad2deg(np.arctan2(way[1], way[0]))
+    axes.text(middle[0], middle[1], f'{100.0 * away:.0f} cm', fontsize=8, color=INK,
+              ha='center', va='center', rotation=(turn + 90.0) % 180.0 - 90.0,
+              bbox={'facecolor': 'white', 'edgecolor': 'none', 'pad': 1.0}, zorder=3.0)
+
+
+def _draw_distances(axes: Axes, judged: Assessment, places: np.ndarray, frame: np.ndarray,
+                    margin: float) -> np.ndarray:
+    """Draw what is measured, and the letters of walls inside the room; return where: (M, 2)."""
+    # Where cameras stand and distances are written: nothing is written over these.
+    taken = places
+    for place, distances in zip(places, judged.references.distances):
+        for distance in distances:
+            at = frame @ distance.at
+            axes.plot(*np.stack([place, at]).T, color=INK, lw=0.8, ls=(0, (2, 2)))
+            middle = 0.4 * place + 0.6 * at
+            free = np.linalg.norm(taken - middle, axis=1).min() > 1.5 * margin
+            if free and np.linalg.norm(at - place) > MEASURED * margin:
+                _write_distance(axes, middle, at - place, distance.away)
+                taken = np.vstack([taken, middle])
+    return draw_inner_letters(axes, judged.references.inner, frame, 0.4 * margin, 0.6 * margin,
+                              places, INNER)
