@@ -13,9 +13,8 @@ from rich.console import Console
 from rich.table import Table
 
 from ocp_ros.cli.common import claim_file, Found, show_written
-from ocp_ros.compare.benchmark_rooms import rooms_in, rooms_of_s3dis
 from ocp_ros.compare.comparison import compare, Comparison, RESULTS
-from ocp_ros.compare.protocol import placing, PRESETS, Protocol
+from ocp_ros.compare.protocol import placing, PRESETS, Protocol, rooms_in, rooms_of_s3dis
 from ocp_ros.compare.summary import budgets_of, last_runs, per_room
 from ocp_ros.planners.rig_methods import planner_names
 from ocp_ros.report.rig_planning import CAMERAS, MOUNT

@@ -34,6 +34,10 @@ from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import Result, solve
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.scenes.s3dis import chosen_rooms, s3dis_folder, TEST_AREAS
+from ocp_ros.scenes.scene import SceneError
+from ocp_ros.scenes.scene_files import READERS, scans_in
+from ocp_ros.scenes.scene_source import make_room
 from ocp_ros.scenes.splits import TEST
 from ocp_ros.scenes.up_axis import UP_CHOICES
 from ocp_ros.simulation.episode import Episode
@@ -59,6 +63,39 @@ Row = dict[str, Any]
 TURNS = 0
 #: Places on the plane that together see whatever can be seen from it.
 POOL = 400
+#: Points of a scan that is tried before it is compared in.
+TRIED = 15000
+
+
+def rooms_of_s3dis() -> list[str]:
+    """
+    Return the test rooms of S3DIS, none where ``S3DIS_DIR`` is not set.
+
+    :raises SceneError: if the folder it names is not that of S3DIS.
+    """
+    folder = s3dis_folder()
+    return [] if folder is None else [str(path.resolve()) for area in TEST_AREAS
+                                      for path in chosen_rooms(folder, area)]
+
+
+def rooms_in(folder: Path, scale: float = 1.0, up: str = 'z') -> list[str]:
+    """
+    Return the scans of a folder.
+
+    :param scale: metres per unit of the scans.
+    :param up: the axis of the scans that points up.
+    :raises SceneError: if there are none, or one that cannot be used.
+    """
+    found = [str(path.resolve()) for path in scans_in(folder)]
+    if not found:
+        raise SceneError(f'{folder}: found no scans; expected files of {", ".join(READERS)}')
+    for path in found:
+        try:
+            make_room(path, 0.0, TRIED, scale, up)
+        except SceneError as error:
+            raise SceneError(f'{error}; every scan in {folder} is compared: convert this file '
+                             'first, or move it out') from error
+    return found
 
 
 def placing(cameras: int | None = None, rig: str | Path | None = None) -> SimulationConfig:

@@ -71,21 +71,21 @@ def _pictures(judged: Assessment) -> Figure:
     """Draw the page of the pictures in the fonts that are set."""
     figure = _page()
     found = figures_of(judged)
-    stage = assessment_pictures.stage_of(judged)
+    room = assessment_pictures.room_for(judged)
     _draw_head(figure, found)
     top = FOOT if len(judged.placement.cameras) > MOST else _draw_cameras(figure, judged)
     _draw_foot(figure, found)
     bottom = top + 0.58
     slots = _slots(judged, bottom, 6.52 - bottom)
-    assessment_pictures.draw_room_plan(_titled(figure, slots.plan, 'Plan (m)'), stage, judged)
+    assessment_pictures.draw_room_plan(_titled(figure, slots.plan, 'Plan (m)'), room, judged)
     assessment_pictures.draw_count_map(
-        _titled(figure, slots.counts, 'Seen by how many cameras'), stage, judged)
+        _titled(figure, slots.counts, 'Seen by how many cameras'), room, judged)
     image = assessment_pictures.draw_error_map(
-        _titled(figure, slots.errors, 'Where the depth error is'), stage, judged)
+        _titled(figure, slots.errors, 'Where the depth error is'), room, judged)
     left, low, width, high = slots.errors
     _draw_bar(figure, image, (left + width + 0.04, low + 0.1, 0.07, high - 0.2))
     for box, (corner, azimuth) in zip(slots.looks, CORNERS.items()):
-        assessment_pictures.draw_look(_titled(figure, box, f'From corner {corner}'), stage, judged,
+        assessment_pictures.draw_look(_titled(figure, box, f'From corner {corner}'), room, judged,
                                       np.deg2rad(azimuth))
     _draw_legend(figure, bottom - 0.16, judged)
     write(figure, (0.5 * WIDTH, bottom - 0.36), DEPTH_ERROR, INSIDE, 6.8, PALE_INK, align='center')

@@ -7,7 +7,6 @@ The installer's page has a plan of its own, which shows what cameras are measure
 """
 
 from pathlib import Path
-from typing import NamedTuple
 
 from matplotlib import patheffects
 from matplotlib.axes import Axes
@@ -22,6 +21,7 @@ from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.drawing.figures import save_figure
 from ocp_ros.report.drawing.frustum_drawing import edges, reach
 from ocp_ros.report.drawing.plan_marks import (
+    BARS,
     camera_colour,
     draw_headings,
     draw_inner_letters,
@@ -73,33 +73,27 @@ MEASURED = 3.0
 LONG, SHORT = 10.0, 4.5
 
 
-class Stage(NamedTuple):
+def room_for(judged: Assessment) -> Room:
     """
-    A room in a frame with wall A at the top, thinned out for drawing.
+    Prepare the room of a placement for drawing: wall A at the top, thinned out, without a ceiling.
 
-    :ivar room: without its ceiling; its colours (M, 1) are numbers of points of the scene.
-    :ivar upright: (3, 3) rotation from the map frame.
+    :returns: a room whose colours (M, 1) are numbers of points of the scene.
     """
-
-    room: Room
-    upright: np.ndarray
-
-    def coloured(self, colours: np.ndarray) -> Room:
-        """Return the room in colours (N, 3) of the scene's points."""
-        return self.room._replace(colours=colours[self.room.colours[:, 0]])
-
-    def shaded(self, colours: np.ndarray) -> Room:
-        """Return the same, a little darker the higher: walls stand out from the floor."""
-        room = self.coloured(colours)
-        dark = 1.0 - 0.12 * heights_of(room.points)[:, None]
-        return room._replace(colours=np.clip(room.colours * dark, 0.0, 1.0))
-
-
-def stage_of(judged: Assessment) -> Stage:
-    """Prepare the room of a placement for drawing."""
-    points, upright = judged.scene.points.astype(np.float64), judged.upright
+    points = judged.scene.points.astype(np.float64)
     some = some_of(len(points), SHOWN)
-    return Stage(room_of(points[some] @ upright.T, some[:, None]), upright)
+    return room_of(points[some] @ judged.upright.T, some[:, None])
+
+
+def coloured(room: Room, colours: np.ndarray) -> Room:
+    """Return the room of :func:`room_for` in colours (N, 3) of the scene's points."""
+    return room._replace(colours=colours[room.colours[:, 0]])
+
+
+def shaded(room: Room, colours: np.ndarray) -> Room:
+    """Return the same, a little darker the higher: walls stand out from the floor."""
+    room = coloured(room, colours)
+    dark = 1.0 - 0.12 * heights_of(room.points)[:, None]
+    return room._replace(colours=np.clip(room.colours * dark, 0.0, 1.0))
 
 
 def count_colours(judged: Assessment) -> np.ndarray:
@@ -108,25 +102,25 @@ def count_colours(judged: Assessment) -> np.ndarray:
     return palette[np.minimum(judged.counts, len(palette) - 1)]
 
 
-def draw_room_plan(axes: Axes, stage: Stage, judged: Assessment) -> None:
+def draw_room_plan(axes: Axes, room: Room, judged: Assessment) -> None:
     """Draw the room from above with its walls' letters, cameras and what they reach."""
-    heights = HEIGHTS(heights_of(judged.scene.points))[:, :3]
-    outline = draw_discs(axes, stage.coloured(0.35 + 0.65 * heights), np.eye(3))
-    low, high = judged.scene.bounds[:, 2]
+    colours = HEIGHTS(heights_of(judged.scene.points))[:, :3]
+    outline = draw_discs(axes, coloured(room, 0.35 + 0.65 * colours), np.eye(3))
+    frame, heights = judged.upright[:2, :2], judged.scene.bounds[:, 2].tolist()
     strength = min(1.0, 2.0 / np.sqrt(len(judged.placement.cameras)))
     for number, placed in enumerate(judged.placement.cameras):
         colour = camera_colour(number)
-        seen = reach(placed.camera.model, placed.pose, (float(low), float(high)))
-        part = Polygon(seen @ stage.upright[:2, :2].T, facecolor=(*to_rgb(colour), 0.2 * strength),
+        seen = reach(placed.camera.model, placed.pose, heights)
+        part = Polygon(seen @ frame.T, facecolor=(*to_rgb(colour), 0.2 * strength),
                        edgecolor=(*to_rgb(colour), 0.9 * strength), linewidth=1.0, zorder=3)
         axes.add_patch(part).set_clip_path(outline)
-    _hide_outside(axes, stage)
-    draw_zones(axes, judged.objective.rig, stage.upright[:2, :2], 3.8)
-    _frame(axes, stage, judged, 0.1)
+    _hide_outside(axes, room)
+    draw_zones(axes, judged.objective.rig, frame, 3.8)
+    _frame(axes, room, judged, 0.1)
     letters = _draw_walls(axes, judged)
-    places = judged.positions @ stage.upright[:2].T
+    places = judged.positions @ judged.upright[:2].T
     longer = max(wall.length for wall in judged.walls)
-    draw_headings(axes, judged.placement, places, 0.07 * longer * stage.upright[:2, :2], 1.2)
+    draw_headings(axes, judged.placement, places, 0.07 * longer * frame, 1.2)
     draw_numbers(axes, places, 7.0, _area(judged), letters, always=True)
     for axis, start, wall in zip((axes.xaxis, axes.yaxis), _corners(judged)[0], judged.walls):
         ticks = _ticks(wall.length)
@@ -136,14 +130,13 @@ def draw_room_plan(axes: Axes, stage: Stage, judged: Assessment) -> None:
 
 def _ticks(length: float) -> np.ndarray:
     """Return round distances up to a length, metres, five or so."""
-    steps = np.array([0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0])
-    step = steps[min(np.searchsorted(steps, length / 6.0), len(steps) - 1)]
+    step = BARS[min(np.searchsorted(BARS, length / 6.0), len(BARS) - 1)]
     return np.arange(0.0, length + 1e-6, step)
 
 
-def _hide_outside(axes: Axes, stage: Stage) -> None:
+def _hide_outside(axes: Axes, room: Room) -> None:
     """Cover what lies outside an L-shaped room, where nobody looks."""
-    flat = stage.room.points[:, :2]
+    flat = room.points[:, :2]
     low = flat.min(axis=0) - 4 * FINE
     cells = np.floor((flat - low) / FINE).astype(int)
     inside = np.zeros(cells.max(axis=0) + 5, dtype=bool)
@@ -201,28 +194,28 @@ def _area(judged: Assessment) -> float:
     return judged.walls[0].length * judged.walls[1].length
 
 
-def _frame(axes: Axes, stage: Stage, judged: Assessment, margin: float) -> None:
+def _frame(axes: Axes, room: Room, judged: Assessment, margin: float) -> None:
     """Fit the axes to the room, its walls and cameras."""
-    fit(axes, np.concatenate([judged.positions @ stage.upright[:2].T, stage.room.points[:, :2],
+    fit(axes, np.concatenate([judged.positions @ judged.upright[:2].T, room.points[:, :2],
                               _corners(judged)]), margin)
     axes.spines[:].set_visible(False)
 
 
-def draw_count_map(axes: Axes, stage: Stage, judged: Assessment) -> None:
+def draw_count_map(axes: Axes, room: Room, judged: Assessment) -> None:
     """Draw the room from above, coloured by how many cameras see each place."""
-    draw_discs(axes, stage.shaded(count_colours(judged)), np.eye(3), contrast=0.25)
-    _small_map(axes, stage, judged)
+    draw_discs(axes, shaded(room, count_colours(judged)), np.eye(3), contrast=0.25)
+    _small_map(axes, room, judged)
 
 
-def draw_error_map(axes: Axes, stage: Stage, judged: Assessment) -> AxesImage:
+def draw_error_map(axes: Axes, room: Room, judged: Assessment) -> AxesImage:
     """
     Draw where the depth error is: millimetres for each square metre of the plan.
 
     :returns: the image, for a colour bar.
     """
     pale = np.full((len(judged.scene), 3), 0.88)
-    draw_discs(axes, stage.shaded(pale), np.eye(3), contrast=0.5)
-    flat = judged.scene.points.astype(np.float64) @ stage.upright[:2].T
+    draw_discs(axes, shaded(room, pale), np.eye(3), contrast=0.5)
+    flat = judged.scene.points.astype(np.float64) @ judged.upright[:2].T
     low, size = flat.min(axis=0), np.ptp(flat, axis=0)
     edge = float(np.clip(size.max() / CELLS, *CELL))
     shape = np.floor(size / edge).astype(int) + 1
@@ -235,35 +228,35 @@ def draw_error_map(axes: Axes, stage: Stage, judged: Assessment) -> AxesImage:
                         norm=PowerNorm(0.5, 0.0, most), origin='lower', zorder=2,
                         extent=(low[0], low[0] + shape[0] * edge, low[1],
                                 low[1] + shape[1] * edge))
-    _small_map(axes, stage, judged)
+    _small_map(axes, room, judged)
     return image
 
 
-def _small_map(axes: Axes, stage: Stage, judged: Assessment) -> None:
+def _small_map(axes: Axes, room: Room, judged: Assessment) -> None:
     """Frame a map, with the cameras' numbers."""
     axes.set_xticks([])
     axes.set_yticks([])
-    _frame(axes, stage, judged, 0.02)
-    draw_numbers(axes, judged.positions @ stage.upright[:2].T, 5.0, _area(judged))
+    _frame(axes, room, judged, 0.02)
+    draw_numbers(axes, judged.positions @ judged.upright[:2].T, 5.0, _area(judged))
 
 
-def draw_look(axes: Axes, stage: Stage, judged: Assessment, azimuth: float) -> None:
+def draw_look(axes: Axes, room: Room, judged: Assessment, azimuth: float) -> None:
     """
     Draw the room in perspective, without the walls in front, coloured by how many cameras see it.
 
     :param azimuth: radians, where the viewer stands in the frame of the plan: 0 to the right.
     """
-    room = stage.shaded(count_colours(judged))
+    room = shaded(room, count_colours(judged))
     eye = eye_at(room.points, azimuth)
     part = cut_open(room, eye.view)
     outline = draw_discs(axes, part, eye.view, eye, 0.5)
     floor = float(np.percentile(room.points[:, 2], 2.0))
     long = min(CONE * float(np.ptp(room.points, axis=0).max()), LONGEST)
-    places = judged.positions @ stage.upright.T
+    places = judged.positions @ judged.upright.T
     shown = [outline.get_xy(), eye(places)]
     for number, (placed, place) in enumerate(zip(judged.placement.cameras, places)):
         model = placed.camera.model
-        cone = eye(edges(model, placed.pose, min(long, model.max_range)) @ stage.upright.T)
+        cone = eye(edges(model, placed.pose, min(long, model.max_range)) @ judged.upright.T)
         shown.append(cone)
         axes.plot(*cone.T, color=camera_colour(number), linewidth=0.7, zorder=4)
         axes.plot(*eye(np.stack([place, [*place[:2], floor]])).T, color=INK, linewidth=0.6,

@@ -16,6 +16,8 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.textpath import text_to_path
+import numpy as np
+from scipy.optimize import brentq
 
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 from ocp_ros.util.files import write_atomically
@@ -113,7 +115,9 @@ def draw_table(figure: Figure, box: tuple[float, float, float, float], rows: Seq
         size = max(size - 0.2, SMALLEST)
     columns = widths(size)
     if sum(columns) > room:
-        columns = _squeezed(columns, room)
+        # The widest are made as narrow as one another, until all fit.
+        most = brentq(lambda width: np.minimum(columns, width).sum() - room, 0.0, max(columns))
+        columns = [min(one, most) for one in columns]
     else:
         # What is left over goes between the columns.
         columns = [one + (room - sum(columns)) / len(columns) for one in columns]
@@ -128,15 +132,3 @@ def draw_table(figure: Figure, box: tuple[float, float, float, float], rows: Seq
         level = (y - 0.5 * step) / figure_height
         figure.add_artist(Line2D([left / figure_width, (left + width) / figure_width],
                                  [level, level], color='#c9ced3', linewidth=0.3 if n else 0.8))
-
-
-def _squeezed(columns: Sequence[float], room: float) -> list[float]:
-    """Make the widest columns as narrow as one another, until all fit."""
-    low, high = 0.0, max(columns)
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        if sum(min(one, middle) for one in columns) > room:
-            high = middle
-        else:
-            low = middle
-    return [min(one, low) for one in columns]

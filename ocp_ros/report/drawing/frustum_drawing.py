@@ -33,7 +33,7 @@ def rim(model: CameraModel) -> np.ndarray:
                             np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
 
 
-def reach(model: CameraModel, pose: np.ndarray, heights: tuple[float, float]) -> np.ndarray:
+def reach(model: CameraModel, pose: np.ndarray, heights: Sequence[float]) -> np.ndarray:
     """
     Return the part of a plan that a camera could see if nothing stood in its way.
 
@@ -58,7 +58,7 @@ def reach(model: CameraModel, pose: np.ndarray, heights: tuple[float, float]) ->
     return flat[ConvexHull(flat, qhull_options='QJ').vertices]
 
 
-def _ended(ways: np.ndarray, height: float, far: float, heights: tuple[float, float]
+def _ended(ways: np.ndarray, height: float, far: float, heights: Sequence[float]
            ) -> np.ndarray:
     """Make directions (M, 3) as long as the range, or as floor and ceiling let them be."""
     room = np.where(ways[:, 2] > 0.0, heights[1] - height, height - heights[0])

@@ -24,7 +24,7 @@ APART = 0.032
 #: The smallest numbers that are read without a lens, points, and the share of a room's picture
 #: that numbers may hide.
 LEAST, HIDDEN = 4.5, 0.35
-#: Metres that a scale bar may be long.
+#: Metres that a scale bar may be long, and between two ticks.
 BARS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 NONE = np.empty((0, 2))
 #: Edge colour, hatching and line of each kind of zone.
