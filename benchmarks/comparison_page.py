@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from ocp_ros.report.drawing.placement_picture import CAMERA_COLOURS, UNOBSERVED
+from ocp_ros.report.drawing.plan_marks import CAMERA_COLOURS
 from ocp_ros.report.drawing.room_drawing import HEIGHTS, heights_of, room_of
+from ocp_ros.report.drawing.room_pictures import UNOBSERVED
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.files import write_atomically
 

@@ -25,9 +25,8 @@ from rich.progress import track
 from rich.table import Table
 
 from benchmarks.results import stamped
-from ocp_ros.compare.judging import Judge
-from ocp_ros.compare.paired import pair
 from ocp_ros.compare.protocol import BenchmarkTask, placing, Protocol, run_task, TRUTH
+from ocp_ros.compare.summary import pair
 from ocp_ros.scenes.splits import SETS
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
@@ -109,7 +108,7 @@ def start_error(protocol: Protocol, room: str, rotation: float) -> float:
     """Return the depth error, metres, where cameras on a plane begin the episodes of seed 0."""
     judged = protocol.room(room, rotation)
     episode = Episode(PlaneProblem(judged.fine), np.random.default_rng([0, 0]))
-    return float(Judge(judged.evaluate)(episode.turn.positions)['depth_error'])
+    return judged.judge(episode.turn.positions)['depth_error']
 
 
 def summed(rooms: dict[str, dict[str, Any]], first: str) -> dict[str, dict[str, Any]]:
@@ -121,7 +120,7 @@ def summed(rooms: dict[str, dict[str, Any]], first: str) -> dict[str, dict[str, 
     :returns: by length and planner: ``sum`` of depth errors, metres; ``ratio``, that sum / the one
         of the best known placements; ``worse``, the rooms in which it ends worse than it began;
         ``ms`` a turn; and the paired comparison with the first, see
-        :func:`~ocp_ros.compare.paired.pair`.
+        :func:`~ocp_ros.compare.summary.pair`.
     """
     found = list(rooms.values())
     best = sum(min([room.get('truth', np.inf), *(
@@ -147,7 +146,7 @@ def over_before(rooms: dict[str, dict[str, Any]], before: dict[str, dict[str, An
 
     :param rooms: of :func:`play_room`, by name.
     :param before: the same of the other comparison.
-    :returns: by length and planner, :func:`~ocp_ros.compare.paired.pair` in the rooms that both
+    :returns: by length and planner, :func:`~ocp_ros.compare.summary.pair` in the rooms that both
         have; its ``sum`` is that of the other comparison.
     """
     both = [name for name in rooms if name in before]

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 import numpy as np
 
-from ocp_ros.report.drawing.figure_files import save_figure
+from ocp_ros.report.drawing.figures import save_figure
 from ocp_ros.training.run_folder import read_config, records
 
 #: By name in the progress: what the legend calls it, and how its line is drawn.

@@ -13,13 +13,13 @@ from benchmarks.benchmark_report import main as write_report
 from ocp_ros.cli import compare_commands
 from ocp_ros.cli import main as cli
 from ocp_ros.compare import comparison
-from ocp_ros.compare.benchmark_rooms import rooms_in
 from ocp_ros.compare.protocol import (
     BenchmarkTask,
     CONTROL,
     CONTROLS,
     Protocol,
     PROVED,
+    rooms_in,
     run_task,
     TRUTH,
     YARDSTICKS,

@@ -18,7 +18,7 @@ import pytest
 from ocp_ros.cli import main as cli
 from ocp_ros.compare.comparison import name_of
 from ocp_ros.compare.protocol import BenchmarkTask
-from ocp_ros.report.drawing.figure_files import save_figure
+from ocp_ros.report.drawing.figures import save_figure
 from ocp_ros.report.viewer import write_view
 from ocp_ros.scenes.scene_files import load_scene, save_scene
 from ocp_ros.training.replay_file import save_replay

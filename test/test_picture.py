@@ -6,8 +6,8 @@ from matplotlib.image import imread
 import numpy as np
 import pytest
 
-from ocp_ros.report.drawing.placement_picture import draw_placement
 from ocp_ros.report.drawing.room_drawing import _ceiling, _surface
+from ocp_ros.report.drawing.room_pictures import draw_placement
 from ocp_ros.scenes.synthetic.generator import generate_room
 
 POINTS = generate_room(1, 3000).points

@@ -8,8 +8,7 @@ import pytest
 
 from ocp_ros.cli.compare_commands import protocol_of
 from ocp_ros.cli.main import parser
-from ocp_ros.compare.benchmark_rooms import rooms_of_s3dis
-from ocp_ros.compare.protocol import PRESETS
+from ocp_ros.compare.protocol import PRESETS, rooms_of_s3dis
 from ocp_ros.scenes import scene_cache
 from ocp_ros.scenes.s3dis import chosen_rooms, rooms_of_area
 from ocp_ros.scenes.scene import SceneError

@@ -19,9 +19,9 @@ import pytest
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.report import sheet
 from ocp_ros.report.assessment import judge
-from ocp_ros.report.drawing import assessment_pictures, floor_plan, fonts
-from ocp_ros.report.drawing.camera_labels import apart
-from ocp_ros.report.drawing.figure_table import shortened, width_of
+from ocp_ros.report.drawing import assessment_pictures, figures
+from ocp_ros.report.drawing.figures import shortened, width_of
+from ocp_ros.report.drawing.plan_marks import apart
 from ocp_ros.report.key_figures import metres
 from ocp_ros.rig.placement_file import placement_of
 from ocp_ros.rig.rig_file import rig_from, rig_of
@@ -85,7 +85,7 @@ def test_numbers_in_the_plan_hide_neither_each_other_nor_the_walls(rooms, number
     poses = np.zeros((7, 6))
     poses[:, :3] = scene.bounds.mean(axis=0)
     poses[4:, :2] = scene.bounds[1, :2]
-    figure = floor_plan.figure_of(judged_in(rooms[number], rig_of(7, 'd455'), poses))
+    figure = assessment_pictures.floor_plan_of(judged_in(rooms[number], rig_of(7, 'd455'), poses))
     renderer = FigureCanvasAgg(figure).get_renderer()
     figure.draw(renderer)
     texts = [text for text in figure.axes[0].texts if text.get_text()]
@@ -138,7 +138,7 @@ def test_zones_of_a_rig_are_drawn_and_explained_and_the_foot_has_no_path(rooms):
     judged = judge(rooms[2][0], placement_of(rig, poses, engine=ENGINE), rooms[2][1],
                    'ocp score /home/me/a.ply --rig=sub/rig.yaml')
     kinds = {'keep-out zone', 'weighted region', 'must-see region'}
-    for drawn in (next(sheet.figures_of_pages(judged)), floor_plan.figure_of(judged)):
+    for drawn in (next(sheet.figures_of_pages(judged)), assessment_pictures.floor_plan_of(judged)):
         assert kinds <= {patch.get_label() for patch in drawn.axes[0].patches}
         assert kinds <= {text for text, _ in texts_of(drawn)}
     text = ' '.join(text for text, _ in texts_of(next(sheet.figures_of_pages(judged))))
@@ -179,13 +179,13 @@ def font_of(path, family, letter):
 def test_letters_that_the_usual_font_lacks_are_those_of_an_installed_one(tmp_path, monkeypatch):
     manager = font_manager.fontManager
     monkeypatch.setattr(manager, 'ttflist', [
-        one for one in manager.ttflist if one.name not in fonts.FALLBACKS])
-    before = fonts.families()
-    font_of(tmp_path / 'block.ttf', fonts.FALLBACKS[-1], '\u4f1a')
+        one for one in manager.ttflist if one.name not in figures.FALLBACKS])
+    before = figures.families()
+    font_of(tmp_path / 'block.ttf', figures.FALLBACKS[-1], '\u4f1a')
     manager.addfont(tmp_path / 'block.ttf')
-    assert fonts.families() == [*before, fonts.FALLBACKS[-1]]
+    assert figures.families() == [*before, figures.FALLBACKS[-1]]
     width_of.cache_clear()
-    with fonts.all_letters():
+    with figures.all_letters():
         assert width_of('\u4f1a', 72.0) == pytest.approx(3.0, abs=0.05)
         usual = width_of('room', 72.0)
     width_of.cache_clear()

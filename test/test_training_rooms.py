@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ocp_ros.compare.benchmark_rooms import rooms_in
+from ocp_ros.compare.protocol import rooms_in
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.scenes.scene_source import make_room

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ocp_ros.compare.judging import (
-    Judge,
+    judge,
     judged_room,
     JudgedRoom,
     MOUNTING,
@@ -94,7 +94,7 @@ def test_a_scan_is_judged_on_points_that_are_held_out(tmp_path):
 def test_the_judge_takes_the_mean_over_cameras_that_are_mounted_a_little_off(room):
     simulator = Simulator(room, SMALL)
     placement = np.random.default_rng(0).uniform(*room.bounds, (4, 3))
-    judged = Judge(lambda poses: (simulator.evaluate(poses).depth_error, 1.5))(placement)
+    judged = judge(lambda poses: (simulator.evaluate(poses).depth_error, 1.5), placement)
     assert judged['exact'] == simulator.evaluate(placement).depth_error
     off = mounted(placement, MOUNTING, MOUNTINGS, SEED)
     assert judged['depth_error'] == pytest.approx(np.mean(

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
-from ocp_ros.report.drawing.figure_files import save_figure
+from ocp_ros.report.drawing.figures import save_figure
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 
 #: Layers from the bottom, and what each is for; each may import those below it.

@@ -13,8 +13,7 @@ from matplotlib.patches import Patch
 import numpy as np
 
 from benchmarks.engine_bench import cases, f1_score, mask_of, METHODS, RADII, RANGE
-from ocp_ros.report.drawing.figure_files import save_figure
-from ocp_ros.report.drawing.placement_picture import draw_ball
+from ocp_ros.report.drawing.figures import save_figure
 from ocp_ros.report.drawing.room_drawing import (
     draw_discs,
     heights_of,
@@ -23,6 +22,7 @@ from ocp_ros.report.drawing.room_drawing import (
     PALE_INK,
     room_of,
 )
+from ocp_ros.report.drawing.room_pictures import draw_ball
 
 SEEN, HIDDEN, WRONG, MISSED = '#3f8fb5', '#d5d5d0', '#c8352b', '#efa11a'
 MEANINGS = {SEEN: 'seen', HIDDEN: 'hidden, or out of range', WRONG: 'said to be seen, but hidden',

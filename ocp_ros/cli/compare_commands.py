@@ -13,12 +13,12 @@ from rich.console import Console
 from rich.table import Table
 
 from ocp_ros.cli.common import claim_folder, Found, show_written
-from ocp_ros.compare.benchmark_rooms import rooms_in, rooms_of_s3dis
 from ocp_ros.compare.comparison import compare, Comparison, RESULTS
-from ocp_ros.compare.protocol import placing, PRESETS, Protocol
+from ocp_ros.compare.protocol import placing, PRESETS, Protocol, rooms_in, rooms_of_s3dis
 from ocp_ros.compare.summary import budgets_of, last_runs, per_room
 from ocp_ros.planners.rig_methods import planner_names
 from ocp_ros.report.rig_planning import CAMERAS, MOUNT
+from ocp_ros.report.room_facts import show_notes
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.scenes.scene_files import check_file
 from ocp_ros.scenes.splits import SETS
@@ -43,7 +43,7 @@ def benchmark(arguments: argparse.Namespace, command: str) -> Found:
     rig = [] if arguments.sensor is None else [_write_rig(arguments)]
     protocol = protocol_of(arguments)
     folder = folder_to_write(arguments.out)
-    summary = _compared(arguments, protocol, folder, command).summary
+    summary = compare(protocol, folder, command, arguments.workers or 0, arguments.ray).summary
     return {**summary, 'written': [*rig, *(folder / name for name in RESULTS)]}
 
 
@@ -64,12 +64,6 @@ def protocol_of(arguments: argparse.Namespace) -> Protocol:
     else:
         rooms = [*protocol.rooms, *(rooms_of_s3dis() if arguments.preset == 'full' else ())]
     return replace(protocol, rooms=tuple(rooms))
-
-
-def _compared(arguments: argparse.Namespace, protocol: Protocol, folder: Path, command: str
-              ) -> Comparison:
-    """Play a comparison with the processes that a command line asks for."""
-    return compare(protocol, folder, command, arguments.workers or 0, arguments.ray)
 
 
 def _check_cameras(arguments: argparse.Namespace) -> None:
@@ -108,8 +102,7 @@ def show_benchmark(summary: Found) -> None:
                       str(run['wins']), f'{run["seconds"]:.2f}')
     console = Console(width=100)
     console.print(table)
-    for note in summary['notes']:
-        console.print(f'note: {note}', style='yellow', markup=False, highlight=False)
+    show_notes(console, summary)
     show_written(summary)
 
 
@@ -129,8 +122,9 @@ def evaluate(arguments: argparse.Namespace, command: str) -> Found:
         'rotations': list(arguments.rotations), 'seeds': arguments.seeds, 'cameras': {}}
     for protocol in protocols:
         count = str(protocol.cameras)
-        found['cameras'][count] = _by_room(protocol, _compared(
-            arguments, protocol, arguments.out / f'{count}-cameras', command))
+        found['cameras'][count] = _by_room(protocol, compare(
+            protocol, arguments.out / f'{count}-cameras', command, arguments.workers or 0,
+            arguments.ray))
     write_atomically(path, json.dumps(found, indent=1) + '\n')
     return {**found, 'written': [path]}
 

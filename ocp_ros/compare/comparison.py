@@ -25,9 +25,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ocp_ros import __version__
-from ocp_ros.compare.paired import pairs
 from ocp_ros.compare.protocol import BenchmarkTask, Protocol, run_task
-from ocp_ros.compare.summary import Rows, summarise
+from ocp_ros.compare.summary import pairs, Rows, summarise
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import ConfigurationError
@@ -50,7 +49,7 @@ class Comparison(NamedTuple):
     :ivar rows: of all runs, see :func:`~ocp_ros.compare.protocol.run_task`.
     :ivar summary: what was compared and when; the figures of
         :func:`~ocp_ros.compare.summary.summarise`; and ``pairs``, the first planner against each
-        of the others, see :func:`~ocp_ros.compare.paired.pairs`.
+        of the others, see :func:`~ocp_ros.compare.summary.pairs`.
     """
 
     rows: Rows

@@ -11,7 +11,7 @@ held out of the search, and the engine judges on them.
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from ocp_ros.rig.motion import mounted
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_source import make_room
-from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.problem import PlaneProblem, Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.simulation.truth import engine_of
@@ -36,28 +36,30 @@ SEED = 0
 JUDGING = EngineConfig(preset='fine', error_rows=128, coverage_cell=0.5, error_folds=1)
 
 
-class Judge:
+def judge(evaluate: Callable[[np.ndarray], tuple[float, float]], placement: np.ndarray
+          ) -> dict[str, float]:
     """
-    Judge final placements.
+    Judge a final placement.
 
-    :param evaluate: returns depth error in metres and space coverage in cubic metres of a
-        placement (K, 3) or (K, 6).
+    :param evaluate: returns depth error in metres and space coverage in cubic metres.
+    :param placement: (K, 3) or (K, 6), metres, map frame, and radians.
+    :returns: ``exact``, metres, of the placement itself; ``depth_error``, metres, the mean of
+        cameras that are mounted 2 cm off; ``space_coverage``, cubic metres.
     """
+    error, coverage = evaluate(placement)
+    off = [evaluate(moved)[0] for moved in mounted(placement, MOUNTING, MOUNTINGS, SEED)]
+    return {'exact': error, 'depth_error': float(np.mean(off)), 'space_coverage': coverage}
 
-    def __init__(self, evaluate: Callable[[np.ndarray], tuple[float, float]]) -> None:
-        self._evaluate = evaluate
 
-    def __call__(self, placement: np.ndarray) -> dict[str, float]:
-        """
-        Judge one placement.
+def worth_of(problem: PlaneProblem | Problem, placement: np.ndarray) -> tuple[float, float]:
+    """
+    Return the error of a placement in metres, and its space coverage in cubic metres.
 
-        :param placement: (K, 3) or (K, 6), metres, map frame, and radians.
-        :returns: ``exact``, metres, of the placement itself; ``depth_error``, metres, the mean of
-            cameras that are mounted 2 cm off; ``space_coverage``, cubic metres.
-        """
-        error, coverage = self._evaluate(placement)
-        off = [self._evaluate(moved)[0] for moved in mounted(placement, MOUNTING, MOUNTINGS, SEED)]
-        return {'exact': error, 'depth_error': float(np.mean(off)), 'space_coverage': coverage}
+    The error of a rig file is objective x depth error of seeing nothing: where the rig asks for
+    nothing more, the depth error.
+    """
+    result = problem.judge(problem.look(placement))
+    return problem.error(result), result.space_coverage
 
 
 class JudgedRoom:
@@ -84,38 +86,44 @@ class JudgedRoom:
             self.judged = make_room(name, rotation, judged_points)
         else:
             self.scene, self.judged = _halves(make_room(name, rotation, 2 * points, scale, up))
-        self._judging = replace(config, engine=JUDGING)
 
     @cached_property
+    def promising(self) -> PlaneProblem | Problem:
+        """Return the rig in the room and by the engine that it is searched with: it promises."""
+        return self._problem(self.scene, self.config, Simulator)
+
+    @cached_property
+    def problem(self) -> PlaneProblem | Problem:
+        """Return the rig in the judge's room, by the truth where it is known."""
+        return self._problem(self.judged, replace(self.config, engine=JUDGING),
+                             engine_of(self.judged))
+
+    @staticmethod
+    def _problem(scene: Scene, config: SimulationConfig, engine: type[Simulator]
+                 ) -> PlaneProblem | Problem:
+        """Put the rig of some settings into a room."""
+        if config.rig_file:
+            return Problem.of(scene, load_rig(config.rig_file), config, engine)
+        return PlaneProblem(engine(scene, config))
+
+    @property
     def fine(self) -> Simulator:
-        """Return the engine on all points that searches may see: it promises."""
-        return Simulator(self.scene, self.config)
+        """Return the engine on all points that searches may see."""
+        return self.promising.simulator
 
-    @cached_property
+    @property
     def simulator(self) -> Simulator:
-        """Return the judge's engine: the truth, where it is known."""
-        return engine_of(self.judged)(self.judged, self._judging)
+        """Return the judge's engine."""
+        return self.problem.simulator
 
     def truth(self) -> Simulator:
         """Return the truth on the points that searches see."""
         engine = replace(self.config.engine, coverage_cell=JUDGING.coverage_cell)
         return engine_of(self.scene)(self.scene, replace(self.config, engine=engine))
 
-    def evaluate(self, placement: np.ndarray) -> tuple[float, float]:
-        """Return what the judge says of a placement: metres and cubic metres."""
-        result = self.simulator.evaluate(placement)
-        return result.depth_error, result.space_coverage
-
-    @cached_property
-    def problem(self) -> Problem:
-        """Return the rig file in the judge's room."""
-        return Problem.of(self.judged, load_rig(self.config.rig_file), self._judging,
-                          engine_of(self.judged))
-
-    @cached_property
-    def promising(self) -> Problem:
-        """Return the rig file in the room and by the engine that it is searched with."""
-        return Problem.of(self.scene, load_rig(self.config.rig_file), self.config)
+    def judge(self, placement: np.ndarray) -> dict[str, float]:
+        """Return what the judge says of a placement; see :func:`judge`."""
+        return judge(partial(worth_of, self.problem), placement)
 
 
 @lru_cache(maxsize=2)

@@ -10,7 +10,7 @@ A planner searches by the engine. What counts is what its final placement alone 
 what the engine promised.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from itertools import product
 from pathlib import Path
@@ -19,14 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from ocp_ros.compare.judging import (
-    engine_of,
-    Judge,
-    JUDGED_POINTS,
-    judged_room,
-    JudgedRoom,
-    POINTS,
-)
+from ocp_ros.compare.judging import JUDGED_POINTS, judged_room, JudgedRoom, POINTS, worth_of
 from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.candidate_pool import Pool, random_sites
@@ -41,12 +34,17 @@ from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import Result, solve
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.scenes.s3dis import chosen_rooms, s3dis_folder, TEST_AREAS
+from ocp_ros.scenes.scene import SceneError
+from ocp_ros.scenes.scene_files import READERS, scans_in
+from ocp_ros.scenes.scene_source import make_room
 from ocp_ros.scenes.splits import TEST
 from ocp_ros.scenes.up_axis import UP_CHOICES
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem, Problem, space_of
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.simulation.truth import engine_of
 from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError
 
@@ -65,6 +63,39 @@ Row = dict[str, Any]
 TURNS = 0
 #: Places on the plane that together see whatever can be seen from it.
 POOL = 400
+#: Points of a scan that is tried before it is compared in.
+TRIED = 15000
+
+
+def rooms_of_s3dis() -> list[str]:
+    """
+    Return the test rooms of S3DIS, none where ``S3DIS_DIR`` is not set.
+
+    :raises SceneError: if the folder it names is not that of S3DIS.
+    """
+    folder = s3dis_folder()
+    return [] if folder is None else [str(path.resolve()) for area in TEST_AREAS
+                                      for path in chosen_rooms(folder, area)]
+
+
+def rooms_in(folder: Path, scale: float = 1.0, up: str = 'z') -> list[str]:
+    """
+    Return the scans of a folder.
+
+    :param scale: metres per unit of the scans.
+    :param up: the axis of the scans that points up.
+    :raises SceneError: if there are none, or one that cannot be used.
+    """
+    found = [str(path.resolve()) for path in scans_in(folder)]
+    if not found:
+        raise SceneError(f'{folder}: found no scans; expected files of {", ".join(READERS)}')
+    for path in found:
+        try:
+            make_room(path, 0.0, TRIED, scale, up)
+        except SceneError as error:
+            raise SceneError(f'{error}; every scan in {folder} is compared: convert this file '
+                             'first, or move it out') from error
+    return found
 
 
 def placing(cameras: int | None = None, rig: str | Path | None = None) -> SimulationConfig:
@@ -195,52 +226,49 @@ def run_task(protocol: Protocol, task: BenchmarkTask) -> list[dict[str, Any]]:
     """
     Run a planner in a room with every budget and seed.
 
-    :returns: one row for each run: what was run, ``Judge``'s figures, evaluations, seconds, the
+    :returns: one row for each run: what was run, the judge's figures, evaluations, seconds, the
         placement, ``promised``, metres, and the trace of the search.
     """
     room = protocol.room(task.room, task.rotation)
-    runs = _rig_runs if protocol.simulation.rig_file else _plane_runs
-    return [{**asdict(task), **row, 'placement': row['placement'].tolist()}
-            for row in runs(protocol, room, task)]
+    return [{**asdict(task), 'budget': budget, 'seed': seed, **row, **room.judge(row['placement']),
+             'promised': worth_of(room.promising, row['placement'])[0],
+             'placement': row['placement'].tolist()}
+            for (budget, seed), row in zip(protocol.runs(task.planner),
+                                           _runs(protocol, room, task.planner))]
 
 
-def _plane_runs(protocol: Protocol, room: JudgedRoom, task: BenchmarkTask) -> Iterator[Row]:
-    """Yield the runs of a planner of cameras on a plane; see :func:`run_task`."""
-    judge, fine = Judge(room.evaluate), room.fine
-    if task.planner == CONTROL:
-        runs = _random_placements(room)
-    elif task.planner == TRUTH:
-        runs = _true_searches(protocol, room)
-    elif task.planner == PROVED:
-        runs = _proofs(protocol, fine)
-    elif task.planner in ONLINE:
-        runs = _episodes(protocol, fine, task.planner)
-    else:
-        runs = _searches(protocol, room, task.planner)
-    for row in runs:
-        placement = row['placement']
-        yield {**row, **judge(placement), 'promised': fine.evaluate(placement).depth_error}
+def _runs(protocol: Protocol, room: JudgedRoom, planner: str) -> Iterator[Row]:
+    """Yield what a planner or yardstick finds in each of its runs."""
+    rig_file = protocol.simulation.rig_file
+    if planner == CONTROL:
+        return _random_rigs(room.problem) if rig_file else _random_placements(room.simulator)
+    if rig_file:
+        return _rig_plans(protocol, room, planner)
+    if planner == TRUTH:
+        return _true_searches(protocol, room.truth())
+    if planner == PROVED:
+        return _proofs(protocol, room.fine)
+    if planner in ONLINE:
+        return _episodes(protocol, room.fine, planner)
+    return _searches(protocol, room.fine, planner)
 
 
-def _searches(protocol: Protocol, room: JudgedRoom, name: str) -> Iterator[Row]:
+def _searches(protocol: Protocol, fine: Simulator, name: str) -> Iterator[Row]:
     """Search a scan with every budget and seed."""
-    fine, space = room.fine, space_of(room.fine)
+    space = space_of(fine)
     # Kernels are read from disk before the clock runs.
     Scorer(fine)([space.placement(space.random(np.random.default_rng(0)))])
     for budget, seed in protocol.runs(name):
         planner = OFFLINE[name](space, np.random.default_rng([seed, budget]), budget)
-        yield {'budget': budget, 'seed': seed, **_found(search_and_finish(
-            planner, Scorer(fine), budget, time.process_time))}
+        yield _found(search_and_finish(planner, Scorer(fine), budget, time.process_time))
 
 
-def _true_searches(protocol: Protocol, room: JudgedRoom) -> Iterator[Row]:
+def _true_searches(protocol: Protocol, truth: Simulator) -> Iterator[Row]:
     """Search with the truth, for the best known; the judge's points are not searched with."""
-    truth = room.truth()
     space = space_of(truth)
     for budget, seed in protocol.runs(TRUTH):
         planner = GreedySwap(space, np.random.default_rng([seed, budget]), budget)
-        yield {'budget': budget, 'seed': seed, **_found(solve(
-            planner, Scorer(truth), budget, clock=time.process_time))}
+        yield _found(solve(planner, Scorer(truth), budget, clock=time.process_time))
 
 
 def _proofs(protocol: Protocol, fine: Simulator) -> Iterator[Row]:
@@ -248,10 +276,10 @@ def _proofs(protocol: Protocol, fine: Simulator) -> Iterator[Row]:
     space, began = space_of(fine), time.process_time()
     answer = exact_plane(fine, space, protocol.candidates, protocol.proving,
                          fine.config.engine.error_rows)
-    yield {'budget': protocol.candidates, 'seed': 0, 'evaluations': 0,
-           'seconds': time.process_time() - began, 'placement': answer.placement, 'trace': [],
-           'found': answer.certificate.found, 'bound': answer.certificate.bound,
-           'proved': answer.certificate.proved}
+    proof = answer.certificate
+    yield {'evaluations': 0, 'seconds': time.process_time() - began,
+           'placement': answer.placement, 'trace': [], 'found': proof.found, 'bound': proof.bound,
+           'proved': proof.proved}
 
 
 def _found(result: Result) -> Row:
@@ -263,83 +291,55 @@ def _found(result: Result) -> Row:
 def _episodes(protocol: Protocol, fine: Simulator, name: str) -> Iterator[Row]:
     """Play an episode with every seed; the last placement is what counts."""
     space = space_of(fine)
-    for budget, seed in protocol.runs(name):
+    for _, seed in protocol.runs(name):
         online = ONLINE[name](protocol.simulation, np.random.default_rng([seed, 1]),
                               protocol.model)
         episode = Episode(PlaneProblem(fine), np.random.default_rng([seed, 0]))
         outcome = play(online, episode, clock=time.process_time)
         # Who ends where no camera may be is mounted at the nearest place where one may.
         placement = space.placement(space.inside(outcome.trajectory[-1][:, :2]))
-        yield {'budget': budget, 'seed': seed, 'evaluations': 0,
-               'seconds': float(outcome.seconds.sum()),
+        yield {'evaluations': 0, 'seconds': float(outcome.seconds.sum()),
                'seconds_per_turn': float(np.median(outcome.seconds)),
                'seconds_at_most': float(outcome.seconds.max()),
                'placement': placement, 'trace': [], 'trajectory': outcome.trajectory.tolist()}
 
 
-def _random_placements(room: JudgedRoom) -> Iterator[Row]:
-    """Draw placements, and tell what all places of the plane together miss."""
-    simulator, space = room.simulator, space_of(room.simulator)
+def _random_placements(simulator: Simulator) -> Iterator[Row]:
+    """Draw placements without end, and tell what all places of the plane together miss."""
+    space = space_of(simulator)
     pool = space.placement(space.grid(POOL))
     least = simulator.judge(simulator.look_many(pool)).depth_error
     rng = np.random.default_rng(0)
-    for seed in range(CONTROLS):
-        yield {**_drawn(seed, least), 'placement': space.placement(space.random(rng))}
+    while True:
+        yield _drawn(least, space.placement(space.random(rng)))
 
 
-def _drawn(seed: int, least: float) -> Row:
-    """Return what all random placements have in common."""
-    return {'budget': 1, 'seed': seed, 'lower_bound': least, 'evaluations': 1, 'seconds': 0.0,
-            'trace': []}
+def _drawn(least: float, placement: np.ndarray) -> Row:
+    """Return the row of a random placement."""
+    return {'lower_bound': least, 'evaluations': 1, 'seconds': 0.0, 'trace': [],
+            'placement': placement}
 
 
-def _rig_runs(protocol: Protocol, room: JudgedRoom, task: BenchmarkTask) -> Iterator[Row]:
-    """Yield the runs of a planner of a rig file; see :func:`run_task`."""
-    problem, promising = room.problem, room.promising
-    judge = Judge(lambda poses: _objective(problem, poses))
-    if task.planner == CONTROL:
-        runs = _random_rigs(problem)
-    elif task.planner == TRUTH:
-        runs = _rig_plans(protocol, room, RIG_SEARCH, protocol.runs(TRUTH),
-                          engine_of(room.scene))
-    else:
-        runs = _rig_plans(protocol, room, task.planner, protocol.runs(task.planner))
-    for row in runs:
-        placement = row['placement']
-        yield {**row, **judge(placement), 'promised': _objective(promising, placement)[0]}
-
-
-def _objective(problem: Problem, poses: np.ndarray) -> tuple[float, float]:
-    """
-    Return the objective of poses (K, 6) in metres, and their space coverage in cubic metres.
-
-    The first is objective x depth error of seeing nothing: where the rig asks for nothing more,
-    the depth error.
-    """
-    result = problem.objective.evaluate(poses)
-    return problem.error(result), result.space_coverage
-
-
-def _rig_plans(protocol: Protocol, room: JudgedRoom, name: str, runs: Sequence[tuple[int, int]],
-               engine: type[Simulator] = Simulator) -> Iterator[Row]:
-    """Plan a rig file with each budget and seed of some runs."""
+def _rig_plans(protocol: Protocol, room: JudgedRoom, name: str) -> Iterator[Row]:
+    """Plan a rig file with every budget and seed; the best known is searched with the truth."""
     rig = load_rig(protocol.simulation.rig_file)
-    for budget, seed in runs:
+    planner_name, engine = (RIG_SEARCH, engine_of(room.scene)) if name == TRUTH else (
+        name, Simulator)
+    for budget, seed in protocol.runs(name):
         began = time.process_time()
         # A time step of an online planner is an evaluation: its budget is that of the episode.
         limit = Budget(evaluations=budget or protocol.simulation.episode.turns)
         planner = RigPlanner(room.scene, rig, protocol.simulation.engine, limit, seed,
-                             planner=name, model=protocol.model, simulator=engine)
+                             planner=planner_name, model=protocol.model, simulator=engine)
         answer = planner.plan(rig).answer
-        yield {'budget': budget, 'seed': seed, 'evaluations': answer.evaluations,
-               'seconds': time.process_time() - began, 'placement': answer.poses, 'trace': []}
+        yield {'evaluations': answer.evaluations, 'seconds': time.process_time() - began,
+               'placement': answer.poses, 'trace': []}
 
 
 def _random_rigs(problem: Problem) -> Iterator[Row]:
-    """Draw feasible placements of a rig, and tell what all candidates together miss."""
+    """Draw feasible placements without end, and tell what all candidates together miss."""
     rig, pool, rng = problem.rig, Pool(problem, POOL), np.random.default_rng(0)
-    least, seed = problem.error(problem.judge(pool.everywhere(rig))), 0
-    while seed < CONTROLS:
+    least = problem.error(problem.judge(pool.everywhere(rig)))
+    while True:
         if sites := random_sites(rig, pool, rng):
-            yield {**_drawn(seed, least), 'placement': np.array([site.pose for site in sites])}
-            seed += 1
+            yield _drawn(least, np.array([site.pose for site in sites]))

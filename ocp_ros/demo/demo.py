@@ -18,7 +18,7 @@ from rich.table import Table
 
 from ocp_ros.demo.node_processes import NodeProcess, stopped_at_the_end
 from ocp_ros.demo.watcher import run_watched, Watch, Watcher
-from ocp_ros.report.drawing.placement_picture import draw_placement
+from ocp_ros.report.drawing.room_pictures import draw_placement
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.ros.policy.policy_config import PLANNERS, PolicyNodeConfig
 from ocp_ros.ros.sim_node import SimNodeConfig

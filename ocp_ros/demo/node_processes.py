@@ -58,8 +58,7 @@ class NodeProcess:
             arguments += ['-r', f'__ns:=/{namespace}']
         for key, value in parameters.items():
             # The value is read as YAML, which JSON is: a path may hold anything.
-            plain = str(value) if isinstance(value, Path) else value
-            arguments += ['-p', f'{key}:={json.dumps(plain)}']
+            arguments += ['-p', f'{key}:={json.dumps(value, default=str)}']
         log.parent.mkdir(parents=True, exist_ok=True)
         with open(log, 'wb') as file:
             self.process = subprocess.Popen(

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ocp_ros.geometry.packed_bits import unpack
+from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.report.camera_words import Words, words_for
 from ocp_ros.report.findings import scores_of, verdict
 from ocp_ros.report.wall_references import ReferenceWall, WallReferences
@@ -57,14 +57,17 @@ class Assessment:
         """Return the room."""
         return self.objective.simulator.scene
 
+    @property
+    def positions(self) -> np.ndarray:
+        """Return where all cameras are: (K, 3) metres, map frame."""
+        return np.array([placed.position for placed in self.placement.cameras])
+
     @cached_property
     def counts(self) -> np.ndarray:
         """Return how many cameras see each point: (N,) int."""
-        objective, points = self.objective, len(self.scene)
+        objective, order = self.objective, self.objective.simulator.visibility.order
         views = [*objective.look(self.placement.poses), *objective.fixed]
-        counts = np.zeros(points, dtype=np.int64)
-        counts[self._order] = sum(unpack(view.seen, points).astype(np.int64) for view in views)
-        return counts
+        return sum(Subset(view.seen, order).mask.astype(np.int64) for view in views)
 
     @property
     def missed(self) -> np.ndarray:
@@ -76,19 +79,13 @@ class Assessment:
         """Return where the depth error is: (N,) metres, whose sum is the error."""
         simulator, lost = self.objective.simulator, np.empty(len(self.scene))
         seen = self.objective.evaluate(self.placement.poses).seen
-        lost[self._order] = simulator.depth_error.by_point(seen.bits)
+        lost[seen.order] = simulator.depth_error.by_point(seen.bits)
         return lost
-
-    @property
-    def _order(self) -> np.ndarray:
-        """Return the index of each of the engine's points among the scene's: (N,)."""
-        return self.objective.simulator.visibility.order
 
     @cached_property
     def references(self) -> WallReferences:
         """Return the walls that the cameras are measured from."""
-        return WallReferences(self.scene, np.array(
-            [placed.position for placed in self.placement.cameras]))
+        return WallReferences(self.scene, self.positions)
 
     @property
     def walls(self) -> list[ReferenceWall]:

@@ -52,7 +52,7 @@ def draw_curve(path: Path, rows: Sequence[dict[str, Any]], count: dict[str, Any]
     # What draws is slow to import, and most plans draw no curve.
     from matplotlib.figure import Figure
 
-    from ocp_ros.report.drawing.figure_files import save_figure
+    from ocp_ros.report.drawing.figures import save_figure
     from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
     figure = Figure(figsize=(7.0, 4.5), dpi=100, facecolor='white')
     axes = figure.add_subplot()

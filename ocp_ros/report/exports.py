@@ -16,7 +16,7 @@ import yaml
 from ocp_ros.geometry.cameras import heading_of, rotation_matrix
 from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.installer import instructions
-from ocp_ros.rig.placement_file import FRAME, numbers_of, Placed, Placement, save_placement
+from ocp_ros.rig.placement_file import FRAME, numbers_of, Placement, save_placement
 from ocp_ros.scenes.source_frame import SourceFrame
 from ocp_ros.util.files import write_atomically
 
@@ -80,9 +80,10 @@ def export(folder: Path, judged: Assessment, prefix: str = '') -> Iterator[Path]
     for name in PLACEMENTS:
         save_placement(folder / name, placement)
         yield folder / name
-    shown, link = placement, map_to_scan(source)
+    shown, link = placement, link_between(FRAME, SCAN, source.rotation, -source.shift)
     if not judged.data_frame.is_map:
-        shown, link = placement_in(placement, source), scan_to_map(source)
+        shown = placement_in(placement, source)
+        link = link_between(SCAN, FRAME, source.rotation.T, source.rotation.T @ source.shift)
     links = [] if source.is_map else [link]
     texts = {'cameras.csv': table_of(shown, judged.data_frame.scale, prefix),
              'cameras.launch.py': launch_of(shown, links, prefix),
@@ -93,8 +94,8 @@ def export(folder: Path, judged: Assessment, prefix: str = '') -> Iterator[Path]
         write_atomically(folder / name, text)
         yield folder / name
     # What draws is slow to import: a placement that is only printed needs none of it.
-    from ocp_ros.report.drawing.floor_plan import draw_plan
-    draw_plan(folder / 'plan.png', judged)
+    from ocp_ros.report.drawing.assessment_pictures import draw_floor_plan
+    draw_floor_plan(folder / 'plan.png', judged)
     yield folder / 'plan.png'
 
 
@@ -114,17 +115,10 @@ class Link(NamedTuple):
     angles: tuple[float, float, float]
 
 
-def map_to_scan(source: SourceFrame) -> Link:
-    """Return where the frame of a scan, in metres, is on the map."""
-    yaw, pitch, roll = heading_of(source.rotation).tolist()
-    return Link(FRAME, SCAN, tuple((-source.shift).tolist()), (roll, pitch, yaw))
-
-
-def scan_to_map(source: SourceFrame) -> Link:
-    """Return where the map is in the frame of a scan, in metres."""
-    yaw, pitch, roll = heading_of(source.rotation.T).tolist()
-    return Link(SCAN, FRAME, tuple((source.rotation.T @ source.shift).tolist()),
-                (roll, pitch, yaw))
+def link_between(parent: str, child: str, rotation: np.ndarray, position: np.ndarray) -> Link:
+    """Return where a frame is in another, by its rotation (3, 3) and its position in metres."""
+    yaw, pitch, roll = heading_of(rotation).tolist()
+    return Link(parent, child, tuple(position.tolist()), (roll, pitch, yaw))
 
 
 def placement_in(placement: Placement, source: SourceFrame) -> Placement:
@@ -163,50 +157,47 @@ def table_of(placement: Placement, scale: float = 1.0, prefix: str = '') -> str:
     return file.getvalue()
 
 
-def _angles(placed: Placed) -> tuple[float, float, float]:
-    """Return roll, pitch, yaw in radians: turns about the fixed axes x, y, z, as ROS has them."""
-    yaw, pitch, roll = np.deg2rad(placed.angles)
-    return float(roll), float(pitch), float(yaw)
+def links_of(placement: Placement, prefix: str = '', without: Collection[str] = ()
+             ) -> Iterator[Link]:
+    """
+    Yield where camera_<i> and camera_<i>_optical are, i from 0.
+
+    :param prefix: of the names of frames.
+    :param without: names of cameras to leave out.
+    """
+    for number, placed in enumerate(placement.cameras):
+        if placed.camera.name not in without:
+            body = prefix + link_of(number)
+            # Turns about the fixed axes x, y, z, as ROS has them.
+            yaw, pitch, roll = np.deg2rad(placed.angles).tolist()
+            yield Link(placement.frame, body, placed.position, (roll, pitch, yaw))
+            yield Link(body, f'{body}_optical', (0.0, 0.0, 0.0), OPTICAL)
 
 
 def launch_of(placement: Placement, links: Sequence[Link] = (), prefix: str = '',
               without: Collection[str] = ()) -> str:
     """
-    Return a ROS 2 launch file that publishes camera_<i> and camera_<i>_optical, i from 0.
+    Return a ROS 2 launch file that publishes the frames of :func:`links_of`.
 
     :param links: other transforms to publish.
     :param prefix: of the names of frames.
     :param without: names of cameras to leave out.
     """
-    lines = [(link.parent, link.child, *link.position, *(round(angle, 9) for angle in link.angles))
-             for link in links]
-    for number, placed in enumerate(placement.cameras):
-        if placed.camera.name in without:
-            continue
-        body = prefix + link_of(number)
-        position, angles = map(float, placed.position), _angles(placed)
-        lines += [(placement.frame, body, *position, *(round(angle, 9) for angle in angles)),
-                  (body, f'{body}_optical', 0.0, 0.0, 0.0,
-                   *(round(angle, 9) for angle in OPTICAL))]
+    lines = [(link.parent, link.child, *map(float, link.position),
+              *(round(angle, 9) for angle in link.angles))
+             for link in (*links, *links_of(placement, prefix, without))]
     return LAUNCH % ''.join(f'    {line!r},\n' for line in lines)
 
 
 def xacro_of(placement: Placement, links: Sequence[Link] = (), prefix: str = '') -> str:
     """Return a xacro macro with links and joints for the same frames as :func:`launch_of`."""
-    joints = [_joint('${parent}', link.child, link.position, link.angles) for link in links]
-    for number, placed in enumerate(placement.cameras):
-        body = prefix + link_of(number)
-        for parent, child, position, angles in (
-                ('${parent}', body, placed.position, _angles(placed)),
-                (body, f'{body}_optical', (0.0, 0.0, 0.0), OPTICAL)):
-            joints.append(_joint(parent, child, position, angles))
-    return XACRO % (quoteattr(placement.frame), ''.join(joints))
-
-
-def _joint(parent: str, child: str, position: Sequence[float], angles: Sequence[float]) -> str:
-    """Return a link and the fixed joint that places it."""
-    xyz, rpy = (' '.join(f'{value:.12g}' for value in values) for values in (position, angles))
-    return JOINT % (child, child, quoteattr(parent), child, xyz, rpy)
+    root, joints = '${parent}', ''
+    for link in (*(link._replace(parent=root) for link in links),
+                 *links_of(replace(placement, frame=root), prefix)):
+        xyz, rpy = (' '.join(f'{value:.12g}' for value in values)
+                    for values in (link.position, link.angles))
+        joints += JOINT % (link.child, link.child, quoteattr(link.parent), link.child, xyz, rpy)
+    return XACRO % (quoteattr(placement.frame), joints)
 
 
 def rviz_of(placement: Placement) -> str:

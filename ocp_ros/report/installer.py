@@ -2,13 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """The installer's page: how to hang up each camera, beside a plan with lettered walls."""
 
+from html import escape
+import re
+
 from ocp_ros.report.assessment import Assessment
-from ocp_ros.report.markdown_text import in_markdown
+from ocp_ros.util.shown_text import printable
 
 #: How a camera is rolled, unless its row says otherwise.
 LEVEL = 'Unless the table gives a roll, keep the long side of the camera level, top side up. '
 #: What stands above the rows of an installer's table, but for the camera's number.
 COLUMNS = ('camera', 'sensor', 'place', 'height', 'pan', 'tilt', 'x, y, z')
+#: What begins or ends markup within a line; an underscore between letters does not.
+MARKS = re.compile(r'[\\`*\[\]|~]|(?<![^\W_])_|_(?![^\W_])|:(?=//)|(?<=www)\.|@')
+
+
+def in_markdown(text: str) -> str:
+    """Return a text of others as Markdown that shows it, in one line, and never obeys it."""
+    return MARKS.sub(r'\\\g<0>', escape(printable(text), quote=False))
 
 
 def rows_of(judged: Assessment) -> list[list[str]]:

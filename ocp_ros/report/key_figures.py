@@ -3,12 +3,12 @@
 """The key figures of a judged placement in words, for the sheet and the page."""
 
 from collections import Counter
+from math import ceil
 import re
 import shlex
 from typing import NamedTuple
 
 from ocp_ros.report.assessment import Assessment
-from ocp_ros.report.certificate_words import gap_percent
 from ocp_ros.util.shown_text import printable
 
 DISTANCES = 'distances are perpendicular to the walls, to the centre of the front of a camera'
@@ -41,7 +41,7 @@ class Figures(NamedTuple):
 
 def figures_of(judged: Assessment) -> Figures:
     """Put the key figures of a placement into words."""
-    scene, scores, broken = judged.scene, judged.found['scores'], judged.found['broken']
+    scene, broken = judged.scene, judged.found['broken']
     cameras = judged.placement.cameras
     width, depth = (wall.length for wall in judged.walls[:2])
     sensors = Counter(placed.camera.sensor or 'own sensor' for placed in cameras)
@@ -61,7 +61,7 @@ def figures_of(judged: Assessment) -> Figures:
     if doubts:
         verdict += ', but the scan is doubtful'
     return Figures(title, subtitle, verdict, not (broken or doubts), doubts,
-                   _cards(judged, scores), (printable(origin), printable(meaning)))
+                   _cards(judged), (printable(origin), printable(meaning)))
 
 
 def without_folders(command: str) -> str:
@@ -73,8 +73,9 @@ def without_folders(command: str) -> str:
     return shlex.join(FOLDERS.sub('', part) for part in parts)
 
 
-def _cards(judged: Assessment, scores: dict) -> list[tuple[str, str, str]]:
+def _cards(judged: Assessment) -> list[tuple[str, str, str]]:
     """Return label, value and remark of each key figure."""
+    scores, missed = judged.found['scores'], judged.found['missed']
     points, least = scores['points'], scores['seen_by']
     error, nothing = scores['depth_error'], scores['depth_error_of_nothing']
     twice = sum(count for number, count in scores['overlap'].items() if number not in '01')
@@ -85,7 +86,7 @@ def _cards(judged: Assessment, scores: dict) -> list[tuple[str, str, str]]:
         ('seen twice', percent(twice / points), 'by two cameras or more'),
         ('space coverage', f'{scores["space_coverage"]:.1f} m³',
          f'of {scores["volume"]:.1f} m³ in all'),
-        _missed(judged)]
+        ('missed', percent(missed['share']), f'no candidate sees {percent(missed["hopeless"])}')]
     if scores['regions']:
         met = sum(region['met'] for region in scores['regions'])
         worst = min(scores['regions'], key=lambda region: region['seen'] - region['must_see'])
@@ -108,16 +109,14 @@ def _cards(judged: Assessment, scores: dict) -> list[tuple[str, str, str]]:
     return cards
 
 
-def _missed(judged: Assessment) -> tuple[str, str, str]:
-    """Return the card of what is missed."""
-    missed = judged.found['missed']
-    return ('missed', percent(missed['share']),
-            f'no candidate sees {percent(missed["hopeless"])}')
-
-
 def metres(length: float) -> str:
     """Return a length with as many digits as matter."""
     return f'{length:.{3 if length < 1.0 else 2 if length < 10.0 else 1}f} m'
+
+
+def gap_percent(gap: float) -> float:
+    """Return a gap in per cent, rounded up to tenths, so that it stays true."""
+    return ceil(1000.0 * gap - 0.01) / 10.0
 
 
 def percent(share: float) -> str:

@@ -3,7 +3,7 @@
 """A rig planned in a room: the search, the proof, and the verdict on what was found."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,10 +14,10 @@ from ocp_ros.planners.rig_methods import check_planner, EXACT, RIG_SEARCH
 from ocp_ros.planners.rig_plan import RigPlan, RigPlanner
 from ocp_ros.planners.rig_search import Progress
 from ocp_ros.report.assessment import Assessment
-from ocp_ros.report.certificate_words import certificate_data
 from ocp_ros.report.count_report import rows_of_curve
 from ocp_ros.report.findings import verdict
 from ocp_ros.report.installer import COLUMNS, rows_of
+from ocp_ros.report.key_figures import gap_percent
 from ocp_ros.rig.placement_file import created_by, data_of, Placement, placement_of
 from ocp_ros.rig.rig_file import Rig, with_count
 from ocp_ros.scenes.scene import Scene
@@ -162,3 +162,21 @@ class PlannedRig:
                 'everywhere': {'loss': plan.everywhere.loss,
                                'depth_error': plan.everywhere.depth_error},
                 'certificate': certificate_data(plan)}
+
+
+def certificate_data(plan: RigPlan) -> dict[str, Any]:
+    """
+    Return how much better than a plan other placements may be, as plain data.
+
+    :returns: ``sentence``, and what it is made of; ``gap`` is None where nothing was proved.
+    """
+    known = plan.certificate
+    if known is None:
+        return {'sentence': f'The optimality gap is unknown: {plan.uncertain}.', 'gap': None}
+    percent = gap_percent(known.gap)
+    more = f' by more than {percent:.1f} %' if percent > 0.0 else ''
+    without = ', without what regions must see' if any(
+        region.must_see for region in plan.rig.regions) else ''
+    return {'sentence': f'No placement on the {known.candidates:,} compared candidate poses is '
+                        f'better{more} (computed on depth maps of {known.rows} rows{without}).',
+            'gap': known.gap, **asdict(known)}

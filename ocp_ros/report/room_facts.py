@@ -14,7 +14,6 @@ from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.plausibility import room_notes
 from ocp_ros.rig.structure import Air, ceiling_of, floor_height
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.scenes.source_frame import SourceFrame
 
 #: Positions that openings are looked for from; rows of their depth maps; half the side of a
 #: point's cube in multiples of the square that it stands for.
@@ -40,7 +39,7 @@ def facts_of(scene: Scene) -> dict[str, Any]:
         share of the view from inside that meets no surface, by direction; ``source``: unit, up
         direction and the transform from the map to the file; ``notes`` and ``remarks``.
     """
-    floor = floor_height(scene)
+    floor, source = floor_height(scene), scene.source
     ceiling = ceiling_of(scene).points
     space = FreePlane.of(scene.points, float(scene.bounds[1, 2]), 1, 0.0, clearance=0.0)
     return {
@@ -48,7 +47,9 @@ def facts_of(scene: Scene) -> dict[str, Any]:
         'bounds': scene.bounds.tolist(), 'size': scene.size.tolist(), 'floor': floor,
         'ceiling': float(np.median(ceiling[:, 2])) if len(ceiling) else None,
         'floor_area': space.area, 'openings': openings_of(scene, Air(scene, space)),
-        'source': _source(scene.source), 'notes': [*room_notes(scene), *scene.notes],
+        'source': {'metres_per_unit': source.scale, 'up': source.up,
+                   'shift': source.shift.tolist(), 'source_from_map': source.matrix.tolist()},
+        'notes': [*room_notes(scene), *scene.notes],
         'remarks': list(scene.remarks)}
 
 
@@ -79,12 +80,6 @@ def openings_of(scene: Scene, air: Air) -> dict[str, float]:
             **dict(zip(SIDES, (open_ / whole).tolist()))}
 
 
-def _source(source: SourceFrame) -> dict[str, Any]:
-    """Return how the file's coordinates became those of the map."""
-    return {'metres_per_unit': source.scale, 'up': source.up, 'shift': source.shift.tolist(),
-            'source_from_map': source.matrix.tolist()}
-
-
 def show_facts(console: Console, found: Mapping[str, Any]) -> None:
     """Print what was measured of a room."""
     low, high = found['bounds']
@@ -108,7 +103,12 @@ def show_facts(console: Console, found: Mapping[str, Any]) -> None:
         f'; moved by {", ".join(f"{-value:.0f}" for value in source["shift"])} m'
         if any(source['shift']) else ''))
     console.print(table)
-    for remark in found['remarks']:
+    show_notes(console, found)
+
+
+def show_notes(console: Console, found: Mapping[str, Any]) -> None:
+    """Print what was mended, and what makes a room or an answer doubtful."""
+    for remark in found.get('remarks', ()):
         console.print(remark, markup=False, highlight=False)
     for note in found['notes']:
         console.print(f'note: {note}', style='yellow', markup=False, highlight=False)

@@ -15,16 +15,16 @@ import numpy as np
 
 from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.drawing import assessment_pictures
-from ocp_ros.report.drawing.camera_labels import camera_colour, dark
-from ocp_ros.report.drawing.figure_files import save_figure
-from ocp_ros.report.drawing.figure_table import draw_table, shortened
-from ocp_ros.report.drawing.fonts import all_letters
+from ocp_ros.report.drawing.figures import all_letters, draw_table, save_figure, write
+from ocp_ros.report.drawing.plan_marks import camera_colour, dark, zone_legend
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
-from ocp_ros.report.drawing.zone_drawing import zone_legend
+from ocp_ros.report.installer import rows_of
 from ocp_ros.report.key_figures import Figures, figures_of
 
 #: Inches: A4 on its side, its margins, and dots of each.
 WIDTH, HEIGHT, MARGIN, DOTS = 11.69, 8.27, 0.4, 150
+#: Inches between the margins.
+INSIDE = WIDTH - 2.0 * MARGIN
 #: Cameras that the table has room for, and inches of a row; more cameras have lower rows.
 MOST, ROW, LOW_ROW, FEW = 20, 0.175, 0.135, 9
 #: Inches: bottom of the table; height of a picture's title; least and greatest width of the plan;
@@ -71,26 +71,24 @@ def _pictures(judged: Assessment) -> Figure:
     """Draw the page of the pictures in the fonts that are set."""
     figure = _page()
     found = figures_of(judged)
-    stage = assessment_pictures.stage_of(judged)
+    room = assessment_pictures.room_for(judged)
     _draw_head(figure, found)
     top = FOOT if len(judged.placement.cameras) > MOST else _draw_cameras(figure, judged)
     _draw_foot(figure, found)
     bottom = top + 0.58
     slots = _slots(judged, bottom, 6.52 - bottom)
-    assessment_pictures.draw_room_plan(_axes(figure, *slots.plan), stage, judged)
-    _title(figure, slots.plan, 'Plan (m)')
-    assessment_pictures.draw_count_map(_axes(figure, *slots.counts), stage, judged)
-    _title(figure, slots.counts, 'Seen by how many cameras')
-    image = assessment_pictures.draw_error_map(_axes(figure, *slots.errors), stage, judged)
-    _title(figure, slots.errors, 'Where the depth error is')
+    assessment_pictures.draw_room_plan(_titled(figure, slots.plan, 'Plan (m)'), room, judged)
+    assessment_pictures.draw_count_map(
+        _titled(figure, slots.counts, 'Seen by how many cameras'), room, judged)
+    image = assessment_pictures.draw_error_map(
+        _titled(figure, slots.errors, 'Where the depth error is'), room, judged)
     left, low, width, high = slots.errors
     _draw_bar(figure, image, (left + width + 0.04, low + 0.1, 0.07, high - 0.2))
     for box, (corner, azimuth) in zip(slots.looks, CORNERS.items()):
-        assessment_pictures.draw_look(_axes(figure, *box), stage, judged, np.deg2rad(azimuth))
-        _title(figure, box, f'From corner {corner}')
+        assessment_pictures.draw_look(_titled(figure, box, f'From corner {corner}'), room, judged,
+                                      np.deg2rad(azimuth))
     _draw_legend(figure, bottom - 0.16, judged)
-    figure.text(0.5, (bottom - 0.36) / HEIGHT, shortened(DEPTH_ERROR, WIDTH - 2.0 * MARGIN, 6.8),
-                fontsize=6.8, color=PALE_INK, va='center', ha='center')
+    write(figure, (0.5 * WIDTH, bottom - 0.36), DEPTH_ERROR, INSIDE, 6.8, PALE_INK, align='center')
     return figure
 
 
@@ -150,7 +148,7 @@ def _slots(judged: Assessment, bottom: float, high: float) -> _Slots:
 
 def _draw_bar(figure: Figure, image: AxesImage, box: Box) -> None:
     """Draw the colour bar of the depth error in a box, inches."""
-    bar = figure.colorbar(image, cax=_axes(figure, *box))
+    bar = figure.colorbar(image, cax=_axes(figure, box))
     size = 6.0 if box[3] > 1.6 else 5.0
     bar.set_label('depth error per floor area (mm/m²)' if box[3] > 1.4 else 'mm/m²', fontsize=size,
                   color=PALE_INK, labelpad=2.0)
@@ -160,16 +158,17 @@ def _draw_bar(figure: Figure, image: AxesImage, box: Box) -> None:
     bar.outline.set_visible(False)
 
 
-def _axes(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
-    """Add axes, inches."""
+def _axes(figure: Figure, box: Box) -> Axes:
+    """Add axes in a box, inches."""
+    left, bottom, width, height = box
     return figure.add_axes((left / WIDTH, bottom / HEIGHT, width / WIDTH, height / HEIGHT))
 
 
-def _title(figure: Figure, box: Box, text: str) -> None:
-    """Write what a picture shows above its box, inches."""
+def _titled(figure: Figure, box: Box, title: str) -> Axes:
+    """Add axes in a box, inches, and write above it what they show."""
     left, bottom, _, height = box
-    figure.text(left / WIDTH, (bottom + height + 0.14) / HEIGHT, text, fontsize=8,
-                fontweight='bold', color=INK, va='center')
+    write(figure, (left, bottom + height + 0.14), title, WIDTH, 8, INK, bold=True)
+    return _axes(figure, box)
 
 
 def _few_ticks(most: float) -> np.ndarray:
@@ -181,14 +180,10 @@ def _few_ticks(most: float) -> np.ndarray:
 
 def _write_title(figure: Figure, found: Figures) -> None:
     """Write the room's name, what is in it, and the verdict."""
-    figure.text(MARGIN / WIDTH, 7.92 / HEIGHT, shortened(found.title, 5.6, 15, True), fontsize=15,
-                fontweight='bold', color=INK, va='center')
-    figure.text(MARGIN / WIDTH, 7.66 / HEIGHT,
-                shortened(found.subtitle, 4.6 if found.doubts else 10.8, 8), fontsize=8,
-                color=PALE_INK, va='center')
-    figure.text((WIDTH - MARGIN) / WIDTH, 7.92 / HEIGHT, shortened(found.verdict, 5.0, 9.5, True),
-                fontsize=9.5, fontweight='bold', va='center', ha='right',
-                color=GOOD if found.kept else BAD)
+    write(figure, (MARGIN, 7.92), found.title, 5.6, 15, INK, bold=True)
+    write(figure, (MARGIN, 7.66), found.subtitle, 4.6 if found.doubts else 10.8, 8, PALE_INK)
+    write(figure, (WIDTH - MARGIN, 7.92), found.verdict, 5.0, 9.5, GOOD if found.kept else BAD,
+          bold=True, align='right')
 
 
 def _draw_head(figure: Figure, found: Figures) -> None:
@@ -197,10 +192,9 @@ def _draw_head(figure: Figure, found: Figures) -> None:
     for number, doubt in enumerate(found.doubts[:DOUBTS]):
         more = len(found.doubts) - DOUBTS
         text = f'{doubt} (and {more} more)' if more > 0 and number == DOUBTS - 1 else doubt
-        figure.text((WIDTH - MARGIN) / WIDTH, (7.72 - 0.13 * number) / HEIGHT,
-                    shortened(text, 6.0, 6.2), fontsize=6.2, va='center', ha='right', color=BAD)
+        write(figure, (WIDTH - MARGIN, 7.72 - 0.13 * number), text, 6.0, 6.2, BAD, align='right')
     gap = 0.12
-    wide = (WIDTH - 2.0 * MARGIN - gap * (len(found.cards) - 1)) / len(found.cards)
+    wide = (INSIDE - gap * (len(found.cards) - 1)) / len(found.cards)
     for number, (label, value, more) in enumerate(found.cards):
         left = MARGIN + number * (wide + gap)
         figure.add_artist(FancyBboxPatch(
@@ -210,9 +204,7 @@ def _draw_head(figure: Figure, found: Figures) -> None:
         for text, size, y, colour, bold in (
                 (label, 6.5, 7.36, PALE_INK, False), (value, 12.5, 7.16, INK, True),
                 (more, 6.5, 6.94, PALE_INK, False)):
-            figure.text((left + 0.09) / WIDTH, y / HEIGHT,
-                        shortened(text, wide - 0.18, size, bold), fontsize=size, color=colour,
-                        va='center', fontweight='bold' if bold else 'normal')
+            write(figure, (left + 0.09, y), text, wide - 0.18, size, colour, bold)
 
 
 def _draw_legend(figure: Figure, y: float, judged: Assessment) -> None:
@@ -241,21 +233,18 @@ def _draw_cameras(figure: Figure, judged: Assessment, step: float | None = None)
     :param step: height of a row, inches; by the number of cameras unless given.
     :returns: how high the table reaches, inches.
     """
-    placed = judged.placement.cameras
     rows = [['', 'camera', 'sensor', 'place', 'above floor', 'pan', 'tilt', 'x, y, z (m)',
              'error reduction']]
-    for number, (one, words, added) in enumerate(zip(
-            placed, judged.words, judged.found['scores']['cameras']), start=1):
-        name = f'{words.name} (fixed)' if one.mount == 'fixed' else words.name
-        sensor = '' if words.name.startswith(words.sensor) else words.sensor
-        rows.append([str(number), name, sensor, words.place,
-                     words.height.replace(' above the floor', ''), words.pan, words.tilt,
-                     words.coordinates, f'{added["depth_error"]:.3f} m'])
+    for row, added in zip(rows_of(judged), judged.found['scores']['cameras']):
+        number, name, sensor, place, height, *turns_and_coordinates = row
+        rows.append([number, name, '' if name.startswith(sensor) else sensor, place,
+                     height.replace(' above the floor', ''), *turns_and_coordinates,
+                     f'{added["depth_error"]:.3f} m'])
     if not any(row[2] for row in rows[1:]):
         rows = [[*row[:2], *row[3:]] for row in rows]
     step = step or (ROW if len(rows) - 1 <= FEW else LOW_ROW)
     high = step * len(rows)
-    draw_table(figure, (MARGIN, FOOT, WIDTH - 2.0 * MARGIN, high), rows,
+    draw_table(figure, (MARGIN, FOOT, INSIDE, high), rows,
                7.2 if step == ROW else 6.2 if step >= LOW_ROW else 5.4,
                [dark(camera_colour(number)) for number in range(len(rows) - 1)])
     return FOOT + high
@@ -264,5 +253,4 @@ def _draw_cameras(figure: Figure, judged: Assessment, step: float | None = None)
 def _draw_foot(figure: Figure, found: Figures) -> None:
     """Write how the placement was found, and what its distances mean."""
     for line, y in zip(found.foot, (0.27, 0.15)):
-        figure.text(MARGIN / WIDTH, y / HEIGHT, shortened(line, WIDTH - 2.0 * MARGIN, 6.2),
-                    fontsize=6.2, color=PALE_INK, va='center')
+        write(figure, (MARGIN, y), line, INSIDE, 6.2, PALE_INK)

@@ -13,6 +13,7 @@ from ocp_ros.planners.registry import ONLINE
 from ocp_ros.report.count_report import show_curve
 from ocp_ros.report.installer import COLUMNS
 from ocp_ros.report.key_figures import percent
+from ocp_ros.report.room_facts import show_notes
 from ocp_ros.rig.placement_file import ANGLES, FIXED
 
 #: Columns of a terminal, and that of the installer's table that it has no room for.
@@ -88,10 +89,7 @@ def _show_rest(console: Console, found: Mapping[str, Any]) -> None:
         console.print(f'one more {more["sensor"]} helps most at ({place}), yaw {more["yaw"]:.0f}, '
                       f'pitch {more["pitch"]:.0f}: depth error {more["depth_error"]:.3f} m, '
                       f'{more["gain"]:.3f} m less')
-    for remark in found['remarks']:
-        console.print(remark, markup=False, highlight=False)
-    for note in found['notes']:
-        console.print(f'note: {note}', style='yellow', markup=False, highlight=False)
+    show_notes(console, found)
 
 
 def show_plan(console: Console, found: Mapping[str, Any]) -> None:

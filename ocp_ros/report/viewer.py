@@ -16,11 +16,19 @@ import plotly.graph_objects as go
 
 from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.drawing.assessment_pictures import COUNT_COLOURS, COUNT_NAMES, ERROR_COLOURS
-from ocp_ros.report.drawing.camera_labels import camera_colour
-from ocp_ros.report.drawing.frustum_drawing import edges
-from ocp_ros.report.drawing.room_drawing import HEIGHTS, heights_of, INK, PALE_INK, room_of
-from ocp_ros.report.html_tables import tables_of
-from ocp_ros.report.key_figures import figures_of
+from ocp_ros.report.drawing.frustum_drawing import chained, edges
+from ocp_ros.report.drawing.plan_marks import camera_colour, corners_of
+from ocp_ros.report.drawing.room_drawing import (
+    HEIGHTS,
+    heights_of,
+    INK,
+    PALE_INK,
+    room_of,
+    some_of,
+)
+from ocp_ros.report.installer import frame_named
+from ocp_ros.report.key_figures import figures_of, percent
+from ocp_ros.report.verdict_tables import links_line
 from ocp_ros.rig.zones import Zone
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.files import write_atomically
@@ -76,9 +84,7 @@ def write_view(path: str | Path, scene: Scene, judged: Assessment | None = None)
     :param judged: a placement in the room, to be shown as well.
     """
     points = scene.points.astype(np.float64)
-    some = np.arange(len(points))
-    if len(points) > SHOWN:
-        some = np.sort(np.random.default_rng(0).choice(len(points), SHOWN, replace=False))
+    some = some_of(len(points), SHOWN)
     groups, facing = groups_of(points[some])
     groups = [some[group] for group in groups]
     paints = paints_of(scene, judged)
@@ -95,9 +101,10 @@ def write_view(path: str | Path, scene: Scene, judged: Assessment | None = None)
     data = {'facing': facing, 'paints': [
         {'scale': paint.scale, 'values': [_bytes_of(paint.values[group]) for group in groups]}
         for paint in paints]}
+    title, subtitle = _head(scene, judged)
     template = resources.files('ocp_ros.report').joinpath('viewer.html').read_text('utf-8')
     write_atomically(path, Template(template).substitute(
-        title=escape(_title(scene, judged)), subtitle=escape(_subtitle(scene, judged)),
+        title=escape(title), subtitle=escape(subtitle),
         paints='\n'.join(map(_paint_switch, paints, range(len(paints)))),
         layers='\n'.join(map(_layer_switch, layers, numbers)), plot=plot, data=json.dumps(data),
         tables='' if judged is None else '\n'.join(tables_of(judged))))
@@ -208,8 +215,8 @@ def _cloud(points: np.ndarray, colour: str) -> go.Scatter3d:
 
 def _cameras(judged: Assessment) -> go.Scatter3d:
     """Draw cameras with their numbers, and how to hang them up where one points at them."""
-    x, y, z = np.array([one.position for one in judged.placement.cameras]).T
-    numbers = range(len(judged.placement.cameras))
+    x, y, z = judged.positions.T
+    numbers = range(len(judged.positions))
     about = [' <br>'.join(escape(part) for part in words) for words in judged.words]
     return go.Scatter3d(
         x=x, y=y, z=z, mode='markers+text', text=[f'<b>{k + 1}</b>' for k in numbers],
@@ -241,28 +248,21 @@ def _outline(zone: Zone, scene: Scene, floor: float) -> np.ndarray:
     """Return the edges of a zone (M, 3), as far as the room goes."""
     lift = floor if zone.above_floor else 0.0
     bottom, top = np.clip([zone.low[2] + lift, zone.high[2] + lift], *scene.bounds[:, 2])
-    corners = zone.polygon
-    if corners is None:
-        (x0, y0), (x1, y1) = zone.low[:2], zone.high[:2]
-        corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+    corners = corners_of(zone)
     rings = [np.column_stack([np.concatenate([corners, corners[:1]]),
                               np.full(len(corners) + 1, z)]) for z in (bottom, top)]
-    gap = np.full((1, 3), np.nan)
     posts = [np.array([[x, y, bottom], [x, y, top]]) for x, y in corners]
-    return np.concatenate([part for line in (*rings, *posts) for part in (line, gap)])[:-1]
+    return chained([*rings, *posts])
 
 
-def _title(scene: Scene, judged: Assessment | None) -> str:
-    """Return the headline."""
-    return scene.name if judged is None else figures_of(judged).title
-
-
-def _subtitle(scene: Scene, judged: Assessment | None) -> str:
-    """Return the line below the headline."""
-    shown = min(len(scene), SHOWN)
-    text = f'{" x ".join(f"{edge:.1f}" for edge in scene.size)} m, {len(scene):,} points' \
-        if judged is None else figures_of(judged).subtitle
-    return text + (f'; {shown:,} points are shown' if shown < len(scene) else '')
+def _head(scene: Scene, judged: Assessment | None) -> tuple[str, str]:
+    """Return the headline and the line below it."""
+    if judged is None:
+        size = ' x '.join(f'{edge:.1f}' for edge in scene.size)
+        title, subtitle = scene.name, f'{size} m, {len(scene):,} points'
+    else:
+        title, subtitle, *_ = figures_of(judged)
+    return title, subtitle + (f'; {SHOWN:,} points are shown' if len(scene) > SHOWN else '')
 
 
 def _paint_switch(paint: Paint, number: int) -> str:
@@ -281,3 +281,42 @@ def _layer_switch(layer: Layer, numbers: list[int]) -> str:
     """Return the switch of a layer, which knows its traces by number."""
     return (f'<label><input type="checkbox" data-traces="{numbers}"'
             f'{" checked" if layer.shown else ""}> {escape(layer.name)}</label>')
+
+
+def tables_of(judged: Assessment) -> Iterator[str]:
+    """Return the tables beside the room as HTML."""
+    found, figures = judged.found, figures_of(judged)
+    yield f'<p class="{"good" if figures.kept else "bad"}">{escape(figures.verdict)}</p>'
+    if found['broken']:
+        yield '<ul>' + ''.join(f'<li>{escape(line)}</li>' for line in found['broken']) + '</ul>'
+    if figures.doubts:
+        yield '<p class="bad">Check first:</p><ul>' + ''.join(
+            f'<li>{escape(line)}</li>' for line in figures.doubts) + '</ul>'
+    yield _table(('', '', ''), figures.cards)
+    if 'search' in found:
+        yield f'<p>{escape(found["search"]["certificate"]["sentence"])}</p>'
+    yield '<h2>How to mount the cameras</h2>'
+    rows = []
+    for number, (words, added) in enumerate(zip(judged.words, found['scores']['cameras']), 1):
+        sensor = '' if words.name.startswith(words.sensor) else f' ({words.sensor})'
+        mounting = '; '.join((words.place, words.height, words.pan, words.tilt))
+        rows.append((str(number), f'{words.name}{sensor}: {mounting}', words.coordinates,
+                     f'{added["depth_error"]:.3f} m', percent(added['only'])))
+    yield _table(('', 'camera', 'x, y, z', 'error reduction', 'seen by this camera only'), rows)
+    yield '<p>' + escape('Walls: ' + ', '.join(
+        wall.said for wall in judged.walls) + '; A faces +y most, then clockwise. x, y and z are '
+        + frame_named(judged) + '.') + '</p>'
+    if found['scores']['regions']:
+        yield '<h2>Regions</h2>' + _table(('region', 'seen', 'required', 'satisfied'), [
+            (region['name'], percent(region['seen']), percent(region['must_see']),
+             'yes' if region['met'] else 'no') for region in found['scores']['regions']])
+    if 'calibratable' in found['scores']:
+        yield f'<p>{escape(links_line(found["scores"]["calibratable"]))}</p>'
+    yield from (f'<p>{escape(line)}</p>' for line in figures.foot)
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table as HTML."""
+    lines = [f'<tr>{"".join(f"<td>{escape(cell)}</td>" for cell in row)}</tr>' for row in rows]
+    top = f'<tr>{"".join(f"<th>{escape(cell)}</th>" for cell in head)}</tr>' if any(head) else ''
+    return f'<table>{top}{"".join(lines)}</table>'

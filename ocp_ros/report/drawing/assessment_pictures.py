@@ -1,38 +1,50 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The pictures of a judged placement: plan, coverage, depth error and looks into the room."""
+"""
+The pictures of a judged placement: plan, coverage, depth error and looks into the room.
 
-from typing import NamedTuple
+The installer's page has a plan of its own, which shows what cameras are measured from.
+"""
+
+from pathlib import Path
 
 from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, PowerNorm, to_rgb
+from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import Polygon
 import numpy as np
 from scipy import ndimage
 
 from ocp_ros.report.assessment import Assessment
-from ocp_ros.report.drawing.camera_labels import (
-    apart,
+from ocp_ros.report.drawing.figures import save_figure
+from ocp_ros.report.drawing.frustum_drawing import edges, reach
+from ocp_ros.report.drawing.plan_marks import (
+    BARS,
     camera_colour,
     draw_headings,
+    draw_inner_letters,
+    draw_letters,
     draw_numbers,
+    draw_scale_bar,
+    draw_zones,
     unit_of,
+    zone_legend,
 )
-from ocp_ros.report.drawing.frustum_drawing import edges, reach
 from ocp_ros.report.drawing.room_drawing import (
     cut_open,
     draw_discs,
     eye_at,
+    fit,
     HEIGHTS,
     heights_of,
     INK,
     PALE_INK,
     Room,
     room_of,
+    some_of,
 )
-from ocp_ros.report.drawing.zone_drawing import draw_zones
 
 #: Seen by 0, 1, 2, and 3 or more cameras: lightness tells them apart as well as hue does.
 COUNT_COLOURS = ('#d55e00', '#b7d4ea', '#5b9bd0', '#174f8f')
@@ -50,37 +62,38 @@ SHOWN = 16000
 LETTER = 0.17
 #: Metres: edge of the cells that tell inside from outside.
 FINE = 0.1
+#: Of the installer's plan: metres above the floor and below the ceiling that it leaves out, and
+#: points that it shows.
+LOW, HIGH, PLAN_SHOWN = 0.15, 0.4, 12000
+#: Points: size of the cameras' numbers, of the letters of sides, and of walls inside the room.
+NUMBERS, LETTERS, INNER = 12.0, 20.0, 13.0
+#: How long the line of a distance is at least that is written beside it, in margins of the plan.
+MEASURED = 3.0
+#: Inches: the longer edge of the plan, and the least of the shorter one.
+LONG, SHORT = 10.0, 4.5
 
 
-class Stage(NamedTuple):
+def room_for(judged: Assessment) -> Room:
     """
-    A room in a frame with wall A at the top, thinned out for drawing.
+    Prepare the room of a placement for drawing: wall A at the top, thinned out, without a ceiling.
 
-    :ivar room: without its ceiling; its colours (M, 1) are numbers of points of the scene.
-    :ivar upright: (3, 3) rotation from the map frame.
+    :returns: a room whose colours (M, 1) are numbers of points of the scene.
     """
-
-    room: Room
-    upright: np.ndarray
-
-    def coloured(self, colours: np.ndarray) -> Room:
-        """Return the room in colours (N, 3) of the scene's points."""
-        return self.room._replace(colours=colours[self.room.colours[:, 0]])
-
-    def shaded(self, colours: np.ndarray) -> Room:
-        """Return the same, a little darker the higher: walls stand out from the floor."""
-        room = self.coloured(colours)
-        dark = 1.0 - 0.12 * heights_of(room.points)[:, None]
-        return room._replace(colours=np.clip(room.colours * dark, 0.0, 1.0))
+    points = judged.scene.points.astype(np.float64)
+    some = some_of(len(points), SHOWN)
+    return room_of(points[some] @ judged.upright.T, some[:, None])
 
 
-def stage_of(judged: Assessment) -> Stage:
-    """Prepare the room of a placement for drawing."""
-    points, upright = judged.scene.points.astype(np.float64), judged.upright
-    some = np.arange(len(points))
-    if len(points) > SHOWN:
-        some = np.sort(np.random.default_rng(0).choice(len(points), SHOWN, replace=False))
-    return Stage(room_of(points[some] @ upright.T, some[:, None]), upright)
+def coloured(room: Room, colours: np.ndarray) -> Room:
+    """Return the room of :func:`room_for` in colours (N, 3) of the scene's points."""
+    return room._replace(colours=colours[room.colours[:, 0]])
+
+
+def shaded(room: Room, colours: np.ndarray) -> Room:
+    """Return the same, a little darker the higher: walls stand out from the floor."""
+    room = coloured(room, colours)
+    dark = 1.0 - 0.12 * heights_of(room.points)[:, None]
+    return room._replace(colours=np.clip(room.colours * dark, 0.0, 1.0))
 
 
 def count_colours(judged: Assessment) -> np.ndarray:
@@ -89,44 +102,41 @@ def count_colours(judged: Assessment) -> np.ndarray:
     return palette[np.minimum(judged.counts, len(palette) - 1)]
 
 
-def draw_room_plan(axes: Axes, stage: Stage, judged: Assessment) -> None:
+def draw_room_plan(axes: Axes, room: Room, judged: Assessment) -> None:
     """Draw the room from above with its walls' letters, cameras and what they reach."""
-    heights = HEIGHTS(heights_of(judged.scene.points))[:, :3]
-    outline = draw_discs(axes, stage.coloured(0.35 + 0.65 * heights), np.eye(3))
-    low, high = judged.scene.bounds[:, 2]
+    colours = HEIGHTS(heights_of(judged.scene.points))[:, :3]
+    outline = draw_discs(axes, coloured(room, 0.35 + 0.65 * colours), np.eye(3))
+    frame, heights = judged.upright[:2, :2], judged.scene.bounds[:, 2].tolist()
     strength = min(1.0, 2.0 / np.sqrt(len(judged.placement.cameras)))
     for number, placed in enumerate(judged.placement.cameras):
         colour = camera_colour(number)
-        seen = reach(placed.camera.model, placed.pose, (float(low), float(high)))
-        part = Polygon(seen @ stage.upright[:2, :2].T, facecolor=(*to_rgb(colour), 0.2 * strength),
+        seen = reach(placed.camera.model, placed.pose, heights)
+        part = Polygon(seen @ frame.T, facecolor=(*to_rgb(colour), 0.2 * strength),
                        edgecolor=(*to_rgb(colour), 0.9 * strength), linewidth=1.0, zorder=3)
         axes.add_patch(part).set_clip_path(outline)
-    _hide_outside(axes, stage)
-    draw_zones(axes, judged.objective.rig, stage.upright[:2, :2], 3.8)
-    _frame(axes, stage, judged, 0.1)
+    _hide_outside(axes, room)
+    draw_zones(axes, judged.objective.rig, frame, 3.8)
+    _frame(axes, room, judged, 0.1)
     letters = _draw_walls(axes, judged)
-    places = positions(judged) @ stage.upright[:2].T
+    places = judged.positions @ judged.upright[:2].T
     longer = max(wall.length for wall in judged.walls)
-    draw_headings(axes, judged.placement, places, 0.07 * longer * stage.upright[:2, :2], 1.2)
+    draw_headings(axes, judged.placement, places, 0.07 * longer * frame, 1.2)
     draw_numbers(axes, places, 7.0, _area(judged), letters, always=True)
-    left, bottom = _corner(judged)
-    for axis, start, edge in ((axes.xaxis, left, judged.walls[0]),
-                              (axes.yaxis, bottom, judged.walls[1])):
-        ticks = _ticks(edge.length)
+    for axis, start, wall in zip((axes.xaxis, axes.yaxis), _corners(judged)[0], judged.walls):
+        ticks = _ticks(wall.length)
         axis.set_ticks(start + ticks, [f'{tick:g}' for tick in ticks])
     axes.tick_params(colors=PALE_INK, labelsize=6.5, length=2.0, pad=1.5)
 
 
 def _ticks(length: float) -> np.ndarray:
     """Return round distances up to a length, metres, five or so."""
-    steps = np.array([0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0])
-    step = steps[min(np.searchsorted(steps, length / 6.0), len(steps) - 1)]
+    step = BARS[min(np.searchsorted(BARS, length / 6.0), len(BARS) - 1)]
     return np.arange(0.0, length + 1e-6, step)
 
 
-def _hide_outside(axes: Axes, stage: Stage) -> None:
+def _hide_outside(axes: Axes, room: Room) -> None:
     """Cover what lies outside an L-shaped room, where nobody looks."""
-    flat = stage.room.points[:, :2]
+    flat = room.points[:, :2]
     low = flat.min(axis=0) - 4 * FINE
     cells = np.floor((flat - low) / FINE).astype(int)
     inside = np.zeros(cells.max(axis=0) + 5, dtype=bool)
@@ -146,32 +156,37 @@ def _draw_walls(axes: Axes, judged: Assessment) -> np.ndarray:
 
     :returns: where the letters are: (M, 2), those of walls inside the room as well.
     """
-    (left, bottom), (right, top) = _corner(judged), _corner(judged, far=True)
+    (left, bottom), (right, top) = _corners(judged)
     sides = [((left, right), (top, top)), ((right, right), (top, bottom)),
              ((right, left), (bottom, bottom)), ((left, left), (bottom, top))]
-    away, letters = 0.055 * max(right - left, top - bottom), []
-    for wall, (x, y), (dx, dy) in zip(judged.walls, sides, ((0, 1), (1, 0), (0, -1), (-1, 0))):
+    for wall, (x, y) in zip(judged.walls, sides):
         axes.plot(x, y, color=INK, linewidth=0.9, linestyle='-' if wall.stands else (0, (3, 3)),
                   zorder=4)
-        letters.append((np.mean(x) + away * dx, np.mean(y) + away * dy))
-        axes.text(*letters[-1], wall.letter, fontsize=10, fontweight='bold', color=INK,
-                  ha='center', va='center', zorder=5,
-                  path_effects=[patheffects.withStroke(linewidth=2.5, foreground='white')])
-    inner_walls = judged.references.inner
-    beside = np.array([judged.upright[:2, :2] @ (wall.at + 0.5 * away * wall.outward)
-                       for wall in inner_walls]).reshape(-1, 2)
-    for inner, at in zip(inner_walls, apart(beside, LETTER * unit_of(axes), np.array(letters))):
-        letters.append((at[0], at[1]))
-        axes.text(at[0], at[1], inner.letter, fontsize=7, fontweight='bold', color=INK,
-                  ha='center', va='center', zorder=5,
-                  path_effects=[patheffects.withStroke(linewidth=2.0, foreground='white')])
-    return np.array(letters)
+    away = 0.055 * max(right - left, top - bottom)
+    letters = _around(judged, away)
+    draw_letters(axes, judged.walls, letters, 10, zorder=5, path_effects=_halo(2.5))
+    inner = draw_inner_letters(
+        axes, judged.references.inner, judged.upright[:2, :2], 0.5 * away, LETTER * unit_of(axes),
+        letters, 7, zorder=5, path_effects=_halo(2.0))
+    return np.concatenate([letters, inner])
 
 
-def _corner(judged: Assessment, far: bool = False) -> tuple[float, float]:
-    """Return where walls D and C meet, or with ``far`` B and A, in the frame of the plan."""
-    walls = judged.walls
-    return (walls[1].offset, walls[0].offset) if far else (-walls[3].offset, -walls[2].offset)
+def _halo(width: float) -> list[patheffects.AbstractPathEffect]:
+    """Return what sets letters off from the room, with a white line of so many points."""
+    return [patheffects.withStroke(linewidth=width, foreground='white')]
+
+
+def _corners(judged: Assessment) -> np.ndarray:
+    """Return where walls D and C meet, and B and A, in the frame of the plan: (2, 2) metres."""
+    top, right, bottom, left = (wall.offset for wall in judged.walls)
+    return np.array([[-left, -bottom], [right, top]])
+
+
+def _around(judged: Assessment, away: float) -> np.ndarray:
+    """Return places so far outside the middles of walls A to D, in the plan: (4, 2) metres."""
+    (left, bottom), (right, top) = corners = _corners(judged)
+    x, y = corners.mean(axis=0)
+    return np.array([(x, top + away), (right + away, y), (x, bottom - away), (left - away, y)])
 
 
 def _area(judged: Assessment) -> float:
@@ -179,41 +194,28 @@ def _area(judged: Assessment) -> float:
     return judged.walls[0].length * judged.walls[1].length
 
 
-def _frame(axes: Axes, stage: Stage, judged: Assessment, margin: float) -> None:
+def _frame(axes: Axes, room: Room, judged: Assessment, margin: float) -> None:
     """Fit the axes to the room, its walls and cameras."""
-    _fit(axes, np.concatenate([positions(judged) @ stage.upright[:2].T, stage.room.points[:, :2],
-                               [_corner(judged), _corner(judged, far=True)]]), margin)
+    fit(axes, np.concatenate([judged.positions @ judged.upright[:2].T, room.points[:, :2],
+                              _corners(judged)]), margin)
     axes.spines[:].set_visible(False)
 
 
-def _fit(axes: Axes, shown: np.ndarray, margin: float) -> None:
-    """Fit the axes to places (M, 2), with a margin as a share of the longer edge."""
-    low, high = np.nanmin(shown, axis=0), np.nanmax(shown, axis=0)
-    room = margin * (high - low).max()
-    axes.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room),
-             aspect='equal', anchor='C')
-
-
-def positions(judged: Assessment) -> np.ndarray:
-    """Return where all cameras are: (K, 3) metres, map frame."""
-    return np.array([placed.position for placed in judged.placement.cameras])
-
-
-def draw_count_map(axes: Axes, stage: Stage, judged: Assessment) -> None:
+def draw_count_map(axes: Axes, room: Room, judged: Assessment) -> None:
     """Draw the room from above, coloured by how many cameras see each place."""
-    draw_discs(axes, stage.shaded(count_colours(judged)), np.eye(3), contrast=0.25)
-    _small_map(axes, stage, judged)
+    draw_discs(axes, shaded(room, count_colours(judged)), np.eye(3), contrast=0.25)
+    _small_map(axes, room, judged)
 
 
-def draw_error_map(axes: Axes, stage: Stage, judged: Assessment) -> AxesImage:
+def draw_error_map(axes: Axes, room: Room, judged: Assessment) -> AxesImage:
     """
     Draw where the depth error is: millimetres for each square metre of the plan.
 
     :returns: the image, for a colour bar.
     """
     pale = np.full((len(judged.scene), 3), 0.88)
-    draw_discs(axes, stage.shaded(pale), np.eye(3), contrast=0.5)
-    flat = judged.scene.points.astype(np.float64) @ stage.upright[:2].T
+    draw_discs(axes, shaded(room, pale), np.eye(3), contrast=0.5)
+    flat = judged.scene.points.astype(np.float64) @ judged.upright[:2].T
     low, size = flat.min(axis=0), np.ptp(flat, axis=0)
     edge = float(np.clip(size.max() / CELLS, *CELL))
     shape = np.floor(size / edge).astype(int) + 1
@@ -226,40 +228,109 @@ def draw_error_map(axes: Axes, stage: Stage, judged: Assessment) -> AxesImage:
                         norm=PowerNorm(0.5, 0.0, most), origin='lower', zorder=2,
                         extent=(low[0], low[0] + shape[0] * edge, low[1],
                                 low[1] + shape[1] * edge))
-    _small_map(axes, stage, judged)
+    _small_map(axes, room, judged)
     return image
 
 
-def _small_map(axes: Axes, stage: Stage, judged: Assessment) -> None:
+def _small_map(axes: Axes, room: Room, judged: Assessment) -> None:
     """Frame a map, with the cameras' numbers."""
     axes.set_xticks([])
     axes.set_yticks([])
-    _frame(axes, stage, judged, 0.02)
-    draw_numbers(axes, positions(judged) @ stage.upright[:2].T, 5.0, _area(judged))
+    _frame(axes, room, judged, 0.02)
+    draw_numbers(axes, judged.positions @ judged.upright[:2].T, 5.0, _area(judged))
 
 
-def draw_look(axes: Axes, stage: Stage, judged: Assessment, azimuth: float) -> None:
+def draw_look(axes: Axes, room: Room, judged: Assessment, azimuth: float) -> None:
     """
     Draw the room in perspective, without the walls in front, coloured by how many cameras see it.
 
     :param azimuth: radians, where the viewer stands in the frame of the plan: 0 to the right.
     """
-    room = stage.shaded(count_colours(judged))
+    room = shaded(room, count_colours(judged))
     eye = eye_at(room.points, azimuth)
     part = cut_open(room, eye.view)
     outline = draw_discs(axes, part, eye.view, eye, 0.5)
     floor = float(np.percentile(room.points[:, 2], 2.0))
     long = min(CONE * float(np.ptp(room.points, axis=0).max()), LONGEST)
-    places = positions(judged) @ stage.upright.T
+    places = judged.positions @ judged.upright.T
     shown = [outline.get_xy(), eye(places)]
     for number, (placed, place) in enumerate(zip(judged.placement.cameras, places)):
         model = placed.camera.model
-        cone = eye(edges(model, placed.pose, min(long, model.max_range)) @ stage.upright.T)
+        cone = eye(edges(model, placed.pose, min(long, model.max_range)) @ judged.upright.T)
         shown.append(cone)
         axes.plot(*cone.T, color=camera_colour(number), linewidth=0.7, zorder=4)
         axes.plot(*eye(np.stack([place, [*place[:2], floor]])).T, color=INK, linewidth=0.6,
                   linestyle=(0, (2, 2)), zorder=3)
-    _fit(axes, np.concatenate(shown), 0.02)
+    fit(axes, np.concatenate(shown), 0.02)
     axes.set_axis_off()
     # A room seen from a corner fills about half of the rectangle around it.
     draw_numbers(axes, eye(places), 5.0, 0.5 * float(np.prod(np.ptp(outline.get_xy(), axis=0))))
+
+
+def draw_floor_plan(path: Path, judged: Assessment) -> None:
+    """Write the installer's plan as PNG."""
+    save_figure(floor_plan_of(judged), path, dpi=100)
+
+
+def floor_plan_of(judged: Assessment) -> Figure:
+    """Draw the room from above, wall A at the top, its cameras and what they are measured from."""
+    scene, frame = judged.scene, judged.upright[:2, :2]
+    low, high = scene.bounds[:, 2]
+    points = scene.points[(scene.points[:, 2] > low + LOW) & (scene.points[:, 2] < high - HIGH)]
+    flat = points[::max(len(points) // PLAN_SHOWN, 1), :2] @ frame.T
+    (left, bottom), (right, top) = corners = _corners(judged)
+    figure = Figure(figsize=_inches(right - left, top - bottom), dpi=100, facecolor='white')
+    axes = figure.add_axes((0.05, 0.05, 0.9, 0.9), aspect='equal')
+    axes.set_axis_off()
+    axes.scatter(*flat.T, s=2.0, color=PALE_INK, alpha=0.4, linewidths=0.0)
+    axes.plot([right, right, left, left, right], [top, bottom, bottom, top, top], color=INK,
+              lw=1.0)
+    margin = 0.05 * max(wall.length for wall in judged.walls)
+    letters = _around(judged, margin)
+    draw_letters(axes, judged.walls, letters, LETTERS)
+    places = judged.positions[:, :2] @ frame.T
+    letters = np.concatenate([letters, _draw_distances(axes, judged, places, frame, margin)])
+    shown = np.concatenate([places, corners])
+    low, high = shown.min(axis=0) - 2.0 * margin, shown.max(axis=0) + 2.0 * margin
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    draw_zones(axes, judged.objective.rig, frame, 1.5)
+    explained = zone_legend(judged.objective.rig)
+    if explained:
+        figure.legend(explained.values(), explained.keys(), loc='lower center', frameon=False,
+                      ncols=len(explained), fontsize=10, labelcolor=INK)
+    draw_headings(axes, judged.placement, places, 2.0 * margin * frame, 2.0)
+    draw_numbers(axes, places, NUMBERS, _area(judged), letters, always=True)
+    draw_scale_bar(axes, 10.0)
+    return figure
+
+
+def _inches(width: float, depth: float) -> tuple[float, float]:
+    """Return width and height of a picture that a room of so many metres fills."""
+    scale = LONG / max(width, depth)
+    return max(scale * width, SHORT), max(scale * depth, SHORT)
+
+
+def _write_distance(axes: Axes, middle: np.ndarray, way: np.ndarray, away: float) -> None:
+    """Write a distance along its line."""
+    turn = np.rad2deg(np.arctan2(way[1], way[0]))
+    axes.text(middle[0], middle[1], f'{100.0 * away:.0f} cm', fontsize=8, color=INK,
+              ha='center', va='center', rotation=(turn + 90.0) % 180.0 - 90.0,
+              bbox={'facecolor': 'white', 'edgecolor': 'none', 'pad': 1.0}, zorder=3.0)
+
+
+def _draw_distances(axes: Axes, judged: Assessment, places: np.ndarray, frame: np.ndarray,
+                    margin: float) -> np.ndarray:
+    """Draw what is measured, and the letters of walls inside the room; return where: (M, 2)."""
+    # Where cameras stand and distances are written: nothing is written over these.
+    taken = places
+    for place, distances in zip(places, judged.references.distances):
+        for distance in distances:
+            at = frame @ distance.at
+            axes.plot(*np.stack([place, at]).T, color=INK, lw=0.8, ls=(0, (2, 2)))
+            middle = 0.4 * place + 0.6 * at
+            free = np.linalg.norm(taken - middle, axis=1).min() > 1.5 * margin
+            if free and np.linalg.norm(at - place) > MEASURED * margin:
+                _write_distance(axes, middle, at - place, distance.away)
+                taken = np.vstack([taken, middle])
+    return draw_inner_letters(axes, judged.references.inner, frame, 0.4 * margin, 0.6 * margin,
+                              places, INNER)

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How far cameras see, as drawn: the part of a plan that they reach, and the edges of a cone."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.spatial import ConvexHull
 
@@ -31,7 +33,7 @@ def rim(model: CameraModel) -> np.ndarray:
                             np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
 
 
-def reach(model: CameraModel, pose: np.ndarray, heights: tuple[float, float]) -> np.ndarray:
+def reach(model: CameraModel, pose: np.ndarray, heights: Sequence[float]) -> np.ndarray:
     """
     Return the part of a plan that a camera could see if nothing stood in its way.
 
@@ -56,7 +58,7 @@ def reach(model: CameraModel, pose: np.ndarray, heights: tuple[float, float]) ->
     return flat[ConvexHull(flat, qhull_options='QJ').vertices]
 
 
-def _ended(ways: np.ndarray, height: float, far: float, heights: tuple[float, float]
+def _ended(ways: np.ndarray, height: float, far: float, heights: Sequence[float]
            ) -> np.ndarray:
     """Make directions (M, 3) as long as the range, or as floor and ceiling let them be."""
     room = np.where(ways[:, 2] > 0.0, heights[1] - height, height - heights[0])
@@ -76,7 +78,12 @@ def edges(model: CameraModel, pose: np.ndarray, length: float) -> np.ndarray:
     if model.lens.kind == OMNIDIRECTIONAL:
         return np.empty((0, 3))
     ring = pose[:3] + length * rim(model) @ rotation_matrix(*pose[3:]).T
-    gap = np.full((1, 3), np.nan)
     rays = [np.stack([pose[:3], ring[k]]) for k in range(0, len(ring), STEPS)]
-    lines = [np.concatenate([ring, ring[:1]])] + (rays if model.lens.kind == PINHOLE else [])
+    return chained([np.concatenate([ring, ring[:1]]),
+                    *(rays if model.lens.kind == PINHOLE else [])])
+
+
+def chained(lines: Sequence[np.ndarray]) -> np.ndarray:
+    """Return lines (M, 3) as one, with a row of NaN between two."""
+    gap = np.full((1, 3), np.nan)
     return np.concatenate([part for line in lines for part in (line, gap)])[:-1]

@@ -66,6 +66,21 @@ def room_of(points: np.ndarray, colours: np.ndarray) -> Room:
     return room.only(~_ceiling(points, normals, 2.5 * pitch))
 
 
+def some_of(count: int, most: int) -> np.ndarray:
+    """Return the indices of at most so many of some points: drawn at random, always the same."""
+    if count <= most:
+        return np.arange(count)
+    return np.sort(np.random.default_rng(0).choice(count, most, replace=False))
+
+
+def fit(axes: Axes, shown: np.ndarray, margin: float = 0.0) -> None:
+    """Fit axes to places (M, 2), to scale, with a margin as a share of the longer edge."""
+    low, high = np.nanmin(shown, axis=0), np.nanmax(shown, axis=0)
+    room = margin * (high - low).max()
+    axes.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room),
+             aspect='equal')
+
+
 def heights_of(points: np.ndarray) -> np.ndarray:
     """Return the height of each point as a share of the room's: (N,) from 0 to 1."""
     low, high = np.percentile(points[:, 2], [2.0, 98.0])

@@ -1,23 +1,204 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of rooms that are cut open, without cameras."""
+"""Pictures of rooms cut open: alone, or with the cameras, paths and ranges of a placement."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.legend_handler import HandlerTuple
+from matplotlib.lines import Line2D
+from matplotlib.offsetbox import AnnotationBbox, OffsetImage
+from matplotlib.patches import Circle, Patch, Polygon
+import numpy as np
 
-from ocp_ros.report.drawing.figure_files import save_figure
+from ocp_ros.report.drawing.figures import save_figure
+from ocp_ros.report.drawing.plan_marks import camera_colour
 from ocp_ros.report.drawing.room_drawing import (
     draw_discs,
+    fit,
     HEIGHTS,
     heights_of,
     INK,
     open_view,
+    PALE_INK,
+    Room,
     room_of,
 )
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.synthetic.generator import generate_room, plan_of
+
+#: What nobody sees; no camera has this colour.
+UNOBSERVED = '#c44e3b'
+
+
+def draw_placement(path: str | Path, points: np.ndarray, observed: np.ndarray | None,
+                   trajectories: np.ndarray, max_range: float, title: str,
+                   subtitle: str = '') -> None:
+    """
+    Write a PNG of 1800 x 950 pixels: a plan of the room and a view into it.
+
+    :param path: file to write; its folder is made.
+    :param points: (N, 3) the whole room, metres, map frame, z up.
+    :param observed: (N,) bool, points that the final placement sees, or None.
+    :param trajectories: (T, K, 3) metres, the cameras after each turn; row 0 is the start.
+    :param max_range: range of every camera, metres.
+    :param title: headline.
+    :param subtitle: line of numbers below it.
+    :raises ValueError: for a wrong shape or range; the message says what came.
+    """
+    points, observed, paths = _checked(points, observed, trajectories, max_range)
+    room = room_of(points, coloured(points, observed))
+    figure = Figure(figsize=(18.0, 9.5), dpi=100, facecolor='white')
+    figure.text(0.03, 0.945, title, fontsize=21, fontweight='bold', color=INK, va='center',
+                parse_math=False)
+    figure.text(0.03, 0.9, subtitle, fontsize=14, color=PALE_INK, va='center',
+                parse_math=False)
+    draw_plan(figure.add_axes((0.045, 0.13, 0.44, 0.73)), room, paths, max_range)
+    _draw_cutaway(figure.add_axes((0.505, 0.1, 0.485, 0.77)), room, paths, max_range)
+    unseen = None if observed is None else f' ({100.0 * np.mean(~observed):.1f} % of the points)'
+    draw_legend(figure, max_range, len(paths) > 1, unseen)
+    save_figure(figure, path, dpi=100)
+
+
+def _checked(points, observed, trajectories, max_range: float):
+    """Return the arrays as float64 and bool; refuse what cannot be drawn."""
+    points, paths = np.asarray(points, np.float64), np.asarray(trajectories, np.float64)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 4:
+        raise ValueError(f'points: found shape {points.shape}; expected (N, 3), N of 4 or more')
+    if paths.ndim != 3 or paths.shape[2] != 3 or 0 in paths.shape:
+        raise ValueError(f'trajectories: found shape {paths.shape}; expected (T, K, 3): turns, '
+                         'cameras, x y z')
+    if observed is not None and np.shape(observed) != (len(points),):
+        raise ValueError(f'observed: found shape {np.shape(observed)}; expected ({len(points)},), '
+                         'one flag per point, or None')
+    if not 0.0 < max_range < np.inf:
+        raise ValueError(f'max_range: found {max_range}; expected metres above 0')
+    return points, None if observed is None else np.asarray(observed, bool), paths
+
+
+def coloured(points: np.ndarray, observed: np.ndarray | None) -> np.ndarray:
+    """Colour points by height, those not observed in red: (N, 3)."""
+    height = heights_of(points)
+    colours = HEIGHTS(height)[:, :3]
+    if observed is not None:
+        # The shade goes on telling the height.
+        red = 1.1 * np.array(to_rgb(UNOBSERVED)) * (1.0 - 0.5 * height[~observed, None])
+        colours[~observed] = 0.45 * colours[~observed] + 0.55 * red
+    return colours
+
+
+def _disc_grid(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return x, y (up) and the distance from the centre on a square that holds the unit disc."""
+    x, y = np.meshgrid(np.linspace(-1.0, 1.0, size), np.linspace(1.0, -1.0, size))
+    return x, y, np.hypot(x, y)
+
+
+def _draw_range(axes: Axes, centre: np.ndarray, max_range: float, colour: str, strength: float,
+                clip: Polygon) -> None:
+    """Draw the ball that a camera measures as a bubble: clear inside, soft towards its rim."""
+    r = _disc_grid(256)[2]
+    image = np.full((*r.shape, 4), (*to_rgb(colour), 0.0))
+    image[..., 3] = np.where(r < 1.0, 0.22 * strength * r ** 8, 0.0)
+    (x, y), m = centre, max_range
+    axes.imshow(image, extent=(x - m, x + m, y - m, y + m), zorder=2).set_clip_path(clip)
+    rim = Circle((x, y), m, fill=False, edgecolor=colour, linewidth=1.2, zorder=2,
+                 alpha=0.4 + 0.3 * strength)
+    axes.add_patch(rim).set_clip_path(clip)
+
+
+def draw_ball(axes: Axes, at: np.ndarray, label: str, colour: str) -> None:
+    """Draw a camera as a shiny ball with a label."""
+    x, y, r = _disc_grid(64)
+    light = np.clip(1.0 - np.hypot(x + 0.35, y - 0.4) / 1.5, 0.0, 1.0)[..., None]
+    base = np.array(to_rgb(colour))
+    shaded = base * (0.45 + 0.65 * light) + np.clip(light - 0.6, 0.0, 1.0) * 1.4 * (1.0 - base)
+    alpha = np.clip((1.0 - r) * 16.0, 0.0, 1.0)[..., None]
+    image = OffsetImage(np.concatenate([np.clip(shaded, 0.0, 1.0), alpha], 2), zoom=0.44)
+    axes.add_artist(AnnotationBbox(image, at, frameon=False, pad=0.0, zorder=6))
+    axes.text(at[0], at[1], label, color='white', fontsize=11, fontweight='bold', ha='center',
+              va='center_baseline', zorder=7,
+              path_effects=[patheffects.withStroke(linewidth=2.2, foreground=INK)])
+
+
+def _draw_cameras(axes: Axes, paths: np.ndarray, max_range: float, clip: Polygon) -> None:
+    """Draw ranges, paths (T, K, 2), starts and final positions, and fit the axes to all of it."""
+    # Many bubbles on top of each other would hide the room.
+    strength = min(1.0, 2.0 / np.sqrt(paths.shape[1]))
+    casing = [patheffects.withStroke(linewidth=4.5, foreground='white')]
+    for k in range(paths.shape[1]):
+        colour, path = camera_colour(k), paths[:, k]
+        _draw_range(axes, path[-1], max_range, colour, strength, clip)
+        if len(path) > 1:
+            axes.plot(*path.T, color=colour, linewidth=2.4, zorder=4, path_effects=casing)
+            axes.plot(*path[0], 'o', markersize=7, markerfacecolor='white', markeredgewidth=2.0,
+                      markeredgecolor=colour, zorder=5)
+    for k, at in enumerate(paths[-1]):
+        draw_ball(axes, at, str(k + 1), camera_colour(k))
+    fit(axes, np.concatenate([clip.get_xy(), *paths]), 0.03)
+
+
+def draw_plan(axes: Axes, room: Room, paths: np.ndarray, max_range: float) -> None:
+    """Draw the room from above, to scale, in metres."""
+    outline = draw_discs(axes, room, np.eye(3))
+    _draw_cameras(axes, paths[..., :2], max_range, outline)
+    axes.set_xlabel('x (m)', fontsize=12, color=PALE_INK)
+    axes.set_ylabel('y (m)', fontsize=12, color=PALE_INK)
+    axes.tick_params(colors=PALE_INK, labelsize=11)
+    axes.spines[:].set_visible(False)
+
+
+def _draw_cutaway(axes: Axes, room: Room, paths: np.ndarray, max_range: float) -> None:
+    """Draw the room in parallel projection with the walls nearest to the viewer taken away."""
+    view, part = open_view(room)
+    outline = draw_discs(axes, part, view)
+    floor = float(np.percentile(part.points[:, 2], 2.0))
+    for final in paths[-1]:
+        foot = np.array([final, [*final[:2], floor]]) @ view[:2].T
+        axes.plot(*foot.T, color=INK, linewidth=1.0, linestyle=(0, (2, 2)), zorder=3)
+        axes.plot(*foot[1], 'o', color=INK, markersize=3.5, zorder=3)
+    _draw_cameras(axes, paths @ view[:2].T, max_range, outline)
+    axes.set_axis_off()
+    _draw_triad(axes, view)
+
+
+def _draw_triad(axes: Axes, view: np.ndarray) -> None:
+    """Draw the three axes, each of a round length, in the lower left corner."""
+    (left, right), (bottom, _) = axes.get_xlim(), axes.get_ylim()
+    lengths = np.array([0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0])
+    arm = lengths[max(np.searchsorted(lengths, 0.13 * (right - left)) - 1, 0)]
+    arms = arm * view[:2].T
+    origin = np.array([left, bottom]) + 0.2 * arm - np.minimum(arms, 0.0).min(axis=0)
+    for name, tip in zip('xyz', arms):
+        axes.annotate('', origin + tip, origin, zorder=8,
+                      arrowprops={'arrowstyle': '-|>', 'color': INK, 'linewidth': 1.6,
+                                  'shrinkA': 0.0, 'shrinkB': 0.0})
+        axes.annotate(name, origin + tip, 9.0 * tip / np.hypot(*tip), color=INK, fontsize=12,
+                      textcoords='offset points', ha='center', va='center', zorder=8)
+    axes.annotate(f'{arm:g} m each', (left, bottom + 0.2 * arm), (0.0, -10.0),
+                  textcoords='offset points', color=PALE_INK, fontsize=11, va='top')
+
+
+def draw_legend(figure: Figure, max_range: float, moved: bool, unseen: str | None) -> None:
+    """Explain the marks in one line below the panels; None where all colours are of heights."""
+    ladder = np.arange(4.0)[:, None] * (0.0, 0.0, 1.0)
+    dot = {'color': PALE_INK, 'linestyle': 'none', 'marker': 'o'}
+    entries = {
+        'start': Line2D([], [], markersize=8, markerfacecolor='white', markeredgewidth=2.0, **dot),
+        'path': Line2D([], [], color=PALE_INK, linewidth=2.4)} if moved else {}
+    entries |= {
+        'final position': Line2D([], [], markersize=15, **dot),
+        f'range {max_range:g} m': Line2D([], [], markersize=17, markerfacecolor='#eceef0', **dot),
+        'darker is higher': tuple(Patch(color=c) for c in coloured(ladder, None))}
+    if unseen is not None:
+        entries[f'not observed{unseen}'] = tuple(
+            Patch(color=c) for c in coloured(ladder, np.zeros(4, dtype=bool)))
+    figure.legend(entries.values(), entries.keys(), loc='lower center', ncols=len(entries),
+                  frameon=False, fontsize=13, labelcolor=INK, bbox_to_anchor=(0.5, 0.012),
+                  columnspacing=2.4, handler_map={tuple: HandlerTuple(ndivide=None, pad=0.0)})
 
 
 def draw_rooms(path: Path, scenes: Sequence[tuple[str, Scene]], columns: int = 4) -> None:
@@ -35,11 +216,8 @@ def draw_rooms(path: Path, scenes: Sequence[tuple[str, Scene]], columns: int = 4
         axes = figure.add_axes(((k % columns + 0.02) / columns,
                                 (rows - 1 - k // columns + 0.02) / rows,
                                 0.96 / columns, 0.86 / rows))
-        room = room_of(scene.points, HEIGHTS(heights_of(scene.points))[:, :3])
-        view, part = open_view(room)
-        outline = draw_discs(axes, part, view).get_xy()
-        low, high = outline.min(axis=0), outline.max(axis=0)
-        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect='equal')
+        view, part = open_view(room_of(scene.points, coloured(scene.points, None)))
+        fit(axes, draw_discs(axes, part, view).get_xy())
         axes.set_axis_off()
         axes.set_title(title, fontsize=12, color=INK, parse_math=False)
     save_figure(figure, path, dpi=75)

@@ -1,23 +1,37 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The cameras of a picture: dots with numbers that do not hide each other."""
+"""Marks in a picture: cameras with numbers that do not hide each other, walls' letters, zones."""
+
+from collections.abc import Sequence
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
+from matplotlib.patches import Patch, Polygon
 import numpy as np
 
-from ocp_ros.report.drawing.placement_picture import CAMERA_COLOURS
 from ocp_ros.report.drawing.room_drawing import INK
+from ocp_ros.report.wall_references import InnerWall, ReferenceWall
 from ocp_ros.rig.placement_file import Placement
+from ocp_ros.rig.rig_file import Rig
+from ocp_ros.rig.zones import Zone
 
+#: Told apart with any kind of colour vision; red is left to what nobody sees.
+CAMERA_COLOURS = ('#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '#332288', '#f0e442',
+                  '#8c6d31')
 #: Inches for each point of size that the middles of two numbers are apart.
 APART = 0.032
 #: The smallest numbers that are read without a lens, points, and the share of a room's picture
 #: that numbers may hide.
 LEAST, HIDDEN = 4.5, 0.35
-#: Metres that a scale bar may be long.
+#: Metres that a scale bar may be long, and between two ticks.
 BARS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 NONE = np.empty((0, 2))
+#: Edge colour, hatching and line of each kind of zone.
+STYLES = {
+    'must-see region': {'edgecolor': '#00664d', 'hatch': '//', 'linestyle': '-'},
+    'weighted region': {'edgecolor': '#00664d', 'hatch': '..', 'linestyle': '--'},
+    'keep-out zone': {'edgecolor': '#9c2f6b', 'hatch': 'xx', 'linestyle': '-'}}
 
 
 def camera_colour(number: int) -> str:
@@ -130,3 +144,68 @@ def dark(colour: str) -> tuple[float, float, float]:
     rgb = np.array(to_rgb(colour))
     light = float(rgb @ [0.2126, 0.7152, 0.0722])
     return tuple(rgb * min(1.0, 0.5 / max(light, 1e-6)))
+
+
+def draw_letters(axes: Axes, walls: Sequence[ReferenceWall | InnerWall], places: np.ndarray,
+                 size: float, **style: Any) -> None:
+    """
+    Write the letters of walls.
+
+    :param places: (M, 2) of the letters.
+    :param size: of the letters, points.
+    :param style: other properties of the texts.
+    """
+    for wall, (x, y) in zip(walls, places):
+        axes.text(x, y, wall.letter, fontsize=size, fontweight='bold', color=INK, ha='center',
+                  va='center', **style)
+
+
+def draw_inner_letters(axes: Axes, walls: Sequence[InnerWall], frame: np.ndarray, away: float,
+                       least: float, taken: np.ndarray, size: float, **style: Any) -> np.ndarray:
+    """
+    Write letters beside walls inside the room.
+
+    :param frame: (2, 2) rotation from the map frame to that of the picture.
+    :param away: metres, from a wall to its letter.
+    :param least: metres, between two letters.
+    :param taken: (L, 2) places that are taken already.
+    :param size: of the letters, points.
+    :param style: other properties of the texts.
+    :returns: (M, 2) where the letters are.
+    """
+    beside = [frame @ (wall.at + away * wall.outward) for wall in walls]
+    places = apart(np.array(beside).reshape(-1, 2), least, taken)
+    draw_letters(axes, walls, places, size, **style)
+    return places
+
+
+def corners_of(zone: Zone) -> np.ndarray:
+    """Return the corners of a zone seen from above: (P, 2) metres, map frame."""
+    if zone.polygon is not None:
+        return zone.polygon
+    (x0, y0), (x1, y1) = zone.low[:2], zone.high[:2]
+    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+
+
+def zones_of(rig: Rig) -> list[tuple[str, Zone]]:
+    """Return the kind of each zone of a rig, a key of :data:`STYLES`, and the zone."""
+    return [*(('must-see region' if region.must_see else 'weighted region', region.zone)
+              for region in rig.regions), *(('keep-out zone', zone) for zone in rig.keep_out)]
+
+
+def draw_zones(axes: Axes, rig: Rig, frame: np.ndarray, level: float) -> None:
+    """
+    Draw the zones of a rig on a plan.
+
+    :param frame: (2, 2) rotation from the map frame to that of the plan.
+    :param level: drawing order (zorder).
+    """
+    for kind, zone in zones_of(rig):
+        axes.add_patch(Polygon(corners_of(zone) @ frame.T, facecolor='none', linewidth=1.2,
+                               zorder=level, label=kind, **STYLES[kind]))
+
+
+def zone_legend(rig: Rig) -> dict[str, Patch]:
+    """Return what explains the kinds of zones that a rig has."""
+    return {kind: Patch(facecolor='none', **STYLES[kind])
+            for kind in dict.fromkeys(kind for kind, _ in zones_of(rig))}

@@ -1,0 +1,134 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Figures as whole files, with letters that fonts have, and texts and tables that fit."""
+
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import lru_cache
+import io
+from pathlib import Path
+from typing import Any
+import warnings
+
+from matplotlib import font_manager, rc_context, rcParams
+from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+from matplotlib.lines import Line2D
+from matplotlib.textpath import text_to_path
+import numpy as np
+from scipy.optimize import brentq
+
+from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
+from ocp_ros.util.files import write_atomically
+
+#: Fonts with Chinese, Japanese or Korean letters, as Linux, macOS and Windows have them.
+FALLBACKS = ('Noto Sans CJK JP', 'Noto Sans CJK SC', 'Noto Sans CJK KR', 'Source Han Sans',
+             'WenQuanYi Micro Hei', 'WenQuanYi Zen Hei', 'Droid Sans Fallback', 'IPAGothic',
+             'NanumGothic', 'Hiragino Sans', 'PingFang SC', 'Apple SD Gothic Neo',
+             'Microsoft YaHei', 'Yu Gothic', 'Malgun Gothic', 'Arial Unicode MS')
+#: Points of an inch.
+POINTS = 72.0
+#: Inches between two columns, and the smallest letters that are read without a lens, points.
+GAP, SMALLEST = 0.14, 5.2
+
+
+def save_figure(figure: Figure, path: str | Path, **options: Any) -> None:
+    """
+    Write a figure, as PNG unless another format is named; the file is whole or absent.
+
+    :param path: file to write; its folder is made.
+    :param options: of ``Figure.savefig``.
+    :raises OSError: if it cannot be written; what was there before stays.
+    """
+    picture = io.BytesIO()
+    figure.savefig(picture, **{'format': 'png', **options})
+    write_atomically(path, picture.getvalue())
+
+
+def families() -> list[str]:
+    """Return the fonts to look for a letter in, one after the other."""
+    installed = set(font_manager.fontManager.get_font_names())
+    usual = list(rcParams['font.family'])
+    return [*usual, *(name for name in FALLBACKS if name in installed and name not in usual)]
+
+
+@contextmanager
+def all_letters() -> Iterator[None]:
+    """Write in fonts that together have as many letters as can be; others become boxes."""
+    with rc_context({'font.family': families()}), warnings.catch_warnings():
+        # Whoever looks at the page sees the boxes; docs/tasks/troubleshooting.md says what helps.
+        warnings.filterwarnings('ignore', 'Glyph .* missing from font', UserWarning)
+        yield
+
+
+@lru_cache(maxsize=10000)
+def width_of(text: str, size: float, bold: bool = False) -> float:
+    """Return how wide a text is, inches, in letters of so many points."""
+    font = FontProperties(weight='bold' if bold else 'normal', size=size)
+    return text_to_path.get_text_width_height_descent(text, font, False)[0] / POINTS
+
+
+def shortened(text: str, width: float, size: float, bold: bool = False) -> str:
+    """Return a text, or as much of it as so many inches hold with three dots behind."""
+    text = ''.join(letter if letter.isprintable() else ' ' for letter in text)
+    text = ' '.join(text.split()).replace('$', r'\$')
+    if width_of(text, size, bold) <= width:
+        return text
+    letters = bisect_right(range(1, len(text)), width,
+                           key=lambda count: width_of(text[:count] + '...', size, bold))
+    return text[:letters].rstrip('\\ ') + '...'
+
+
+def write(figure: Figure, place: tuple[float, float], text: str, width: float, size: float,
+          colour: Any, bold: bool = False, align: str = 'left') -> None:
+    """
+    Write a line of text in a figure, shortened where it is too wide.
+
+    :param place: inches, of the text's left end, or of its right end or its middle.
+    :param width: inches that it may have.
+    :param size: of the letters, points.
+    :param align: ``left``, ``right`` or ``center``.
+    """
+    x, y = place / figure.get_size_inches()
+    figure.text(x, y, shortened(text, width, size, bold), fontsize=size, color=colour,
+                fontweight='bold' if bold else 'normal', va='center', ha=align)
+
+
+def draw_table(figure: Figure, box: tuple[float, float, float, float], rows: Sequence[
+        Sequence[str]], size: float, colours: Sequence[Any]) -> None:
+    """
+    Draw a table; columns are as wide as what is in them, as far as there is room.
+
+    :param box: left, bottom, width and height, inches.
+    :param rows: the head first.
+    :param size: of the letters, points; they become smaller where the table is too wide.
+    :param colours: of the first cell of each row but the head.
+    """
+    left, bottom, width, height = box
+    room = width - GAP * (len(rows[0]) - 1)
+
+    def widths(size: float) -> list[float]:
+        return [max(width_of(row[k], size, n == 0 or k == 0) for n, row in enumerate(rows))
+                for k in range(len(rows[0]))]
+    while sum(widths(size)) > room and size > SMALLEST:
+        size = max(size - 0.2, SMALLEST)
+    columns = widths(size)
+    if sum(columns) > room:
+        # The widest are made as narrow as one another, until all fit.
+        most = brentq(lambda width: np.minimum(columns, width).sum() - room, 0.0, max(columns))
+        columns = [min(one, most) for one in columns]
+    else:
+        # What is left over goes between the columns.
+        columns = [one + (room - sum(columns)) / len(columns) for one in columns]
+    figure_width, figure_height = figure.get_size_inches()
+    step = height / len(rows)
+    for n, row in enumerate(rows):
+        at, y = left, bottom + height - (n + 0.5) * step
+        for k, (cell, wide) in enumerate(zip(row, columns)):
+            colour = PALE_INK if n == 0 else colours[n - 1] if k == 0 else INK
+            write(figure, (at, y), cell, wide, size, colour, n == 0 or k == 0)
+            at += wide + GAP
+        level = (y - 0.5 * step) / figure_height
+        figure.add_artist(Line2D([left / figure_width, (left + width) / figure_width],
+                                 [level, level], color='#c9ced3', linewidth=0.3 if n else 0.8))
