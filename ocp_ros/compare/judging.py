@@ -9,9 +9,8 @@ the room's mesh, on a separate scan. A scan of a real room has no mesh: half of 
 held out of the search, and the engine judges on them.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -34,21 +33,6 @@ SEED = 0
 #: The judge's depth maps: all points at once, as the depth error is defined. Rays to the cells of
 #: a finer coverage grid would take as long as those to the points.
 JUDGING = EngineConfig(preset='fine', error_rows=128, coverage_cell=0.5, error_folds=1)
-
-
-def judge(evaluate: Callable[[np.ndarray], tuple[float, float]], placement: np.ndarray
-          ) -> dict[str, float]:
-    """
-    Judge a final placement.
-
-    :param evaluate: returns depth error in metres and space coverage in cubic metres.
-    :param placement: (K, 3) or (K, 6), metres, map frame, and radians.
-    :returns: ``exact``, metres, of the placement itself; ``depth_error``, metres, the mean of
-        cameras that are mounted 2 cm off; ``space_coverage``, cubic metres.
-    """
-    error, coverage = evaluate(placement)
-    off = [evaluate(moved)[0] for moved in mounted(placement, MOUNTING, MOUNTINGS, SEED)]
-    return {'exact': error, 'depth_error': float(np.mean(off)), 'space_coverage': coverage}
 
 
 def worth_of(problem: PlaneProblem | Problem, placement: np.ndarray) -> tuple[float, float]:
@@ -122,8 +106,17 @@ class JudgedRoom:
         return engine_of(self.scene)(self.scene, replace(self.config, engine=engine))
 
     def judge(self, placement: np.ndarray) -> dict[str, float]:
-        """Return what the judge says of a placement; see :func:`judge`."""
-        return judge(partial(worth_of, self.problem), placement)
+        """
+        Judge a final placement.
+
+        :param placement: (K, 3) or (K, 6), metres, map frame, and radians.
+        :returns: ``exact``, metres, of the placement itself; ``depth_error``, metres, the mean of
+            cameras that are mounted 2 cm off; ``space_coverage``, cubic metres.
+        """
+        error, coverage = worth_of(self.problem, placement)
+        off = [worth_of(self.problem, moved)[0]
+               for moved in mounted(placement, MOUNTING, MOUNTINGS, SEED)]
+        return {'exact': error, 'depth_error': float(np.mean(off)), 'space_coverage': coverage}
 
 
 @lru_cache(maxsize=2)

@@ -35,14 +35,14 @@ SATURATED = 0.01
 NEGLIGIBLE = 0.01
 
 
-def best_known(rows: Rows) -> dict[tuple[str, float], float]:
-    """Return the least depth error that a search with the truth delivered in each turned room."""
-    best: dict[tuple[str, float], float] = defaultdict(lambda: np.inf)
+def best_known(rows: Rows) -> dict[str, float]:
+    """Return the least depth error that searches with the truth delivered, by room."""
+    best: dict[str, dict[float, float]] = defaultdict(lambda: defaultdict(lambda: np.inf))
     for row in rows:
         if row['planner'] == TRUTH:
-            case = row['room'], row['rotation']
-            best[case] = min(best[case], row['depth_error'])
-    return dict(best)
+            turned = best[row['room']]
+            turned[row['rotation']] = min(turned[row['rotation']], row['depth_error'])
+    return {room: float(np.mean(list(turned.values()))) for room, turned in best.items()}
 
 
 def per_room(rows: Rows, planner: str, budget: int, figure: str) -> dict[str, float]:
@@ -88,10 +88,7 @@ def summarise(rows: Rows) -> dict[str, Any]:
         of each budget; what is known of each room; and ``notes`` on rooms that tell planners
         apart no more.
     """
-    best = best_known(rows)
-    rooms = list(dict.fromkeys(row['room'] for row in rows))
-    known = {room: float(np.mean([error for (name, _), error in best.items() if name == room]))
-             for room in rooms}
+    known, rooms = best_known(rows), list(dict.fromkeys(row['room'] for row in rows))
     control = per_room(rows, CONTROL, 1, 'depth_error')
     least = per_room(rows, CONTROL, 1, 'lower_bound')
     runs = runs_in(rows)

@@ -67,7 +67,7 @@ class Assessment:
         """Return how many cameras see each point: (N,) int."""
         objective, order = self.objective, self.objective.simulator.visibility.order
         views = [*objective.look(self.placement.poses), *objective.fixed]
-        return sum(Subset(view.seen, order).mask.astype(np.int64) for view in views)
+        return np.sum([Subset(view.seen, order).mask for view in views], axis=0)
 
     @property
     def missed(self) -> np.ndarray:

@@ -136,18 +136,17 @@ class PlannedRig:
         found = {'room': placement.room, 'cameras': data_of(placement)['cameras'],
                  **verdict(problem, placement.poses), 'search': self._search()}
         if self.task.counting is not None:
-            found |= self._count(self.task.counting)
+            found |= {'curve': rows_of_curve(self.plans), 'count': self._count()}
         judged = Assessment(problem.objective, replace(placement, scores=found['scores']), found,
                             frame)
         found['installer'] = [dict(zip(['number', *COLUMNS], row)) for row in rows_of(judged)]
         return judged
 
-    def _count(self, counting: Counting) -> dict[str, Any]:
+    def _count(self) -> dict[str, Any]:
         """Return how many cameras are needed, as plain data."""
-        return {'curve': rows_of_curve(self.plans),
-                'count': {'cameras': len(self.best.rig.cameras), 'by': counting.by,
-                          'target': counting.target,
-                          'reached': self.best.reaches(counting.by, counting.target)}}
+        target, by, _ = self.task.counting
+        return {'cameras': len(self.best.rig.cameras), 'by': by, 'target': target,
+                'reached': self.best.reaches(by, target)}
 
     def _search(self) -> dict[str, Any]:
         """Return how the answer was found and what it compares with, as plain data."""

@@ -69,12 +69,10 @@ def figures_of_pages(judged: Assessment) -> Iterator[Figure]:
 
 def _pictures(judged: Assessment) -> Figure:
     """Draw the page of the pictures in the fonts that are set."""
-    figure = _page()
     found = figures_of(judged)
-    room = assessment_pictures.room_for(judged)
+    figure, room = _page(found), assessment_pictures.room_for(judged)
     _draw_head(figure, found)
     top = FOOT if len(judged.placement.cameras) > MOST else _draw_cameras(figure, judged)
-    _draw_foot(figure, found)
     bottom = top + 0.58
     slots = _slots(judged, bottom, 6.52 - bottom)
     assessment_pictures.draw_room_plan(_titled(figure, slots.plan, 'Plan (m)'), room, judged)
@@ -94,17 +92,22 @@ def _pictures(judged: Assessment) -> Figure:
 
 def _table_page(judged: Assessment) -> Figure:
     """Draw the page of a table with many cameras."""
-    figure, found = _page(), figures_of(judged)
-    _write_title(figure, found)
-    _draw_foot(figure, found)
+    figure = _page(figures_of(judged))
     rows = len(judged.placement.cameras) + 1
     _draw_cameras(figure, judged, min(ROW, (7.4 - FOOT) / rows))
     return figure
 
 
-def _page() -> Figure:
-    """Return an empty page."""
-    return Figure(figsize=(WIDTH, HEIGHT), dpi=DOTS, facecolor='white')
+def _page(found: Figures) -> Figure:
+    """Return a page with the room's name, what is in it and the verdict, and with its foot."""
+    figure = Figure(figsize=(WIDTH, HEIGHT), dpi=DOTS, facecolor='white')
+    write(figure, (MARGIN, 7.92), found.title, 5.6, 15, INK, bold=True)
+    write(figure, (MARGIN, 7.66), found.subtitle, 4.6 if found.doubts else 10.8, 8, PALE_INK)
+    write(figure, (WIDTH - MARGIN, 7.92), found.verdict, 5.0, 9.5, GOOD if found.kept else BAD,
+          bold=True, align='right')
+    for line, y in zip(found.foot, (0.27, 0.15)):
+        write(figure, (MARGIN, y), line, INSIDE, 6.2, PALE_INK)
+    return figure
 
 
 class _Slots(NamedTuple):
@@ -178,17 +181,8 @@ def _few_ticks(most: float) -> np.ndarray:
     return np.array([0.0, 0.1 * top, 0.4 * top, top])
 
 
-def _write_title(figure: Figure, found: Figures) -> None:
-    """Write the room's name, what is in it, and the verdict."""
-    write(figure, (MARGIN, 7.92), found.title, 5.6, 15, INK, bold=True)
-    write(figure, (MARGIN, 7.66), found.subtitle, 4.6 if found.doubts else 10.8, 8, PALE_INK)
-    write(figure, (WIDTH - MARGIN, 7.92), found.verdict, 5.0, 9.5, GOOD if found.kept else BAD,
-          bold=True, align='right')
-
-
 def _draw_head(figure: Figure, found: Figures) -> None:
-    """Write the title, what is doubtful, and the key figures."""
-    _write_title(figure, found)
+    """Write what is doubtful, and the key figures."""
     for number, doubt in enumerate(found.doubts[:DOUBTS]):
         more = len(found.doubts) - DOUBTS
         text = f'{doubt} (and {more} more)' if more > 0 and number == DOUBTS - 1 else doubt
@@ -248,9 +242,3 @@ def _draw_cameras(figure: Figure, judged: Assessment, step: float | None = None)
                7.2 if step == ROW else 6.2 if step >= LOW_ROW else 5.4,
                [dark(camera_colour(number)) for number in range(len(rows) - 1)])
     return FOOT + high
-
-
-def _draw_foot(figure: Figure, found: Figures) -> None:
-    """Write how the placement was found, and what its distances mean."""
-    for line, y in zip(found.foot, (0.27, 0.15)):
-        write(figure, (MARGIN, y), line, INSIDE, 6.2, PALE_INK)

@@ -147,20 +147,24 @@ def paints_of(scene: Scene, judged: Assessment | None) -> list[Paint]:
                    tuple(f'{value + 0.0:.1f} m' for value in np.round([low, high], 1)))
     if judged is None:
         return [height]
-    last = len(COUNT_COLOURS) - 1
-    steps = [[(k + edge) / (last + 1), colour] for k, colour in enumerate(COUNT_COLOURS)
-             for edge in (0, 1)]
+    kinds = len(COUNT_COLOURS)
+    counts = (np.minimum(judged.counts, kinds - 1) + 0.5) / kinds
     lost = 1000.0 * judged.lost
     most = float(np.percentile(lost[lost > 0.0], 98.0)) if (lost > 0.0).any() else 1.0
-    return [Paint('seen by how many cameras', (np.minimum(judged.counts, last) + 0.5) / (last + 1),
-                  steps, tuple(zip(COUNT_NAMES, COUNT_COLOURS))),
-            Paint('what is missed', judged.missed.astype(float),
-                  [[0.0, PLAIN], [0.5, PLAIN], [0.5, COUNT_COLOURS[0]], [1.0, COUNT_COLOURS[0]]],
-                  (('seen', PLAIN), ('missed', COUNT_COLOURS[0]))),
+    return [_banded('seen by how many cameras', counts, tuple(zip(COUNT_NAMES, COUNT_COLOURS))),
+            _banded('what is missed', judged.missed.astype(float),
+                    (('seen', PLAIN), ('missed', COUNT_COLOURS[0]))),
             Paint('depth error', np.sqrt(np.minimum(lost / most, 1.0)),
                   [[0.0, PLAIN], *([max(share, 0.004), colour]
                                    for share, colour in _scale(ERROR_COLOURS))], (),
                   ('0', f'{most:.2g} mm or more at a point')), height]
+
+
+def _banded(name: str, values: np.ndarray, legend: tuple[tuple[str, str], ...]) -> Paint:
+    """Return a way to colour points by a legend, whose colours share 0 to 1 equally."""
+    bands = [[(k + edge) / len(legend), colour] for k, (_, colour) in enumerate(legend)
+             for edge in (0, 1)]
+    return Paint(name, values, bands, legend)
 
 
 def _bytes_of(shares: np.ndarray) -> str:

@@ -136,8 +136,7 @@ def _draw_cameras(axes: Axes, paths: np.ndarray, max_range: float, clip: Polygon
             axes.plot(*path.T, color=colour, linewidth=2.4, zorder=4, path_effects=casing)
             axes.plot(*path[0], 'o', markersize=7, markerfacecolor='white', markeredgewidth=2.0,
                       markeredgecolor=colour, zorder=5)
-    for k, at in enumerate(paths[-1]):
-        draw_ball(axes, at, str(k + 1), camera_colour(k))
+        draw_ball(axes, path[-1], str(k + 1), colour)
     fit(axes, np.concatenate([clip.get_xy(), *paths]), 0.03)
 
 
