@@ -16,12 +16,14 @@ from ocp_ros.planners.registry import OFFLINE
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import solve
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.scenes.splits import SEEDS
 from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.problem import space_of
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 
+#: The first seed of each set that is looked at, and how many rooms it has.
+SEEDS = {'training': (1000, 128), 'validation': (500, 36), 'test': (3000, 10),
+         'fresh': (4000, 40)}
 #: Points of a room that is chosen.
 POINTS = 15000
 #: The least share of the mean error, and how much is searched.

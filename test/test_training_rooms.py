@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.room_sets import SEEDS
 from ocp_ros.compare.protocol import rooms_in
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.scenes.scene_source import make_room
-from ocp_ros.scenes.splits import FRESH, SEEDS, TEST, TRAINING, VALIDATION
+from ocp_ros.scenes.splits import FRESH, TEST, TRAINING, VALIDATION
 from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.training import training_rooms
 from ocp_ros.training.train import trials_of

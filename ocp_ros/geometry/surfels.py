@@ -408,14 +408,6 @@ def see_surfels(points, blocks, pose, lens, settings, work, seen):
         _pack(work.octets, seen, u64(number) * u64(WORDS))
 
 
-@njit(cache=True, nogil=True)
-def see_places(places, blocks, pose, lens, settings, work, seen):
-    """Add the places that a camera sees; see :func:`see_surfels`."""
-    for number in blocks:
-        locate_block(places, number, pose.position, settings.rows, work)
-    see_surfels(places, blocks, pose, lens, settings, work, seen)
-
-
 @njit(nogil=True)
 def _keep_in_cone(points, first, count, pose, lens, flags):
     """Clear the flags of points outside the viewing cone."""
@@ -482,4 +474,6 @@ def look_at_surfels(surfels, bounds, places, place_bounds, pose, lens, settings,
     see_surfels(surfels, blocks, pose, lens, settings, work, seen)
     if covered.shape[0]:
         blocks = work.blocks[:blocks_in_view(place_bounds, pose, lens, work.blocks)]
-        see_places(places, blocks, pose, lens, settings, work, covered)
+        for number in blocks:
+            locate_block(places, number, pose.position, settings.rows, work)
+        see_surfels(places, blocks, pose, lens, settings, work, covered)

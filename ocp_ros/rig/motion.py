@@ -136,19 +136,15 @@ def nearest_place(position: np.ndarray, target: np.ndarray, reach: float,
 
     if len(there := usable(target[None])):
         return there[0]
-    best, middle = None, position
+    best, middle = np.empty((0, 3)), position
+    straight = position + np.linspace(0.0, 1.0, ACROSS)[:, None] * (target - position)
     for scale in FINER:
-        places = np.concatenate([
-            _disc(middle, scale * reach), position + np.linspace(0.0, 1.0, ACROSS)[:, None]
-            * (target - position)])
-        if best is not None:
-            places = np.concatenate([best[None], places])
-        places = usable(places)
+        places = usable(np.concatenate([best, _disc(middle, scale * reach), straight]))
         if len(places) == 0:
-            return best
-        best = places[np.argmin(np.linalg.norm(places - target, axis=1))]
-        middle = best
-    return best
+            break
+        middle = places[np.argmin(np.linalg.norm(places - target, axis=1))]
+        best = middle[None]
+    return best[0] if len(best) else None
 
 
 def _disc(middle: np.ndarray, radius: float) -> np.ndarray:

@@ -19,14 +19,12 @@ class PlyPart(NamedTuple):
     What a header says of one element.
 
     :ivar count: rows.
-    :ivar properties: of each row.
-    :ivar lists: how many of them are lists.
+    :ivar kinds: of the properties of each row; ``b'list'`` for lists.
     """
 
     name: str
     count: int
-    properties: int = 0
-    lists: int = 0
+    kinds: list[bytes]
 
 
 def read_ply_fields(path: Path) -> dict[str, np.ndarray]:
@@ -38,7 +36,7 @@ def read_ply_fields(path: Path) -> dict[str, np.ndarray]:
     :raises ValueError: if the file is broken.
     """
     parts = _parts(path)
-    if any(part.name == 'face' and part.count and part.lists for part in parts):
+    if any(part.name == 'face' and part.count and b'list' in part.kinds for part in parts):
         return dict(zip(('x', 'y', 'z', 'nx', 'ny', 'nz'), read_mesh(path).T))
     content = PlyData.read(str(path))
     if 'vertex' not in content:
@@ -60,12 +58,11 @@ def _parts(path: Path) -> list[PlyPart]:
     for line in header.split(end_of_line):
         words = line.split()
         if words[:1] == [b'element'] and len(words) == 3:
-            parts.append(PlyPart(words[1].decode('ascii'), int(words[2])))
+            parts.append(PlyPart(words[1].decode('ascii'), int(words[2]), []))
         elif words[:1] == [b'property'] and parts:
-            parts[-1] = parts[-1]._replace(properties=parts[-1].properties + 1,
-                                           lists=parts[-1].lists + (words[1:2] == [b'list']))
+            parts[-1].kinds.append(b''.join(words[1:2]))
     # Each number takes a byte or more, and a row without any is none.
-    least = sum(part.count * max(part.properties, 1) for part in parts)
+    least = sum(part.count * max(len(part.kinds), 1) for part in parts)
     if min((part.count for part in parts), default=0) < 0 or least > path.stat().st_size:
         raise ValueError('more rows than the file has room for')
     return parts

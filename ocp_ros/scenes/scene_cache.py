@@ -63,11 +63,9 @@ def load_cached(path: str | Path, **options) -> Scene:
 
 def _keep(path: Path, scene: Scene) -> None:
     """Write a scene whole or not at all; a full disk or a folder of others does not matter."""
-    source = scene.source
     arrays = {'points': scene.points, 'name': np.array(scene.name),
               'notes': np.array(scene.notes, dtype=str),
-              'remarks': np.array(scene.remarks, dtype=str), 'scale': np.array(source.scale),
-              'rotation': source.rotation, 'shift': source.shift}
+              'remarks': np.array(scene.remarks, dtype=str), **vars(scene.source)}
     if scene.normals is not None:
         arrays['normals'] = scene.normals
     try:

@@ -11,9 +11,6 @@ ones for paired tests. Chosen by
 ``python -m benchmarks.room_sets`` on 2026-11-21.
 """
 
-#: The first seed of each set that is looked at, and how many rooms it has.
-SEEDS = {'training': (1000, 128), 'validation': (500, 36), 'test': (3000, 10),
-         'fresh': (4000, 40)}
 TRAINING = (
     1000, 1002, 1004, 1008, 1012, 1014, 1016, 1017, 1022, 1023, 1025, 1026, 1028, 1029, 1032,
     1033, 1035, 1036, 1039, 1041, 1043, 1045, 1048, 1053, 1056, 1057, 1058, 1060, 1063, 1065,

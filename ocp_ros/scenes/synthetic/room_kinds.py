@@ -74,6 +74,16 @@ def _clutter(plan: RoomPlan, count: int) -> None:
         plan.stand(lambda s=size: things(plan.rng, s, s, 0.0, 1), size, size)
 
 
+PIECES = {'desks': _desks, 'shelves': _shelves, 'cabinets': _cabinets, 'chairs': _chairs,
+          'clutter': _clutter}
+
+
+def _fill(plan: RoomPlan, **counts: tuple[int, int]) -> None:
+    """Add pieces by kind, one kind after the other: from the first to below the second number."""
+    for kind, (low, high) in counts.items():
+        PIECES[kind](plan, plan.rng.integers(low, high))
+
+
 def _seated_table(plan: RoomPlan, width: float, depth: float, every: float) -> None:
     """Stand a table with chairs on both long sides."""
     def group() -> Piece:
@@ -93,13 +103,10 @@ def office(plan: RoomPlan) -> None:
     """Furnish an office of one to four workplaces."""
     rng = plan.rng
     openings(plan, rng.integers(1, 3), rng.integers(0, 3), rng.integers(0, 2))
-    _desks(plan, rng.integers(1, 5))
-    _shelves(plan, rng.integers(2, 9))
-    _cabinets(plan, rng.integers(1, 5))
+    _fill(plan, desks=(1, 5), shelves=(2, 9), cabinets=(1, 5))
     if rng.random() < 0.5:
         _seated_table(plan, rng.uniform(0.9, 1.4), 0.9, 0.7)
-    _chairs(plan, rng.integers(0, 4))
-    _clutter(plan, rng.integers(3, 10))
+    _fill(plan, chairs=(0, 4), clutter=(3, 10))
 
 
 def conference(plan: RoomPlan) -> None:
@@ -110,10 +117,7 @@ def conference(plan: RoomPlan) -> None:
     _seated_table(plan, rng.uniform(0.4, 0.65) * long, rng.uniform(1.1, 1.8), 0.65)
     if rng.random() < 0.3:
         _seated_table(plan, 1.6, 0.8, 0.7)
-    _chairs(plan, rng.integers(2, 12))
-    _cabinets(plan, rng.integers(1, 5))
-    _shelves(plan, rng.integers(0, 4))
-    _clutter(plan, rng.integers(1, 6))
+    _fill(plan, chairs=(2, 12), cabinets=(1, 5), shelves=(0, 4), clutter=(1, 6))
 
 
 def lounge(plan: RoomPlan) -> None:
@@ -130,19 +134,14 @@ def lounge(plan: RoomPlan) -> None:
                                                    -0.3), 1.7, 3.0)
     for _ in range(rng.integers(1, 5)):
         _seated_table(plan, rng.uniform(0.8, 1.8), 0.8, 0.6)
-    _shelves(plan, rng.integers(1, 7))
-    _cabinets(plan, rng.integers(1, 6))
-    _chairs(plan, rng.integers(0, 6))
-    _clutter(plan, rng.integers(3, 12))
+    _fill(plan, shelves=(1, 7), cabinets=(1, 6), chairs=(0, 6), clutter=(3, 12))
 
 
 def hallway(plan: RoomPlan) -> None:
     """Furnish a hallway: doors, boards and a few cabinets."""
     rng = plan.rng
     openings(plan, rng.integers(4, 9), rng.integers(0, 2), rng.integers(0, 4))
-    _cabinets(plan, rng.integers(1, 6))
-    _shelves(plan, rng.integers(0, 6))
-    _clutter(plan, rng.integers(1, 8))
+    _fill(plan, cabinets=(1, 6), shelves=(0, 6), clutter=(1, 8))
 
 
 def storage(plan: RoomPlan) -> None:
@@ -166,8 +165,7 @@ def storage(plan: RoomPlan) -> None:
             start += width
         at += depth + rng.uniform(0.9, 1.6)
     _shelves(plan, rng.integers(1, 5), 1.4)
-    _cabinets(plan, rng.integers(1, 6))
-    _clutter(plan, rng.integers(8, 20))
+    _fill(plan, cabinets=(1, 6), clutter=(8, 20))
 
 
 def open_office(plan: RoomPlan) -> None:
@@ -191,11 +189,7 @@ def open_office(plan: RoomPlan) -> None:
     turns = (0.0,) if rng.random() < 0.5 else (0.5,)
     for _ in range(max(int(0.08 * np.prod(plan.size[:2])), 1)):
         plan.stand(group, 3.9, 3.0, turns)
-    _shelves(plan, rng.integers(6, 18))
-    _cabinets(plan, rng.integers(3, 10))
-    _desks(plan, rng.integers(2, 8))
-    _chairs(plan, rng.integers(2, 10))
-    _clutter(plan, rng.integers(8, 25))
+    _fill(plan, shelves=(6, 18), cabinets=(3, 10), desks=(2, 8), chairs=(2, 10), clutter=(8, 25))
 
 
 class RoomKind(NamedTuple):

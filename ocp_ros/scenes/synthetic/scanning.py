@@ -84,8 +84,8 @@ def scan(plan: RoomPlan, n_points: int, rng: np.random.Generator) -> tuple[np.nd
     boxes = boxes_of(plan)
     tripods = _tripods(plan, boxes, rng)
     patches = _patches(plan, rng)
-    found = _so_many(n_points, rng, lambda pitch, rng: _returns(plan, boxes, tripods, patches,
-                                                                pitch, rng))
+    found = _near_count(n_points, rng, lambda pitch, rng: _returns(
+        plan, boxes, tripods, patches, pitch, rng))
     offset = found.points[:, None] - tripods[None]
     nearest = np.argmin((offset ** 2).sum(axis=2), axis=1)
     ray = offset[np.arange(len(nearest)), nearest]
@@ -102,13 +102,13 @@ def sample(plan: RoomPlan, n_points: int, rng: np.random.Generator) -> np.ndarra
     :returns: (N, 3) float32, metres.
     """
     boxes = boxes_of(plan)
-    found = _so_many(n_points, rng, lambda pitch, rng: _outside(plan, boxes, pitch, rng))
+    found = _near_count(n_points, rng, lambda pitch, rng: _outside(plan, boxes, pitch, rng))
     return found.points.astype(np.float32)
 
 
-def _so_many(n_points: int, rng: np.random.Generator,
-             take: Callable[[float, np.random.Generator], ScannedSurface]) -> ScannedSurface:
-    """Take points at the pitch that gives about so many of them."""
+def _near_count(n_points: int, rng: np.random.Generator,
+                take: Callable[[float, np.random.Generator], ScannedSurface]) -> ScannedSurface:
+    """Take points at the pitch that gives about ``n_points`` of them."""
     pitch = 0.2
     for _ in range(4):
         found = take(pitch, np.random.default_rng(0))
