@@ -101,7 +101,7 @@ class PartialMap:
         away = np.linalg.norm(tests[:, None] - positions[None], axis=2)
         near = np.argsort(away, axis=1)[:, :LOOKING]
         for camera in np.unique(near):
-            view = View(no_bits(len(self.visibility.order)), no_bits(len(places)))
+            view = self.together([])
             self.visibility.look(Pose.of(positions[camera]), lens, view.seen, view.covered)
             seen = np.empty(len(places), dtype=bool)
             seen[places] = unpack(view.covered, len(places))
@@ -118,7 +118,7 @@ class PartialMap:
         key = np.asarray(camera, dtype=np.float64).tobytes(), lens
         if key in self._views:
             return self._views[key]
-        view = View(no_bits(len(self.visibility.order)), no_bits(len(self.cells)))
+        view = self.together([])
         self.visibility.look(Pose.of(camera), self._lens if lens is None else lens,
                              view.seen, view.covered)
         if len(self._views) >= MOST_VIEWS:
@@ -145,6 +145,15 @@ class PartialMap:
         """Look by these rules from now on; what was seen by others has to be looked at again."""
         if self.visibility.settings != settings:
             self.visibility, self._views = self.visibility.by(settings), {}
+
+    def together(self, views: Sequence[View]) -> View:
+        """Return what some views see and cover together; nothing where there are none."""
+        places = self.visibility.place_order
+        seen, covered = no_bits(len(self.visibility.order)), no_bits(len(places))
+        for view in views:
+            seen |= view.seen
+            covered |= view.covered
+        return View(seen, covered)
 
     def error(self, views: list[View]) -> float:
         """Return the depth error of some views together, metres."""

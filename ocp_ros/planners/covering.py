@@ -317,17 +317,6 @@ def _customers(trees, prefix, seers, fixed, extra, sets):
 
 
 @njit(cache=True, nogil=True)
-def _seers(view, candidate, seers):
-    """Add a candidate to the sets of all points that it sees: (N, W) uint64."""
-    word, bit = candidate >> 6, np.uint64(1) << np.uint64(candidate & 63)
-    for k in range(view.shape[0]):
-        if view[k]:
-            for point in range(64 * k, min(64 * k + 64, seers.shape[0])):
-                if (view[k] >> np.uint64(point & 63)) & np.uint64(1):
-                    seers[point, word] |= bit
-
-
-@njit(cache=True, nogil=True)
 def _lists(sets, count):
     """Return the lists (starts, who) of sets of so many candidates (C, W) uint64."""
     starts = np.zeros(sets.shape[0] + 1, dtype=np.int64)
@@ -365,7 +354,7 @@ def covering_of(trees: Trees, pixels: float, points: int, views: Sequence[np.nda
         raise ValueError(f'views: found {len(views)} candidates; expected at most {2 ** 16}')
     seers = np.zeros((points, -(-len(views) // 64)), dtype=np.uint64)
     for candidate, view in enumerate(views):
-        _seers(view, candidate, seers)
+        seers[unpack(view, points), candidate // 64] |= np.uint64(1 << candidate % 64)
         if over():
             return None
     seen = np.zeros(points, dtype=bool) if fixed is None else unpack(fixed, points)
