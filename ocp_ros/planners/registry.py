@@ -37,8 +37,7 @@ from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
 
 if TYPE_CHECKING:
-    from ocp_ros.agent.policy import Policy
-    from ocp_ros.agent.value_policy import ValuePolicy
+    from ocp_ros.agent.policy import Policy, ValuePolicy
 
 #: Entry points of packages that bring planners, and names that mean something else.
 GROUP = 'ocp_ros.planners'
@@ -70,7 +69,7 @@ def planned_by(policy: 'Policy | ValuePolicy', settings: tuple) -> Learned | Map
     :param policy: from :func:`ocp_ros.agent.policy.make_policy`.
     :param settings: of :class:`~ocp_ros.planners.online_planner.Online`.
     """
-    from ocp_ros.agent.value_policy import ValuePolicy
+    from ocp_ros.agent.policy import ValuePolicy
     if isinstance(policy, ValuePolicy):
         return MapActor(policy, *settings)
     _, max_step, max_range, *margins = settings

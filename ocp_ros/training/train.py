@@ -29,8 +29,7 @@ from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.errors import CheckpointError
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.simulation.environment import CameraPlacementEnv
-from ocp_ros.training.map_environment import playable
-from ocp_ros.training.replay_file import load_replay, save_replay
+from ocp_ros.training.encoded_environment import playable
 from ocp_ros.training.run_folder import (
     add_record,
     BEST,
@@ -41,7 +40,13 @@ from ocp_ros.training.run_folder import (
     VALUES,
 )
 from ocp_ros.training.sac import actor_checkpoint, AgentSac, load_actor, make_sac
-from ocp_ros.training.sac_state import load_state, new_run, save_state
+from ocp_ros.training.sac_state import (
+    load_replay,
+    load_state,
+    new_run,
+    save_replay,
+    save_state,
+)
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import room_names, Rooms
 from ocp_ros.training.validation import evaluate, RANDOM_MOVES, ValidationTrial

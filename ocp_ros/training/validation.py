@@ -9,8 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.policy import make_policy, Policy
-from ocp_ros.agent.value_policy import ValuePolicy
+from ocp_ros.agent.policy import make_policy, Policy, ValuePolicy
 from ocp_ros.planners.online_planner import Online
 from ocp_ros.planners.registry import ONLINE, planned_by, settings_of
 from ocp_ros.planners.rollout import play

@@ -282,15 +282,13 @@ class _States:
         self._places.append(((places - known.window.low) / known.window.edge).astype(np.float32))
         first = int(rng.integers(cameras))
         for camera in (first + np.arange(CHOICES)) % cameras:
-            others = np.delete(going, camera)
+            others, beside = np.delete(going, camera), views[:camera] + views[camera + 1:]
             values = self._room.values(others)
-            channels, numbers = known.others(
-                [views[other] for other in range(cameras) if other != camera], poses[others])
+            channels, numbers = known.others(beside, poses[others])
             self._choices.append((number, channels, numbers, values))
             if self._observed is not None:
                 self._observed.append(model.depth_error.changes(
-                    [views[other].seen for other in range(cameras) if other != camera],
-                    looks, FLOOR))
+                    [view.seen for view in beside], looks, FLOOR))
             if rng.random() < AT_RANDOM:
                 going[camera] = rng.integers(len(poses))
             else:
