@@ -15,8 +15,6 @@ In an episode of many turns plans are made while the cameras move; see
 :class:`~ocp_ros.planners.online_planner.ThinksAhead`.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from ocp_ros.agent.partial_map import cell_weight, KeptModel, PartialMap
@@ -53,19 +51,6 @@ FAR, NEAR = 0.5, 0.02
 WIDE, NARROW = 0.5, 0.05
 #: Proposals that are looked from at once.
 TOGETHER = 4
-
-
-class MoveTrial(NamedTuple):
-    """
-    A camera somewhere else.
-
-    :ivar position: (3,) metres.
-    :ivar heading: (3,) yaw, pitch and roll in radians; None where all are omnidirectional.
-    """
-
-    camera: int
-    position: np.ndarray
-    heading: np.ndarray | None
 
 
 class Lookahead(ThinksAhead):
@@ -196,15 +181,20 @@ class Lookahead(ThinksAhead):
         self._settle(positions)
 
     def _trial(self, placed: np.ndarray, headings: np.ndarray | None, reached: list[FreePlane],
-               share: float) -> MoveTrial:
-        """Draw a place near that of any camera, of those that it can reach."""
+               share: float) -> tuple[int, np.ndarray, np.ndarray | None]:
+        """
+        Draw a place near that of any camera, of those that it can reach.
+
+        :returns: the camera, its position (3,) in metres, and its heading (3,) in radians; None
+            where all are omnidirectional.
+        """
         camera = int(self.rng.integers(len(placed)))
         space = reached[camera]
         place = space.reflected(
             placed[camera] + self.rng.normal(0.0, between(FAR, NEAR, share), 2))
         heading = None if headings is None else self._wiggled(
             headings[camera], camera, between(WIDE, NARROW, share))
-        return MoveTrial(camera, space.placement(place[None])[0], heading)
+        return camera, space.placement(place[None])[0], heading
 
     @property
     def headings(self) -> np.ndarray | None:

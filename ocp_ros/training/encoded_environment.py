@@ -21,7 +21,6 @@ from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.reward import NO_REWARD, RewardTerms
-from ocp_ros.simulation.simulation_config import SimulationConfig
 
 LARGEST = 1000.0
 
@@ -70,21 +69,6 @@ def unwrapped(env: gym.Env) -> CameraPlacementEnv:
     if not isinstance(inner, CameraPlacementEnv):
         raise TypeError(f'env: found {type(inner).__name__}; expected CameraPlacementEnv')
     return inner
-
-
-def encoded(env: CameraPlacementEnv, agent: AgentConfig) -> gym.Env:
-    """
-    Return an environment as a network reads the cloud, in which an action is a move on the plane.
-
-    :param agent: which network: cameras choose one by one, or all at once.
-    """
-    level = on_plane(env)
-    return (CameraByCamera if agent.one_by_one else EncodedObservation)(level, agent)
-
-
-def on_plane(env: CameraPlacementEnv) -> gym.Env:
-    """Return an environment in which actions are moves on the plane alone."""
-    return env if env.axes == PlaneProblem.axes else PlaneMoves(env)
 
 
 class PlaneMoves(gym.ActionWrapper):
@@ -146,12 +130,6 @@ class EncodedObservation(gym.ObservationWrapper):
         return encode(episode.observed_cloud, episode.turn.positions, self._agent)
 
 
-def encoder_of(agent: AgentConfig, config: SimulationConfig) -> Encoder:
-    """Return the encoder of a simulated rig."""
-    return Encoder(agent, float(config.rig.ranges.max()), config.episode.max_step,
-                   config.episode.wall_margin, config.episode.clearance)
-
-
 class CameraByCamera(gym.Wrapper):
     """
     One camera after the other chooses, each told where those before it will be.
@@ -166,7 +144,8 @@ class CameraByCamera(gym.Wrapper):
 
     def __init__(self, env: gym.Env, agent: AgentConfig) -> None:
         super().__init__(env)
-        self._encoder = encoder_of(agent, unwrapped(env).config)
+        _, max_step, max_range, *margins = settings_of(unwrapped(env).config, env.np_random)
+        self._encoder = Encoder(agent, max_range, max_step, *margins)
         self.observation_space, self.action_space = encoded_space(agent), action_space(1)
         self.encoded: EncodedTurn | None = None
         #: The cameras that have not chosen yet, and the moves of those that have.
@@ -278,7 +257,13 @@ class MapChoices(gym.Wrapper):
 
 
 def playable(env: CameraPlacementEnv, agent: AgentConfig) -> gym.Env:
-    """Return an environment as the agent plays it, whatever its inputs are."""
-    if not agent.map:
-        return encoded(env, agent)
-    return MapChoices(on_plane(env), agent)
+    """
+    Return an environment as the agent plays it.
+
+    :param agent: which network. An action is where on the map a camera goes (``map``), the move of
+        one camera on the plane (``cloud``), or those of all cameras (``paper``).
+    """
+    level = env if env.axes == PlaneProblem.axes else PlaneMoves(env)
+    if agent.map:
+        return MapChoices(level, agent)
+    return (CameraByCamera if agent.one_by_one else EncodedObservation)(level, agent)
