@@ -27,12 +27,11 @@ from ocp_ros.ros.policy.policy_planners import ExploringMap, make_planner
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.training.augmentation import turned_batch
-from ocp_ros.training.encoded_environment import encoded_space
+from ocp_ros.training.encoded_environment import encoded_space, playable
 from ocp_ros.training.experience import Choice, Experience, ExperienceError, from_bytes, to_bytes
-from ocp_ros.training.map_environment import playable
-from ocp_ros.training.map_networks import IN_REWARDS, NearValueMap
 from ocp_ros.training.run_folder import records
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
+from ocp_ros.training.sac_networks import IN_REWARDS, NearValueMap
 from ocp_ros.training.train import train
 from ocp_ros.training.training_config import SacConfig, TrainingConfig
 from ocp_ros.training.transitions import Assembler, Reward

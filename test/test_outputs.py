@@ -21,9 +21,9 @@ from ocp_ros.compare.protocol import BenchmarkTask
 from ocp_ros.report.drawing.figures import save_figure
 from ocp_ros.report.viewer import write_view
 from ocp_ros.scenes.scene_files import load_scene, save_scene
-from ocp_ros.training.replay_file import save_replay
 from ocp_ros.training.run_folder import add_record, claim
 from ocp_ros.training.sac import make_sac
+from ocp_ros.training.sac_state import save_replay
 from ocp_ros.training.training_config import SacConfig, TrainingConfig
 from ocp_ros.util.settings import ConfigurationError
 

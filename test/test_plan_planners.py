@@ -18,8 +18,7 @@ from ocp_ros.planners.candidate_pool import Pool
 from ocp_ros.planners.online_planner import Online
 from ocp_ros.planners.pose_decoder import Decoder
 from ocp_ros.planners.registry import OFFLINE, ONLINE
-from ocp_ros.planners.rig_methods import planner_names
-from ocp_ros.planners.rig_offline import RigScorer
+from ocp_ros.planners.rig_methods import planner_names, RigScorer
 from ocp_ros.planners.rig_plan import RigPlanner
 from ocp_ros.planners.rollout import play
 from ocp_ros.rig.feasible_region import FeasibleRegion

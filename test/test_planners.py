@@ -236,11 +236,10 @@ def test_a_time_limit_ends_a_search():
     assert 1 <= solve(planner, toy, 10 ** 9, seconds=0.0).evaluations < 100
 
 
-@pytest.mark.parametrize('threads', [1, 2])
-def test_scores_are_those_of_the_engine(room, threads):
+def test_scores_are_those_of_the_engine(room):
     simulator = Simulator(room, SimulationConfig(
         engine=EngineConfig(preset='fast', error_rows=32, coverage_cell=0.5)))
-    rng, score = np.random.default_rng(0), Scorer(simulator, threads)
+    rng, score = np.random.default_rng(0), Scorer(simulator)
     places = rng.uniform(*room.bounds, (6, 3))
     placements = [places[rng.permutation(6)[:count]] for count in (0, 1, 3, 3, 2)]
     scores = score(placements)

@@ -22,7 +22,7 @@ from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import make_problem, settings_for
 from ocp_ros.simulation.reward import potential
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
-from ocp_ros.training.encoded_environment import encoded
+from ocp_ros.training.encoded_environment import playable
 from ocp_ros.training.train import train
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.util.settings import ConfigurationError, from_nested
@@ -155,9 +155,9 @@ def test_online_planners_play_a_rig_under_its_constraints(room, settings, name):
 @pytest.mark.parametrize('inputs', ['cloud', 'paper'])
 def test_a_policy_learns_where_cameras_are_and_a_planner_turns_them(room, settings, inputs):
     config = settings(rig_text('realsense_d455', 'free'))
-    env = encoded(CameraPlacementEnv([room], config),
-                  AgentConfig(inputs, cameras=3, points=64, keys_1=8, group_1=4, keys_2=4,
-                              group_2=4))
+    env = playable(CameraPlacementEnv([room], config),
+                   AgentConfig(inputs, cameras=3, points=64, keys_1=8, group_1=4, keys_2=4,
+                               group_2=4))
     rng, steps, truncated = np.random.default_rng(0), 0, False
     observation, _ = env.reset(seed=0)
     first = poses_of(env.unwrapped.episode)

@@ -23,7 +23,7 @@ from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.reward import potential
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.training.augmentation import SymmetricReplayBuffer, SYMMETRIES, turn, turn_observation
-from ocp_ros.training.encoded_environment import CameraByCamera, encoded, encoded_space
+from ocp_ros.training.encoded_environment import CameraByCamera, encoded_space, playable
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
 from ocp_ros.training.sac_state import load_state, save_state
 from ocp_ros.training.training_config import SacConfig
@@ -35,7 +35,7 @@ SAC = SacConfig(learning_starts=12, batch_size=8, buffer_size=400, device='cpu')
 
 def environment(room, agent, **options):
     """Return a small environment as training plays in it."""
-    return encoded(CameraPlacementEnv([room], SIMULATION, 128, **options), agent)
+    return playable(CameraPlacementEnv([room], SIMULATION, 128, **options), agent)
 
 
 @pytest.fixture(autouse=True)

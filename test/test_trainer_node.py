@@ -35,7 +35,7 @@ from ocp_ros.ros.training_source import topic_of
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
-from ocp_ros.training.encoded_environment import encoded
+from ocp_ros.training.encoded_environment import playable
 from ocp_ros.training.experience import Choice, Experience, to_bytes
 from ocp_ros.training.transitions import Transition
 from ocp_ros.util.settings import ConfigurationError
@@ -166,13 +166,13 @@ def recorded(graph, tmp_path, monkeypatch, small_agent):
 def test_what_is_learned_over_ros_is_what_is_learned_in_one_process(recorded, inputs):
     sim, weights, learned = recorded(inputs, 3)
     env = CameraPlacementEnv([sim.simulator.scene], sim.config)
-    wrapped = encoded(env, weights.config)
+    wrapped = playable(env, weights.config)
     wrapped.reset()
     # The same episode: where it starts is drawn as the node draws it.
     env.episode = Episode(PlaneProblem(sim.simulator), np.random.default_rng(3))
     if inputs == CLOUD:
         wrapped._encoder.turns.reset()
-    before = wrapped._encoded() if inputs == PAPER else wrapped._begin()
+    before = wrapped.observation(None) if inputs == PAPER else wrapped._begin()
     policy, rng = Policy(weights), np.random.default_rng(0)
     for found in learned:
         action = policy.choose(before, rng)

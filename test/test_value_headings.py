@@ -23,9 +23,9 @@ from ocp_ros.agent.observation_map import (
     told_of,
     yaws_of,
 )
+from ocp_ros.agent.policy import ValuePolicy
 from ocp_ros.agent.rig_state import RigState
 from ocp_ros.agent.value_network import valued, ValueMapNetwork
-from ocp_ros.agent.value_policy import ValuePolicy
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.planners.map_actor import MANY, MapActor
 from ocp_ros.rig.rig_config import RigConfig

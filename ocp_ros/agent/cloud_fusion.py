@@ -56,20 +56,13 @@ class FusedCloud:
             nothing is added.
         """
         points, numbers = self._thinned(np.asarray(points, dtype=np.float32))
-        new = ~self._known(numbers)
+        new = ~np.isin(numbers, self._numbers, assume_unique=True)
         self._points = np.concatenate([self._points, points[new]])
         self._numbers = np.sort(np.concatenate([self._numbers, numbers[new]]))
         while len(self._points) > self.most:
             self.edge *= 2.0
             self._points, numbers = self._thinned(self._points)
             self._numbers = np.sort(numbers)
-
-    def _known(self, numbers: np.ndarray) -> np.ndarray:
-        """Tell of voxels (M,) whether they have a point."""
-        if len(self._numbers) == 0:
-            return np.zeros(len(numbers), dtype=bool)
-        at = np.searchsorted(self._numbers, numbers)
-        return self._numbers[np.minimum(at, len(self._numbers) - 1)] == numbers
 
     def _thinned(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Keep the first point of each voxel; return the points and their voxels' numbers."""

@@ -205,8 +205,8 @@ class _Search:
 
     def _worth(self, goals: list[Goal]) -> float:
         """Return what goals are worth together, metres; less is better."""
-        first, *others = (goal.view for goal in goals)
-        return self._value(*_union(first, others), first)
+        views = [goal.view for goal in goals]
+        return self._value(self._model.together(views), views[0])
 
     def _look(self, camera: int, headings: np.ndarray) -> list[View]:
         """Compute what a camera would see in directions (H, 3), or remember it."""
@@ -220,30 +220,21 @@ class _Search:
 
     def best(self, camera: int, headings: np.ndarray) -> None:
         """Let a camera look where it helps most: as it does, or one of some headings (H, 3)."""
-        own = self.goals[camera].view
-        seen, covered = _union(own, [
+        others = self._model.together([
             goal.view for k, goal in enumerate(self.goals) if k != camera])
-        least = self._value(seen, covered, own)
+        least = self._value(others, self.goals[camera].view)
         for heading, view in zip(headings, self._look(camera, headings), strict=True):
-            value = self._value(seen, covered, view)
+            value = self._value(others, view)
             if value < least:
                 least, self.goals[camera] = value, Goal(heading, view)
 
-    def _value(self, seen: np.ndarray, covered: np.ndarray, view: View) -> float:
+    def _value(self, others: View, view: View) -> float:
         """Return what a view is worth beside what others see, metres; less is better."""
-        error = self._model.depth_error(seen | view.seen)
+        error = self._model.depth_error(others.seen | view.seen)
         if not self._weight:
             return error
-        return error - self._weight * int(count_bits((covered | view.covered) & self._unseen))
-
-
-def _union(like: View, views: list[View]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the packed bits that views have together, of the sizes of another one."""
-    seen, covered = np.zeros_like(like.seen), np.zeros_like(like.covered)
-    for view in views:
-        seen |= view.seen
-        covered |= view.covered
-    return seen, covered
+        covered = (others.covered | view.covered) & self._unseen
+        return error - self._weight * int(count_bits(covered))
 
 
 def _around(heading: np.ndarray, step: float) -> np.ndarray:

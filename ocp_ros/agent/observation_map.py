@@ -184,18 +184,14 @@ class ObservationMap:
         :param places: (J, >= 2) metres, where they are.
         :returns: (``OF_OTHERS``, 64, 64) uint8 and (``NUMBERS``,) float32.
         """
-        model = self._model
-        seen, covered = no_bits(len(model.points)), no_bits(len(model.cells))
-        for view in views:
-            seen |= view.seen
-            covered |= view.covered
-        unseen = ~unpack(seen, len(model.points))
-        lost = model.depth_error.by_point(seen)
+        model, together = self._model, self._model.together(views)
+        unseen = ~unpack(together.seen, len(model.points))
+        lost = model.depth_error.by_point(together.seen)
         error, worst = float(lost.sum()), model.depth_error.worst
         channels = np.concatenate([
             _density(_summed(np.where(unseen, self._halves, -1), 2)),
             _share(_summed(self._halves, 2, lost) / (error + FLOOR * worst)),
-            _bytes(self._air.shares(covered, 2)), _spots(self.window, places)])
+            _bytes(self._air.shares(together.covered, 2)), _spots(self.window, places)])
         level = np.log((error + FLOOR * worst) / worst) / 5.0
         return channels, np.array([*self._told, level], dtype=np.float32)
 

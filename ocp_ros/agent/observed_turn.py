@@ -48,14 +48,9 @@ class ObservedTurn:
         """Return the views of all cameras but one, those in place included."""
         return self._views[:camera] + self._views[camera + 1:] + self._fixed
 
-    def beside(self, camera: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return packed bits of the points that all others see, and of the cells they cover."""
-        own = self._views[camera]
-        seen, covered = np.zeros_like(own.seen), np.zeros_like(own.covered)
-        for view in self.others(camera):
-            seen |= view.seen
-            covered |= view.covered
-        return seen, covered
+    def beside(self, camera: int) -> View:
+        """Return what all others see and cover together."""
+        return self.model.together(self.others(camera))
 
     @property
     def error(self) -> float:

@@ -9,8 +9,8 @@ Whoever decides online, a planner or a policy, knows the room through this alone
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial import ConvexHull, QhullError
 
-from ocp_ros.agent.room_rectangle import inset, smallest_rectangle, with_corners
 from ocp_ros.geometry.cameras import CameraModel, Frustum, OMNIDIRECTIONAL, Pose
 from ocp_ros.geometry.clouds import cell_numbers, cells_numbered, fixed_size
 from ocp_ros.geometry.depth_error import DepthError
@@ -19,7 +19,7 @@ from ocp_ros.geometry.surfels import SurfelSettings
 from ocp_ros.geometry.visibility import FAST, SurfelVisibility
 from ocp_ros.geometry.voxels import thinned_to
 from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
-from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.simulator import ERROR_CUBE, View
 
 #: Metres: edge of the cells of the air. They are anchored to the map frame's origin, so that they
@@ -42,6 +42,10 @@ MOST_VIEWS = 4096
 CURIOSITY, EXPLORING = 2.0, 0.55
 #: Metres: how far one looks for a corner of the room, and how many cameras do.
 FAR, LOOKING = 100.0, 2
+#: Metres: how far inside a corner of the room one looks whether it is there.
+INSIDE = 0.3
+#: Metres: a box that the corners enlarge by no more than this is left as it is.
+SAME = 0.05
 
 
 class PartialMap:
@@ -101,7 +105,7 @@ class PartialMap:
         away = np.linalg.norm(tests[:, None] - positions[None], axis=2)
         near = np.argsort(away, axis=1)[:, :LOOKING]
         for camera in np.unique(near):
-            view = View(no_bits(len(self.visibility.order)), no_bits(len(places)))
+            view = self.together([])
             self.visibility.look(Pose.of(positions[camera]), lens, view.seen, view.covered)
             seen = np.empty(len(places), dtype=bool)
             seen[places] = unpack(view.covered, len(places))
@@ -118,7 +122,7 @@ class PartialMap:
         key = np.asarray(camera, dtype=np.float64).tobytes(), lens
         if key in self._views:
             return self._views[key]
-        view = View(no_bits(len(self.visibility.order)), no_bits(len(self.cells)))
+        view = self.together([])
         self.visibility.look(Pose.of(camera), self._lens if lens is None else lens,
                              view.seen, view.covered)
         if len(self._views) >= MOST_VIEWS:
@@ -145,6 +149,15 @@ class PartialMap:
         """Look by these rules from now on; what was seen by others has to be looked at again."""
         if self.visibility.settings != settings:
             self.visibility, self._views = self.visibility.by(settings), {}
+
+    def together(self, views: Sequence[View]) -> View:
+        """Return what some views see and cover together; nothing where there are none."""
+        places = self.visibility.place_order
+        seen, covered = no_bits(len(self.visibility.order)), no_bits(len(places))
+        for view in views:
+            seen |= view.seen
+            covered |= view.covered
+        return View(seen, covered)
 
     def error(self, views: list[View]) -> float:
         """Return the depth error of some views together, metres."""
@@ -280,3 +293,44 @@ def cells_of_the_air(bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]
     axes = [np.arange(first[k], last[k] + 1) for k in range(3)]
     index = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 3)
     return ((index + 0.5) * edge).astype(np.float32), cell_numbers(index), edge
+
+
+def smallest_rectangle(points: np.ndarray) -> np.ndarray:
+    """
+    Find the rectangle of least area around points: rooms have right angles.
+
+    One of its sides lies on a side of the convex hull (Freeman and Shapira, 1975).
+
+    :param points: (N, 2).
+    :returns: (4, 2) its corners.
+    :raises SceneError: if the points are on a line.
+    """
+    try:
+        hull = points[ConvexHull(points).vertices].astype(np.float64)
+    except QhullError as error:
+        raise SceneError('observed cloud: found all points on a line, seen from above; expected '
+                         'a room with volume') from error
+    sides = np.roll(hull, -1, axis=0) - hull
+    along = sides / np.linalg.norm(sides, axis=1, keepdims=True)
+    axes = np.stack([along, np.stack([-along[:, 1], along[:, 0]], axis=1)], axis=1)
+    spans = axes @ hull.T
+    low, high = spans.min(axis=2), spans.max(axis=2)
+    best = int(np.argmin(np.prod(high - low, axis=1)))
+    ends = np.array([[x, y] for x in (low[best, 0], high[best, 0])
+                     for y in (low[best, 1], high[best, 1])])
+    return ends @ axes[best]
+
+
+def inset(corners: np.ndarray) -> np.ndarray:
+    """Return places a little inside the corners of a rectangle: (4, 2) metres."""
+    way = corners.mean(axis=0) - corners
+    length = np.linalg.norm(way, axis=1, keepdims=True)
+    return corners + way * np.minimum(INSIDE / length, 1.0)
+
+
+def with_corners(bounds: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Return the box (2, 3) around a box and some corners (C, 2), metres."""
+    larger = bounds.copy()
+    larger[0, :2] = np.minimum(bounds[0, :2], corners.min(axis=0, initial=np.inf))
+    larger[1, :2] = np.maximum(bounds[1, :2], corners.max(axis=0, initial=-np.inf))
+    return np.where(np.abs(larger - bounds) > SAME, larger, bounds)

@@ -7,6 +7,13 @@ import numpy as np
 
 
 @njit(cache=True, nogil=True)
+def _squared(one, other):
+    """Return the squared distance of two points (3,)."""
+    dx, dy, dz = one[0] - other[0], one[1] - other[1], one[2] - other[2]
+    return dx * dx + dy * dy + dz * dz
+
+
+@njit(cache=True, nogil=True)
 def farthest_points(points, count):
     """
     Choose points one by one, each the farthest from those chosen before; the first is point 0.
@@ -21,10 +28,7 @@ def farthest_points(points, count):
     for k in range(1, count):
         farthest, best = 0, np.float32(-1.0)
         for i in range(points.shape[0]):
-            dx = points[i, 0] - points[last, 0]
-            dy = points[i, 1] - points[last, 1]
-            dz = points[i, 2] - points[last, 2]
-            nearest[i] = min(nearest[i], dx * dx + dy * dy + dz * dz)
+            nearest[i] = min(nearest[i], _squared(points[i], points[last]))
             if nearest[i] > best:
                 farthest, best = i, nearest[i]
         chosen[k] = last = farthest
@@ -46,9 +50,7 @@ def ball_query(points, keys, radius, size):
     for k in range(keys.shape[0]):
         centre, found = points[keys[k]], 0
         for i in range(points.shape[0]):
-            dx, dy = points[i, 0] - centre[0], points[i, 1] - centre[1]
-            dz = points[i, 2] - centre[2]
-            if dx * dx + dy * dy + dz * dz <= radius * radius:
+            if _squared(points[i], centre) <= radius * radius:
                 groups[k, found] = i
                 found += 1
                 if found == size:
@@ -77,9 +79,7 @@ def nearest_in_ball(points, keys, radius, size):
     for k in range(keys.shape[0]):
         centre, found = points[keys[k]], 0
         for i in range(points.shape[0]):
-            dx, dy = points[i, 0] - centre[0], points[i, 1] - centre[1]
-            dz = points[i, 2] - centre[2]
-            distance = dx * dx + dy * dy + dz * dz
+            distance = _squared(points[i], centre)
             if distance > radius * radius or (found == size and distance >= away[size - 1]):
                 continue
             at = min(found, size - 1)

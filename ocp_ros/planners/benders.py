@@ -17,7 +17,7 @@ import time
 
 import numpy as np
 
-from ocp_ros.planners.covering import Covering, Cut
+from ocp_ros.planners.covering import Covering
 from ocp_ros.planners.cut_model import CutModel, Rows, Sides, Solution
 from ocp_ros.planners.subproblem import ChoiceRules, Node, rows_of
 
@@ -50,7 +50,6 @@ class Proof:
     :ivar proved: whether none is better than this or than what was known.
     :ivar seconds: how long it took.
     :ivar nodes: subproblems that were looked into.
-    :ivar cuts: how many were made.
     """
 
     chosen: tuple[int, ...]
@@ -59,7 +58,6 @@ class Proof:
     proved: bool
     seconds: float
     nodes: int
-    cuts: int
 
 
 class Benders:
@@ -80,7 +78,7 @@ class Benders:
                  progress: Callable[[float, float], None] = lambda bound, loss: None) -> None:
         self.covering, self.choice, self.over, self.most = covering, choice, over, most
         self.known, self.best = known, ()
-        self.loss, self.nodes, self.cuts = np.inf, 0, 0
+        self.loss, self.nodes = np.inf, 0
         self._progress, self._offered = progress, set()
 
     def run(self, starts: Sequence[Sequence[int]] = (), more: int = STARTS) -> Proof:
@@ -103,8 +101,7 @@ class Benders:
             self._progress(min([self.loss, *(entry[0] for entry in heap[:1])]), self.loss)
         bound = min([self._enough, *(entry[0] for entry in heap)])
         return Proof(self.best, self.loss, max(bound - self.covering.rounding, 0.0),
-                     bool(bound >= self._enough), time.monotonic() - began,
-                     self.nodes, self.cuts)
+                     bool(bound >= self._enough), time.monotonic() - began, self.nodes)
 
     @property
     def _enough(self) -> float:
@@ -121,7 +118,7 @@ class Benders:
         if self.best:
             shares.append(self.covering.chosen(self.best))
         for share in shares:
-            node = replace(node, rows=node.rows + rows_of(self._cut(node, share)))
+            node = replace(node, rows=node.rows + rows_of(node.cut(share)))
         return node
 
     def _even(self, node: Node) -> np.ndarray:
@@ -129,11 +126,6 @@ class Benders:
         groups = self.choice.group[node.free]
         have = np.maximum(np.bincount(groups, minlength=len(node.left)), 1)
         return (node.left / have)[groups]
-
-    def _cut(self, node: Node, free: np.ndarray) -> Cut:
-        """Make a cut."""
-        self.cuts += 1
-        return node.cut(free)
 
     def _begin(self, starts: Sequence[Sequence[int]], more: int) -> None:
         """Find choices to compare bounds with."""
@@ -178,11 +170,8 @@ class Benders:
             places[camera] = int(candidate)
             loss, exchanged = self.covering.exchanges(places)
         if loss < self.loss:
-            self.best, self.loss = tuple(sorted(places, key=self._ordered)), loss
-
-    def _ordered(self, candidate: int) -> tuple[int, int]:
-        """Return by what the candidates of a choice are sorted: group and number."""
-        return int(self.choice.group[candidate]), candidate
+            places.sort(key=lambda candidate: (self.choice.group[candidate], candidate))
+            self.best, self.loss = tuple(places), loss
 
     def _explored(self, node: Node) -> list[Node]:
         """Return the subproblems that are left of one: none where it holds nothing better."""
@@ -203,7 +192,7 @@ class Benders:
 
     def _completed(self, node: Node) -> None:
         """Offer the best choice of a problem in which at most one candidate is to be chosen."""
-        losses, _, gains = self._cut(node, np.zeros(len(node.free)))
+        losses, _, gains = node.cut(np.zeros(len(node.free)))
         loss, gains = losses.sum(), gains.sum(axis=0)
         good = node.left[self.choice.group[node.free]] > 0
         good &= node.sides.columns[node.sides.least].all(axis=0)
@@ -245,7 +234,7 @@ class Benders:
                 return node, solution, False
             if self._separated(node, model, solution.share):
                 continue
-            cut = self._cut(node, solution.share)
+            cut = node.cut(solution.share)
             loss, below = cut.losses.sum(), solution.losses.sum()
             whole = np.abs(solution.share - np.round(solution.share)).max() < WHOLE
             gap = min(self._enough, loss) - node.bound
@@ -260,7 +249,7 @@ class Benders:
                 return replace(node, rows=node.rows.some(solution.active)), solution, False
             core = 0.5 * (core + solution.share)
             model.add(rows_of(cut, cut.losses > solution.losses + EQUAL * loss / len(cut.losses)))
-            middle = self._cut(node, core)
+            middle = node.cut(core)
             model.add(rows_of(middle, middle.consts - middle.gains @ solution.share
                               > solution.losses + EQUAL * loss / len(cut.losses)))
 
@@ -309,7 +298,7 @@ class Benders:
             return
         self._offered.add(tuple(sorted(chosen)))
         share = np.isin(node.free, chosen).astype(float)
-        if self._cut(node, share).losses.sum() < PROMISING * self.loss:
+        if node.cut(share).losses.sum() < PROMISING * self.loss:
             self._offer(tuple(chosen))
 
     def _branched(self, node: Node, solution: Solution) -> list[Node]:

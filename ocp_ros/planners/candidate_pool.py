@@ -128,6 +128,15 @@ class Pool:
         """Return the candidates of a model."""
         return self._kinds[model]
 
+    def left(self, rig: Rig, sites: Sequence[Site]) -> np.ndarray:
+        """
+        Return the numbers of the candidates that are left for the next camera of a rig.
+
+        :param sites: of the cameras before it, from which it has to be far enough.
+        """
+        poses = self.kind(rig.cameras[len(sites)].model).poses
+        return np.flatnonzero(clear(poses, sites, rig.spacing))
+
     def add(self, rig: Rig, sites: Sequence[Site]) -> None:
         """Let :meth:`everywhere` know of a placement of a rig that was found beside these."""
         for camera, site in zip(rig.cameras, sites):
@@ -185,8 +194,10 @@ def best_addition(objective: Objective, pool: Pool, sites: Sequence[Site],
     rig = objective.rig
     model, views = rig.cameras[len(sites)].model, [site.view for site in sites]
     kind = pool.kind(model)
-    among = np.arange(len(kind.poses)) if among is None else among
-    among = among[clear(kind.poses[among], sites, rig.spacing)]
+    if among is None:
+        among = pool.left(rig, sites)
+    else:
+        among = among[clear(kind.poses[among], sites, rig.spacing)]
     if len(among) == 0:
         return None
     worth = [objective.promise([*views, kind.views[number]]) for number in among]
@@ -204,12 +215,12 @@ def packed(rig: Rig, pool: Pool) -> list[Site]:
     for start in np.unique(np.linspace(0, len(first.poses) - 1, STARTS).astype(int)):
         sites = [pool.site(rig.cameras[0].model, start)]
         for camera in rig.cameras[1:]:
-            poses = pool.kind(camera.model).poses
-            left = np.flatnonzero(clear(poses, sites, rig.spacing))
+            left = pool.left(rig, sites)
             if len(left) == 0:
                 break
+            places = pool.kind(camera.model).poses[left, None, :3]
             others = np.array([site.pose[:3] for site in sites])
-            away = np.linalg.norm(poses[left, None, :3] - others, axis=2).sum(axis=1)
+            away = np.linalg.norm(places - others, axis=2).sum(axis=1)
             sites.append(pool.site(camera.model, left[int(np.argmin(away))]))
         best = max(best, sites, key=len)
         if len(best) == len(rig.cameras):
@@ -231,12 +242,19 @@ def check_room(objective: Objective, pool: Pool) -> None:
             'a distance at which all do', 'lower it or use fewer cameras')
 
 
+def random_site(rig: Rig, pool: Pool, sites: Sequence[Site], rng: np.random.Generator
+                ) -> Site | None:
+    """Draw a candidate for the next camera of a rig; None where it finds no room."""
+    left = pool.left(rig, sites)
+    return pool.site(rig.cameras[len(sites)].model, rng.choice(left)) if len(left) else None
+
+
 def random_sites(rig: Rig, pool: Pool, rng: np.random.Generator) -> tuple[Site, ...]:
     """Draw a placement of a rig among the candidates; () where the last camera finds no room."""
     sites: list[Site] = []
-    for camera in rig.cameras:
-        left = np.flatnonzero(clear(pool.kind(camera.model).poses, sites, rig.spacing))
-        if len(left) == 0:
+    while len(sites) < len(rig.cameras):
+        site = random_site(rig, pool, sites, rng)
+        if site is None:
             return ()
-        sites.append(pool.site(camera.model, rng.choice(left)))
+        sites.append(site)
     return tuple(sites)

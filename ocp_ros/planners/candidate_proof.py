@@ -141,7 +141,7 @@ class Question:
         covering = covering_of(self.error.trees, self.error.pixels, self.points, candidates.views,
                                self.fixed, self.extra, over)
         if covering is None:
-            return Proof((), np.inf, 0.0, False, 0.0, 0, 0)
+            return Proof((), np.inf, 0.0, False, 0.0, 0)
         search = Benders(covering, self.choice(candidates), over, most, known, progress)
         return search.run(starts, more)
 

@@ -96,17 +96,17 @@ class Candidates:
     :param model: the engine on what has been seen.
     :param places: (M, 2) metres, M >= 1.
     :param space: where cameras may be.
+    :param cameras: how many are chosen for.
     :param unseen: packed bits of the model's cells that count as unseen.
     :param weight: what covering one of them is worth, metres of depth error.
     :param fixed: what cameras in place see, whatever is chosen.
-    :ivar kind_of: (K,) the kind of each camera; None where all are alike.
+    :ivar kind_of: (K,) the kind of site that each camera takes; here all are alike.
     """
 
-    kind_of: np.ndarray | None = None
-
-    def __init__(self, model: PartialMap, places: np.ndarray, space: FreePlane, unseen: np.ndarray,
-                 weight: float, fixed: Sequence[View] = ()) -> None:
+    def __init__(self, model: PartialMap, places: np.ndarray, space: FreePlane, cameras: int,
+                 unseen: np.ndarray, weight: float, fixed: Sequence[View] = ()) -> None:
         self.model, self.places, self.weight = model, places, weight
+        self.kind_of = np.zeros(cameras, dtype=np.int64)
         self._see(mapped(model.look, space.placement(places)), fixed, unseen)
         apart = ((places[:, None] - places[None]) ** 2).sum(axis=-1)
         self._near = np.argsort(apart, axis=1, kind='stable')[:, 1:NEIGHBOURS + 1].copy()
@@ -116,9 +116,9 @@ class Candidates:
         """Keep what each would see, what cameras in place see included."""
         self._seen = np.array([view.seen for view in views])
         self._covered = np.array([view.covered for view in views]) & unseen
-        for view in fixed:
-            self._seen |= view.seen
-            self._covered |= view.covered & unseen
+        always = self.model.together(fixed)
+        self._seen |= always.seen
+        self._covered |= always.covered & unseen
 
     def headings(self, chosen: np.ndarray) -> np.ndarray | None:
         """Return how cameras are turned at a choice, (K, 3) radians; None where it is alike."""
@@ -126,24 +126,18 @@ class Candidates:
 
     def value(self, chosen: list[int]) -> float:
         """Return what a choice is worth, metres; less is better."""
-        return self._value(np.bitwise_or.reduce(self._seen[chosen], axis=0),
-                           np.bitwise_or.reduce(self._covered[chosen], axis=0))
-
-    def _value(self, seen: np.ndarray, covered: np.ndarray) -> float:
-        """Return what seeing points and covering cells, packed bits each, is worth, metres."""
         error = self.model.depth_error
-        return _worth(seen, covered, error.trees, error.pixels, self.weight)
+        return _worth(np.bitwise_or.reduce(self._seen[chosen], axis=0),
+                      np.bitwise_or.reduce(self._covered[chosen], axis=0),
+                      error.trees, error.pixels, self.weight)
 
-    def fill(self, cameras: int) -> list[int]:
+    def fill(self) -> list[int]:
         """Choose for one camera after the other, each the best that is left."""
         chosen: list[int] = []
-        seen, covered = np.zeros_like(self._seen[0]), np.zeros_like(self._covered[0])
-        for kind in self._kinds(cameras):
-            own = self._of_kind[kind]
-            values = [self._value(seen | self._seen[site], covered | self._covered[site])
-                      for site in own]
-            chosen.append(int(own[np.argmin(values)]))
-            seen, covered = seen | self._seen[chosen[-1]], covered | self._covered[chosen[-1]]
+        for kind in self.kind_of:
+            own = self._of_kind[kind].tolist()
+            values = [self.value([*chosen, site]) for site in own]
+            chosen.append(own[int(np.argmin(values))])
         return chosen
 
     def anneal(self, chosen: list[int], rng: np.random.Generator) -> list[int]:
@@ -152,12 +146,8 @@ class Candidates:
         temperatures = error.worst * between(HOT, COLD, np.arange(EXCHANGES) / EXCHANGES)
         firsts = np.cumsum([0, *(len(own) for own in self._of_kind)])
         return _annealed(np.array(chosen), self._seen, self._covered, error.trees, error.pixels,
-                         self.weight, self._kinds(len(chosen)), np.concatenate(self._of_kind),
+                         self.weight, self.kind_of, np.concatenate(self._of_kind),
                          firsts, self._near, temperatures, rng).tolist()
-
-    def _kinds(self, cameras: int) -> np.ndarray:
-        """Return the kind of site that each camera takes: there is one."""
-        return np.zeros(cameras, dtype=np.int64)
 
 
 class Sites(Candidates):
@@ -184,7 +174,7 @@ class Sites(Candidates):
         if plan is not None:
             for camera, row in enumerate(plan):
                 views.append(model.look(row, sight.models[camera].lens))
-            sites, of_kind = list(plan), list(self.kind_of)
+            sites, of_kind = list(plan), self.kind_of.tolist()
         for kind, camera in enumerate(firsts):
             headings = sight.headings(camera, YAWS, PITCHES)
             lens = sight.models[camera].lens
@@ -212,10 +202,6 @@ class Sites(Candidates):
     def headings(self, chosen: np.ndarray) -> np.ndarray:
         """Return how cameras are turned at a choice; see :meth:`Candidates.headings`."""
         return self.sites[chosen, 3:]
-
-    def _kinds(self, cameras: int) -> np.ndarray:
-        """Return the kind of site that each camera takes."""
-        return self.kind_of[:cameras]
 
 
 def kinds_of(sight: RigState) -> tuple[np.ndarray, list[int]]:

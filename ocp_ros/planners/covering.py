@@ -54,10 +54,8 @@ class Covering(NamedTuple):
 
         :param share: (n,) from 0 to 1, how much of each column is chosen.
         """
-        count = len(self.constants)
-        losses, consts = np.empty(count), np.empty(count)
-        gains = np.zeros((count, len(self.candidates)))
-        _linearised(self.weights, self.starts, self.who, self.blocks, share, losses, consts, gains)
+        losses, consts, gains = _linearised(
+            self.weights, self.starts, self.who, self.blocks, share)
         return Cut(losses + self.constants, consts + self.constants, gains)
 
     def loss(self, columns: Sequence[int]) -> float:
@@ -78,10 +76,9 @@ class Covering(NamedTuple):
         """
         number = np.full(len(self.candidates), -1, dtype=np.int64)
         number[np.asarray(columns, dtype=np.int64)] = np.arange(len(columns))
-        alone, gains = np.zeros(len(columns)), np.zeros((len(columns), len(self.candidates)))
-        added = np.zeros(len(self.candidates))
-        loss = float(self.constants.sum()) + _exchanged(
-            self.weights, self.starts, self.who, number, alone, gains, added)
+        unserved, alone, gains, added = _exchanged(
+            self.weights, self.starts, self.who, number, len(columns))
+        loss = float(self.constants.sum()) + unserved
         return loss, loss + alone[:, None] - gains - added
 
     def shrunk(self, keep: np.ndarray, chosen: Sequence[int]) -> 'Covering':
@@ -116,9 +113,11 @@ class Cut(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def _linearised(weights, starts, who, blocks, share, losses, consts, gains):
-    """Add up the fields of :class:`Cut`, without what is lost whatever is chosen."""
-    for block in range(blocks.shape[0] - 1):
+def _linearised(weights, starts, who, blocks, share):
+    """Return the fields of :class:`Cut`, without what is lost whatever is chosen."""
+    count = blocks.shape[0] - 1
+    losses, consts, gains = np.empty(count), np.empty(count), np.zeros((count, share.shape[0]))
+    for block in range(count):
         loss = missed = 0.0
         for customer in range(blocks[block], blocks[block + 1]):
             served = 0.0
@@ -133,37 +132,39 @@ def _linearised(weights, starts, who, blocks, share, losses, consts, gains):
                 for k in range(starts[customer], starts[customer + 1]):
                     gains[block, who[k]] += weight
         losses[block], consts[block] = loss, missed
+    return losses, consts, gains
 
 
 @njit(cache=True, nogil=True)
-def _exchanged(weights, starts, who, number, alone, gains, added):
+def _exchanged(weights, starts, who, number, count):
     """
     Add up what each chosen column serves alone, and what others would gain.
 
     :param number: (n,) int64, which of the chosen ones a column is, or -1.
-    :param alone: (K,), out: weight that one chosen column alone serves.
-    :param gains: (K, n), out: of that weight, what each column serves.
-    :param added: (n,), out: what each column serves of the weight that none serves.
-    :returns: the weight that none serves.
+    :param count: K, how many are chosen.
+    :returns: the weight that none serves; (K,) weight that one chosen column alone serves; (K, n)
+        of that weight, what each column serves; and (n,) what each column serves of the weight
+        that none serves.
     """
-    loss = 0.0
+    loss, alone, added = 0.0, np.zeros(count), np.zeros(number.shape[0])
+    gains = np.zeros((count, number.shape[0]))
     for customer in range(weights.shape[0]):
-        count, last = 0, -1
+        serving, last = 0, -1
         for k in range(starts[customer], starts[customer + 1]):
             if number[who[k]] >= 0:
-                count, last = count + 1, number[who[k]]
-                if count > 1:
+                serving, last = serving + 1, number[who[k]]
+                if serving > 1:
                     break
         weight = weights[customer]
-        if count == 0:
+        if serving == 0:
             loss += weight
             for k in range(starts[customer], starts[customer + 1]):
                 added[who[k]] += weight
-        elif count == 1:
+        elif serving == 1:
             alone[last] += weight
             for k in range(starts[customer], starts[customer + 1]):
                 gains[last, who[k]] += weight
-    return loss
+    return loss, alone, gains, added
 
 
 @njit(cache=True, nogil=True)
@@ -317,17 +318,6 @@ def _customers(trees, prefix, seers, fixed, extra, sets):
 
 
 @njit(cache=True, nogil=True)
-def _seers(view, candidate, seers):
-    """Add a candidate to the sets of all points that it sees: (N, W) uint64."""
-    word, bit = candidate >> 6, np.uint64(1) << np.uint64(candidate & 63)
-    for k in range(view.shape[0]):
-        if view[k]:
-            for point in range(64 * k, min(64 * k + 64, seers.shape[0])):
-                if (view[k] >> np.uint64(point & 63)) & np.uint64(1):
-                    seers[point, word] |= bit
-
-
-@njit(cache=True, nogil=True)
 def _lists(sets, count):
     """Return the lists (starts, who) of sets of so many candidates (C, W) uint64."""
     starts = np.zeros(sets.shape[0] + 1, dtype=np.int64)
@@ -365,7 +355,7 @@ def covering_of(trees: Trees, pixels: float, points: int, views: Sequence[np.nda
         raise ValueError(f'views: found {len(views)} candidates; expected at most {2 ** 16}')
     seers = np.zeros((points, -(-len(views) // 64)), dtype=np.uint64)
     for candidate, view in enumerate(views):
-        _seers(view, candidate, seers)
+        seers[unpack(view, points), candidate // 64] |= np.uint64(1 << candidate % 64)
         if over():
             return None
     seen = np.zeros(points, dtype=bool) if fixed is None else unpack(fixed, points)

@@ -25,7 +25,7 @@ from ocp_ros.planners.candidate_proof import (
     refined,
     size_for,
 )
-from ocp_ros.planners.rig_search import Answer, poses_around, Progress, Search, views_of
+from ocp_ros.planners.rig_search import Answer, answered, poses_around, Progress, Search, views_of
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import Problem
@@ -85,7 +85,9 @@ def exact_plane(simulator: Simulator, space: FreePlane, candidates: int = 400,
     question = Question(error, len(simulator.scene), np.array([space.cameras]))
     places = space.grid(max(candidates, space.cameras))
     places = np.resize(places, (max(len(places), space.cameras), 2))
-    offered = _on_plane(simulator, _spread(places), space, by(CANDIDATES))
+    # Any beginning of it is spread over the room.
+    places = np.random.default_rng(0).permutation(places)
+    offered = _on_plane(simulator, places, space, by(CANDIDATES))
     proof = question.solve(offered, by(CANDIDATES if near else 1.0), more=STARTS)
     found, everything = offered.some(proof.chosen or range(space.cameras)), offered
     if near:
@@ -102,11 +104,6 @@ def exact_plane(simulator: Simulator, space: FreePlane, candidates: int = 400,
         certificate = _better(certificate, _certificate(question, everything, last, rows, found))
     return PlaneAnswer(space.placement(found.poses[:, :2]),
                        replace(certificate, seconds=time.monotonic() - began))
-
-
-def _spread(places: np.ndarray) -> np.ndarray:
-    """Return places in an order in which any beginning is spread over the room."""
-    return np.random.default_rng(0).permutation(places)
 
 
 def _rings(places: np.ndarray, step: float) -> np.ndarray:
@@ -296,6 +293,4 @@ def search_exact(problem: Problem, pool: Pool, budget: Budget, seed: int,
     certificate, best = asked.certified(asked.offered + tried, best, budget, rng)
     first = replace(certificate, candidates=len(asked.offered.poses), proved=proof.proved,
                     bound=proof.bound / asked.unit, nodes=proof.nodes)
-    certificate = _better(first, certificate)
-    loss = problem.objective.loss(views_of(best))
-    return Answer(best, loss, (loss,), search.evaluations, certificate)
+    return answered(problem.objective, best, search.evaluations, _better(first, certificate))

@@ -26,21 +26,6 @@ NOBODY = np.empty((0, 2))
 Answer = Generator[Sequence[np.ndarray], Scores, tuple[np.ndarray, float]]
 
 
-class GreedyCoverage(Planner):
-    """The candidate that adds most space coverage, K times."""
-
-    descends = False
-
-    def search(self) -> Search:
-        """Fill the placement."""
-        candidates = self.space.grid(max(self.budget // self.space.cameras, 1))
-        yield from fill(self.space.cameras, candidates, self.energy)
-
-    def energy(self, scores: Scores) -> np.ndarray:
-        """Maximise coverage."""
-        return -scores.space_coverage
-
-
 class GreedyError(Planner):
     """The candidate that takes most from the depth error, K times."""
 
@@ -48,6 +33,16 @@ class GreedyError(Planner):
         """Fill the placement."""
         candidates = self.space.grid(max(self.budget // self.space.cameras, 1))
         yield from fill(self.space.cameras, candidates, self.energy)
+
+
+class GreedyCoverage(GreedyError):
+    """The candidate that adds most space coverage, K times."""
+
+    descends = False
+
+    def energy(self, scores: Scores) -> np.ndarray:
+        """Maximise coverage."""
+        return -scores.space_coverage
 
 
 class GreedySwap(Planner):

@@ -61,15 +61,15 @@ def _values(known: ObservedTurn, camera: int, time: float) -> np.ndarray:
     of seeing nothing.
     """
     model, space = known.model, known.space
-    seen, covered = known.beside(camera)
-    fresh, floor = known.unseen & ~covered, FLOOR * model.depth_error.worst
+    others = known.beside(camera)
+    fresh, floor = known.unseen & ~others.covered, FLOOR * model.depth_error.worst
+    most = model.depth_error.worst + floor
     places = space.placement(space.inside(known.positions[camera, :2] + MOVES[1:]))
     bonus = curiosity(time) / known.count
 
     def value(place: np.ndarray) -> float:
         look = known.look(camera, place)
-        error = (model.depth_error(seen | look.seen) + floor) / (model.depth_error.worst + floor)
+        error = (model.depth_error(others.seen | look.seen) + floor) / most
         return error - bonus * int(count_bits(look.covered & fresh))
 
-    now = (known.error + floor) / (model.depth_error.worst + floor)
-    return np.array([now, *mapped(value, places)])
+    return np.array([(known.error + floor) / most, *mapped(value, places)])

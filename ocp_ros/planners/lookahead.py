@@ -15,8 +15,6 @@ In an episode of many turns plans are made while the cameras move; see
 :class:`~ocp_ros.planners.online_planner.ThinksAhead`.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from ocp_ros.agent.partial_map import cell_weight, KeptModel, PartialMap
@@ -31,7 +29,6 @@ from ocp_ros.planners.annealing import accepted, between
 from ocp_ros.planners.candidate_sites import Candidates, most_places, Sites
 from ocp_ros.planners.online_planner import matched, Online, REFINING, ThinksAhead
 from ocp_ros.rig.free_plane import FreePlane
-from ocp_ros.simulation.simulator import View
 from ocp_ros.util.threads import mapped
 
 #: Metres between candidates, and the most there are: in a larger room they are farther apart.
@@ -54,19 +51,6 @@ FAR, NEAR = 0.5, 0.02
 WIDE, NARROW = 0.5, 0.05
 #: Proposals that are looked from at once.
 TOGETHER = 4
-
-
-class MoveTrial(NamedTuple):
-    """
-    A camera somewhere else.
-
-    :ivar position: (3,) metres.
-    :ivar heading: (3,) yaw, pitch and roll in radians; None where all are omnidirectional.
-    """
-
-    camera: int
-    position: np.ndarray
-    heading: np.ndarray | None
 
 
 class Lookahead(ThinksAhead):
@@ -98,17 +82,13 @@ class Lookahead(ThinksAhead):
         """Return where each camera goes; see :attr:`Online.targets`."""
         return self._plan
 
-    def _listed_long_ago(self, turn: int, turns: int) -> bool:
-        """Tell whether candidates have to be listed, or listed again."""
-        kept = KEPT_AHEAD if self._ahead(turns) else KEPT
-        return self._candidates is None or turn - self._made >= kept
-
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Plan for a turn; see :meth:`ThinksAhead._think`."""
         if turn >= REFINING * turns:
             self._refine(cloud, positions, turn, turns)
             return
-        listed = self._listed_long_ago(turn, turns)
+        kept = KEPT_AHEAD if self._ahead(turns) else KEPT
+        listed = self._candidates is None or turn - self._made >= kept
         if listed:
             self._look_around(cloud, positions, turn, turns)
         # Where somebody waits, candidates alone are enough for a turn.
@@ -130,36 +110,22 @@ class Lookahead(ThinksAhead):
               cameras: int) -> None:
         """List candidates; the plan so far is among them, and it is chosen."""
         count = int(np.clip(space.area / SPACING ** 2, 4, CANDIDATES))
+        planned = None if self._plan is None else space.inside(self._plan)
         if self.directional:
-            self._candidates = self._sites(model, space, unseen, weight, count)
+            places = space.placement(space.grid(min(count, most_places(self.sight))))
+            if planned is not None:
+                planned = np.hstack([space.placement(planned), self._planned_headings()])
+            self._candidates = Sites(model, places, planned, self.sight, unseen, weight)
         else:
             places = space.grid(count)
-            if self._plan is not None:
-                places = np.vstack([space.inside(self._plan), places])
-            self._candidates = Candidates(model, places, space, unseen, weight,
-                                          self._fixed(model))
-        if self._plan is None:
-            self._chosen = self._candidates.fill(cameras)
+            if planned is not None:
+                places = np.vstack([planned, places])
+            self._candidates = Candidates(model, places, space, cameras, unseen, weight,
+                                          fixed_views(model, self.sight))
+        if planned is None:
+            self._chosen = self._candidates.fill()
         else:
             self._chosen = list(range(cameras))
-
-    def _sites(self, model: PartialMap, space: FreePlane, unseen: np.ndarray, weight: float,
-               count: int) -> Sites:
-        """List places and directions; the plan so far is among them."""
-        sight, plan = self.sight, None
-        places = space.placement(space.grid(min(count, most_places(sight))))
-        if self._plan is not None:
-            placed = space.placement(space.inside(self._plan))
-            plan = np.hstack([placed, self._planned_headings()])
-        return Sites(model, places, plan, sight, unseen, weight)
-
-    def _turned(self) -> np.ndarray:
-        """Return how the cameras are turned that may be moved: (K, 3) radians."""
-        return self.sight.placement[:self.sight.movable, 3:].copy()
-
-    def _fixed(self, model: PartialMap) -> list[View]:
-        """Return what cameras in place see, as far as any are known."""
-        return fixed_views(model, self.sight)
 
     def _settle(self, positions: np.ndarray) -> None:
         """Match the cameras with the chosen places, so that they walk least."""
@@ -186,7 +152,7 @@ class Lookahead(ThinksAhead):
         views = [view_from(model, self.sight, camera, position,
                            None if headings is None else headings[camera])
                  for camera, position in enumerate(self._space.placement(placed))]
-        fixed = self._fixed(model)
+        fixed = fixed_views(model, self.sight)
         error = best_error = model.error(views + fixed)
         for step in range(0, steps, TOGETHER):
             share = (turn - first + step / steps) / (turns - first)
@@ -215,15 +181,20 @@ class Lookahead(ThinksAhead):
         self._settle(positions)
 
     def _trial(self, placed: np.ndarray, headings: np.ndarray | None, reached: list[FreePlane],
-               share: float) -> MoveTrial:
-        """Draw a place near that of any camera, of those that it can reach."""
+               share: float) -> tuple[int, np.ndarray, np.ndarray | None]:
+        """
+        Draw a place near that of any camera, of those that it can reach.
+
+        :returns: the camera, its position (3,) in metres, and its heading (3,) in radians; None
+            where all are omnidirectional.
+        """
         camera = int(self.rng.integers(len(placed)))
         space = reached[camera]
         place = space.reflected(
             placed[camera] + self.rng.normal(0.0, between(FAR, NEAR, share), 2))
         heading = None if headings is None else self._wiggled(
             headings[camera], camera, between(WIDE, NARROW, share))
-        return MoveTrial(camera, space.placement(place[None])[0], heading)
+        return camera, space.placement(place[None])[0], heading
 
     @property
     def headings(self) -> np.ndarray | None:
@@ -234,8 +205,9 @@ class Lookahead(ThinksAhead):
         """Return how the cameras are turned in the plan; None where all are omnidirectional."""
         if not self.directional:
             return None
-        known = self._headings is not None and self.sight.turns
-        return self._headings if known else self._turned()
+        if self._headings is not None and self.sight.turns:
+            return self._headings
+        return self.sight.placement[:self.sight.movable, 3:].copy()
 
     def _wiggled(self, heading: np.ndarray, camera: int, most: float) -> np.ndarray:
         """Turn a camera that is not omnidirectional a little, within its limits: (3,)."""

@@ -28,7 +28,7 @@ from ocp_ros.rig.motion import order_of
 from ocp_ros.scenes.scene import SceneError
 
 if TYPE_CHECKING:
-    from ocp_ros.agent.value_policy import ValuePolicy
+    from ocp_ros.agent.policy import ValuePolicy
 
 #: Points and rows of depth maps of the model that is read.
 PLAIN_POINTS, PLAIN_ROWS = 6000, 32

@@ -8,15 +8,14 @@ near as the rig allows, at the mount's height, and turns it to where it helps mo
 """
 
 from collections.abc import Sequence
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 
 from ocp_ros.planners.candidate_pool import best_addition, clear, packed, Pool, quick_of, Site
-from ocp_ros.planners.scorer import REMEMBERED
+from ocp_ros.planners.scorer import remembered_looks
 from ocp_ros.rig.placement_file import as_written
 from ocp_ros.simulation.problem import Problem
-from ocp_ros.simulation.simulator import View
 
 #: Candidates near a place whose heights and headings are compared.
 NEAREST = 24
@@ -37,16 +36,9 @@ class Decoder:
     """
 
     def __init__(self, problem: Problem, pool: Pool) -> None:
-        self.problem, self.pool = problem, pool
-        self.objective, self.region = problem.objective, problem.region
-        self.rig, simulator = problem.rig, problem.simulator
-        self._quick = quick_of(problem.objective)
-        nothing = simulator.nothing().bits.nbytes + len(simulator.grid) // 8
-
-        def look(camera: int, pose: bytes) -> View:
-            return simulator.look(np.frombuffer(pose), camera)
-
-        self._look = lru_cache(max(REMEMBERED // nothing, 64))(look)
+        self.pool, self.objective, self.region = pool, problem.objective, problem.region
+        self.rig, self._quick = problem.rig, quick_of(problem.objective)
+        self._look = remembered_looks(problem.simulator)
 
     def __call__(self, positions: np.ndarray, headings: np.ndarray | None = None
                  ) -> tuple[Site, ...]:
@@ -86,7 +78,7 @@ class Decoder:
         """Hang the next camera near a place (2,) or (3,); None where no candidate is left."""
         model = self.rig.cameras[len(sites)].model
         poses = self.pool.kind(model).poses
-        far = np.flatnonzero(clear(poses, sites, self.rig.spacing))
+        far = self.pool.left(self.rig, sites)
         away = np.linalg.norm(poses[far, :2] - place[:2], axis=1)
         near = far[np.argsort(away, kind='stable')[:self._count(len(sites))]]
         site = best_addition(self._quick, self.pool, sites, near)
@@ -115,5 +107,4 @@ class Decoder:
         model = self.rig.cameras[camera].model
         if not (clear(poses, sites, self.rig.spacing) & self.region.allowed(poses, model))[0]:
             return None
-        kind = self.objective.simulator.kind(camera)
-        return Site(poses[0], self._look(kind, poses[0].tobytes()))
+        return Site(poses[0], self._look(poses[0], camera))

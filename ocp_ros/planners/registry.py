@@ -37,8 +37,7 @@ from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
 
 if TYPE_CHECKING:
-    from ocp_ros.agent.policy import Policy
-    from ocp_ros.agent.value_policy import ValuePolicy
+    from ocp_ros.agent.policy import Policy, ValuePolicy
 
 #: Entry points of packages that bring planners, and names that mean something else.
 GROUP = 'ocp_ros.planners'
@@ -55,10 +54,12 @@ def settings_of(config: SimulationConfig, rng: np.random.Generator) -> tuple:
             config.episode.wall_margin, config.episode.clearance)
 
 
-def _greedy_step(config: SimulationConfig, rng: np.random.Generator, model: str = ''
-                 ) -> GreedyStep:
-    """Return the greedy step; it has no weights."""
-    return GreedyStep(*settings_of(config, rng))
+def _without_weights(planner: type[Online]) -> Callable[..., Online]:
+    """Return what makes an online planner that has no weights."""
+    def make(config: SimulationConfig, rng: np.random.Generator, model: str = '') -> Online:
+        return planner(*settings_of(config, rng))
+
+    return make
 
 
 def planned_by(policy: 'Policy | ValuePolicy', settings: tuple) -> Learned | MapActor:
@@ -68,7 +69,7 @@ def planned_by(policy: 'Policy | ValuePolicy', settings: tuple) -> Learned | Map
     :param policy: from :func:`ocp_ros.agent.policy.make_policy`.
     :param settings: of :class:`~ocp_ros.planners.online_planner.Online`.
     """
-    from ocp_ros.agent.value_policy import ValuePolicy
+    from ocp_ros.agent.policy import ValuePolicy
     if isinstance(policy, ValuePolicy):
         return MapActor(policy, *settings)
     _, max_step, max_range, *margins = settings
@@ -85,15 +86,10 @@ def _learned(config: SimulationConfig, rng: np.random.Generator, model: str = DE
     return planned_by(make_policy(Checkpoint.load(find_model(model))), settings_of(config, rng))
 
 
-def _lookahead(config: SimulationConfig, rng: np.random.Generator, model: str = '') -> Lookahead:
-    """Return the lookahead planner; it has no weights."""
-    return Lookahead(*settings_of(config, rng))
-
-
 def _learned_lookahead(config: SimulationConfig, rng: np.random.Generator,
                        model: str = DEFAULT_MODEL) -> ThenLookahead:
     """Return a policy with lookahead in the last turns."""
-    return ThenLookahead(_learned(config, rng, model), _lookahead(config, rng))
+    return ThenLookahead(_learned(config, rng, model), Lookahead(*settings_of(config, rng)))
 
 
 OFFLINE: dict[str, Callable[[FreePlane, np.random.Generator, int], Planner]] = {
@@ -112,9 +108,9 @@ OFFLINE: dict[str, Callable[[FreePlane, np.random.Generator, int], Planner]] = {
 
 #: A rig, the source of chance, and the weights of those that have learned: path or name.
 ONLINE: dict[str, Callable[..., Online]] = {
-    'greedy_step': _greedy_step,
+    'greedy_step': _without_weights(GreedyStep),
     'learned': _learned,
-    'lookahead': _lookahead,
+    'lookahead': _without_weights(Lookahead),
     'learned_lookahead': _learned_lookahead,
 }
 
@@ -144,12 +140,8 @@ def register_planner(name: str, planner: type[Planner] | type[Online]) -> None:
             'from Planner (offline) or Online and has all their methods; see docs/tasks/python.md')
     if issubclass(planner, Planner):
         OFFLINE[name] = planner
-        return
-
-    def online(config: SimulationConfig, rng: np.random.Generator, model: str = '') -> Online:
-        return planner(*settings_of(config, rng))
-
-    ONLINE[name] = online
+    else:
+        ONLINE[name] = _without_weights(planner)
 
 
 def _load_plugins() -> None:

@@ -3,25 +3,38 @@
 """
 Every planner as a method that finds a placement of a rig under all its constraints.
 
-``rig_search`` and ``exact`` choose full poses themselves; what the others propose is decoded.
+``rig_search`` and ``exact`` choose full poses themselves. Offline planners know places on a plane:
+what they propose is decoded first, so they are told what cameras are worth where these may hang.
+Online planners know only what has been seen, and play an episode.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
+import sys
+import time
+
+import numpy as np
 
 from ocp_ros.planners.budget import Budget
-from ocp_ros.planners.candidate_pool import Pool, Site
+from ocp_ros.planners.candidate_pool import check_room, Pool, Site
 from ocp_ros.planners.exact import search_exact
+from ocp_ros.planners.planner import Scores
+from ocp_ros.planners.pose_decoder import Decoder
 from ocp_ros.planners.registry import OFFLINE, ONLINE
-from ocp_ros.planners.rig_offline import search_offline
-from ocp_ros.planners.rig_online import play_online
-from ocp_ros.planners.rig_search import Answer, Progress, search, views_of
-from ocp_ros.simulation.problem import Problem
+from ocp_ros.planners.rig_search import Answer, answered, Progress, search, views_of
+from ocp_ros.planners.rollout import play
+from ocp_ros.planners.solve import solve
+from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.problem import described, Problem
 from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.yaml_files import nearest
 
 #: The planner that is used unless another is named, and the one that proves its answer.
 RIG_SEARCH, EXACT = 'rig_search', 'exact'
+#: Placements by which it is found out how many there is time for, and the most that are planned
+#: for: some methods lay out a grid of as many places.
+PILOTS, MOST = 4, 100_000
 
 
 def planner_names() -> tuple[str, ...]:
@@ -57,7 +70,9 @@ def find(name: str, problem: Problem, pool: Pool, budget: Budget, seed: int,
     :param name: one of :func:`planner_names`.
     :param problem: the rig in the room.
     :param pool: candidates of all its models.
-    :param budget: how long to go on.
+    :param budget: how long to go on. Where it counts no evaluations, an offline planner plans for
+        as many as there seems to be time for. Of an online planner a turn is an evaluation; it
+        plays no more turns than an episode has, and fewer only if the budget is stopped.
     :param seed: random seed.
     :param start: a placement that the answer is to be no worse than, where there is one.
     :param progress: called several times a second or after each placement or turn.
@@ -68,10 +83,103 @@ def find(name: str, problem: Problem, pool: Pool, budget: Budget, seed: int,
         return search(problem, pool, budget, seed, start, progress)
     if name == EXACT:
         found = search_exact(problem, pool, budget, seed, progress)
-    elif name in ONLINE:
-        found = play_online(name, problem, pool, budget, seed, progress, model)
     else:
-        found = search_offline(name, problem, pool, budget, seed, progress)
-    if start and (loss := problem.objective.loss(views_of(start))) < found.loss:
-        return Answer(tuple(start), loss, (loss,), found.evaluations)
-    return found
+        check_room(problem.objective, pool)
+        if name in ONLINE:
+            found = _played(name, problem, pool, budget, seed, progress, model)
+        else:
+            found = _searched(name, problem, pool, budget, seed, progress)
+    if not start:
+        return found
+    before = answered(problem.objective, start, found.evaluations)
+    return before if before.loss < found.loss else found
+
+
+class RigScorer:
+    """
+    Judge what planners propose by the rig's objective, as long as there is time.
+
+    The error of the scores is the loss of the rig: depth error / depth error of seeing nothing,
+    and what regions cost. ``space_coverage`` is that of the cameras in cubic metres.
+
+    :param decoder: hangs up the cameras.
+    :param budget: of the search; a batch ends where it does, but one placement is always judged.
+    :param progress: called after each placement.
+    """
+
+    def __init__(self, decoder: Decoder, budget: Budget, progress: Progress | None = None) -> None:
+        self.decoder, self.budget = decoder, budget
+        self.evaluations, self.least = 0, np.inf
+        self._progress = progress
+
+    @property
+    def used(self) -> float:
+        """Return how much of the budget is used up."""
+        return self.budget.share(self.evaluations, self.budget.evaluations)
+
+    def __call__(self, placements: Sequence[np.ndarray]) -> Scores:
+        """
+        Judge placements.
+
+        :param placements: B placements, (n, 3) or (n, 2) metres; heights do not matter.
+        :returns: scores of all, or of the first where the budget is used up.
+        """
+        worths = []
+        for placement in placements:
+            if self.evaluations and self.used >= 1.0:
+                break
+            sites = self.decoder(placement[:, :2])
+            worths.append(self.decoder.objective.judge(views_of(sites)))
+            self.evaluations += 1
+            self.least = min(self.least, worths[-1].loss)
+            if self._progress is not None:
+                self._progress(self.used, self.least)
+        return Scores(np.array([worth.loss for worth in worths]),
+                      np.array([worth.space_coverage for worth in worths]))
+
+
+def _searched(name: str, problem: Problem, pool: Pool, budget: Budget, seed: int,
+              progress: Progress | None) -> Answer:
+    """Find a placement by an offline planner; see :func:`find`."""
+    decoder, space = Decoder(problem, pool), problem.region.space
+    expected = budget.evaluations or _expected(decoder, budget, seed)
+    scorer = RigScorer(decoder, budget, progress)
+    planner = OFFLINE[name](space, np.random.default_rng([seed, 0]), expected)
+    result = solve(planner, scorer, budget.evaluations or sys.maxsize)
+    sites = decoder.completed(decoder(result.placement[:, :2]))
+    return answered(problem.objective, sites, scorer.evaluations)
+
+
+def _expected(decoder: Decoder, budget: Budget, seed: int) -> int:
+    """Return about how many placements there is time to judge."""
+    rng, scorer = np.random.default_rng([seed, 1]), RigScorer(decoder, budget)
+    began = time.monotonic()
+    scorer([decoder.region.space.random(rng) for _ in range(PILOTS)])
+    each = (time.monotonic() - began) / scorer.evaluations
+    return int(np.clip((budget.seconds - budget.elapsed) / each, 1, MOST))
+
+
+def _played(name: str, problem: Problem, pool: Pool, budget: Budget, seed: int,
+            progress: Progress | None, model: str) -> Answer:
+    """
+    Find a placement by an online planner; see :func:`find`.
+
+    The room is a simulation: a turn shows what the cameras see from where they are, and each
+    target is held to the rig and each camera turned as ``policy_node`` does it. Where the cameras
+    end they are mounted.
+    """
+    config = replace(problem.simulator.config, rig=described(problem.rig))
+    online = ONLINE[name](config, np.random.default_rng([seed, 1]), model)
+    episode = Episode(problem, np.random.default_rng([seed, 0]))
+    turns = min(episode.config.turns, budget.evaluations or episode.config.turns)
+    episode.config = replace(episode.config, turns=turns)
+
+    def over(turn: int) -> bool:
+        if progress is not None:
+            progress(turn / turns, np.inf)
+        # The clock cuts no episode short: it takes seconds, where candidates may take longer.
+        return budget.stopped
+
+    play(online, episode, over)
+    sites = Decoder(problem, pool)(episode.turn.positions, episode.turn.headings)
+    return answered(problem.objective, sites, episode.turn.step)

@@ -148,9 +148,11 @@ class RigPlanner:
         :param before: of a rig with one camera less; what is found is worth no less.
         :raises ConfigurationError: if its cameras do not find room.
         """
-        problem = self.problem(rig)
-        objective = problem.objective
-        start = () if before is None else self._and_one_more(objective, before)
+        problem, start = self.problem(rig), ()
+        if before is not None:
+            more = best_addition(problem.objective, self.pool, before.sites)
+            # Where it finds no room, all begin anew.
+            start = () if more is None else (*before.sites, more)
         answer = find(self.planner, problem, self.pool, self.budget, self.seed, start,
                       self._progress, self.model)
         return self._compared(rig, answer)
@@ -190,11 +192,6 @@ class RigPlanner:
         if certificate.nodes == 0 and not certificate.proved:
             return replace(plan, seconds=seconds, uncertain='there was no time to prove one')
         return replace(plan, certificate=certificate, seconds=seconds)
-
-    def _and_one_more(self, objective: Objective, before: Answer) -> tuple:
-        """Return a placement with one more camera, the best addition; () where it has no room."""
-        more = best_addition(objective, self.pool, before.sites)
-        return () if more is None else (*before.sites, more)
 
     def count_up(self, rig_of_count: Callable[[int], Rig], first: int, most: int
                  ) -> Iterator[RigPlan]:

@@ -24,6 +24,7 @@ from ocp_ros.planners.candidate_pool import (
     packed,
     Pool,
     quick_of,
+    random_site,
     Site,
 )
 from ocp_ros.planners.candidate_proof import Certificate
@@ -88,6 +89,13 @@ def views_of(sites: Sequence[Site]) -> list[View]:
     return [site.view for site in sites]
 
 
+def answered(objective: Objective, sites: Sequence[Site], evaluations: int,
+             certificate: Certificate | None = None) -> Answer:
+    """Return a placement as the answer of a single search."""
+    loss = objective.loss(views_of(sites))
+    return Answer(tuple(sites), loss, (loss,), evaluations, certificate)
+
+
 class Search:
     """
     One search.
@@ -147,16 +155,11 @@ class Search:
             among = np.sort(self.rng.choice(total, some, replace=False))
             self.evaluations += some
             site = (best_addition(self.quick, self.pool, sites, among)
-                    or self._any(sites, camera.model))
+                    or random_site(self.rig, self.pool, sites, self.rng))
             if site is None:
                 return tuple(packed(self.rig, self.pool))
             sites.append(site)
         return tuple(sites)
-
-    def _any(self, sites: Sequence[Site], model: CameraModel) -> Site | None:
-        """Return any candidate of a model that is far enough from others."""
-        far = np.flatnonzero(clear(self.pool.kind(model).poses, sites, self.rig.spacing))
-        return self.pool.site(model, self.rng.choice(far)) if len(far) else None
 
     def judge(self, sites: Sequence[Site]) -> float:
         """Return the loss."""

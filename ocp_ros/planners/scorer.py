@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scores of placements, where a camera that stands where one stood before costs no look."""
 
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 
 import numpy as np
 
@@ -18,20 +17,28 @@ REMEMBERED = 64_000_000
 LATTICE = 0.25
 
 
+def remembered_looks(simulator: Simulator) -> Callable[[np.ndarray, int], View]:
+    """Return ``look`` of an engine, which remembers what was seen: by pose and camera."""
+    nothing = simulator.nothing().bits.nbytes + len(simulator.grid) // 8
+
+    @lru_cache(max(REMEMBERED // nothing, 64))
+    def look(kind: int, pose: bytes) -> View:
+        return simulator.look(np.frombuffer(pose), kind)
+
+    # Where cameras are alike, who stands where makes no difference.
+    return lambda pose, camera: look(
+        simulator.kind(camera), np.asarray(pose, dtype=np.float64).tobytes())
+
+
 class Scorer:
     """
     Judge placements by the engine.
 
     :param simulator: the engine for a scene.
-    :param threads: how many to use for a batch.
     """
 
-    def __init__(self, simulator: Simulator, threads: int = 1) -> None:
-        self.simulator = simulator
-        self._views: OrderedDict[tuple[int, bytes], View] = OrderedDict()
-        nothing = simulator.nothing().bits.nbytes + len(simulator.grid) // 8
-        self._most = max(REMEMBERED // nothing, 64)
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+    def __init__(self, simulator: Simulator) -> None:
+        self.simulator, self._look = simulator, remembered_looks(simulator)
 
     def __call__(self, placements: Sequence[np.ndarray]) -> Scores:
         """
@@ -39,43 +46,16 @@ class Scorer:
 
         :param placements: B placements of the simulator, (n, 3) or (n, 6), n >= 0.
         """
-        wanted = {self._key(camera, pose): pose
-                  for placement in placements for camera, pose in enumerate(placement)}
-        views = {}
-        for key in list(wanted):
-            if key in self._views:
-                self._views.move_to_end(key)
-                views[key] = self._views[key]
-                del wanted[key]
-        looks = self._map(lambda item: self.simulator.look(item[1], item[0][0]),
-                          list(wanted.items()))
-        views.update(zip(wanted, looks))
-        self._views.update((key, views[key]) for key in wanted)
-        while len(self._views) > self._most:
-            self._views.popitem(last=False)
+        judged = np.array([self._judged(placement) for placement in placements])
+        return Scores(*judged.reshape(-1, 2).T)
 
-        def views_of(placement: np.ndarray) -> list[View]:
-            return [views[self._key(camera, pose)] for camera, pose in enumerate(placement)]
-
-        def judge(placement: np.ndarray) -> tuple[float, float]:
-            if len(placement) == 0:
-                return self.simulator.depth_error.worst, 0.0
-            result = self.simulator.judge(views_of(placement))
-            return result.depth_error, result.space_coverage
-
-        errors, coverage = np.array(self._map(judge, placements)).reshape(-1, 2).T
-        return Scores(errors, coverage)
-
-    def _key(self, camera: int, pose: np.ndarray) -> tuple[int, bytes]:
-        """Return what a view is remembered by."""
-        # Where cameras are alike, who stands where makes no difference.
-        return self.simulator.kind(camera), pose.tobytes()
-
-    def _map(self, function, items: Sequence) -> list:
-        """Apply a function to all items, in threads where there are several of both."""
-        if self._pool is None or len(items) < 2:
-            return [function(item) for item in items]
-        return list(self._pool.map(function, items))
+    def _judged(self, placement: np.ndarray) -> tuple[float, float]:
+        """Return the depth error, metres, and the space coverage, cubic metres."""
+        if len(placement) == 0:
+            return self.simulator.depth_error.worst, 0.0
+        result = self.simulator.judge([
+            self._look(pose, camera) for camera, pose in enumerate(placement)])
+        return result.depth_error, result.space_coverage
 
 
 class LatticeScorer:

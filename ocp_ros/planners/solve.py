@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The loop that every planner runs in: it owns the clock, the count, the best and the trace."""
 
+from bisect import insort
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-import heapq
+import itertools
 import time
 
 import numpy as np
@@ -43,24 +44,19 @@ class Archive:
     """The best placements that came by, as many as are kept."""
 
     def __init__(self) -> None:
-        self._heap: list[tuple] = []
-        self._count = 0
+        self._kept: list[tuple] = []
+        self._numbers = itertools.count()
 
     def add(self, rank: tuple[float, ...], positions: np.ndarray) -> None:
         """Keep a placement (n, 2) if it is among the best; the least rank is best."""
-        self._count += 1
-        # Of equals, the first one: the count is unique, so positions are never compared.
-        item = *(-value for value in rank), -self._count, positions
-        if len(self._heap) < KEPT:
-            heapq.heappush(self._heap, item)
-        elif item > self._heap[0]:
-            heapq.heapreplace(self._heap, item)
+        # Of equals, the first one: no number comes twice, so positions are never compared.
+        insort(self._kept, (*rank, next(self._numbers), positions))
+        del self._kept[KEPT:]
 
     @property
     def best(self) -> tuple[np.ndarray, ...]:
         """Return what was kept, the best first."""
-        return tuple(item[-1] for item in sorted(self._heap, key=lambda item: item[:-1],
-                                                 reverse=True))
+        return tuple(item[-1] for item in self._kept)
 
 
 def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], evaluations: int,

@@ -48,8 +48,7 @@ from ocp_ros.util.threads import set_threads
 
 if TYPE_CHECKING:
     from ocp_ros.agent.checkpoint import Checkpoint
-    from ocp_ros.agent.policy import Policy
-    from ocp_ros.agent.value_policy import ValuePolicy
+    from ocp_ros.agent.policy import Policy, ValuePolicy
     from ocp_ros.ros.policy.calibrator import Calibrator
 
 

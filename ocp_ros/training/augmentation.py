@@ -46,16 +46,6 @@ def turn_observation(observation: dict[str, torch.Tensor], maps: torch.Tensor
             **{name: turn(observation[name], maps) for name in ('points', 'cameras', 'others')}}
 
 
-def symmetric(batch: DictReplayBufferSamples) -> DictReplayBufferSamples:
-    """Turn or mirror each transition of a batch at random."""
-    numbers = np.random.randint(len(SYMMETRIES), size=len(batch.actions))
-    maps = SYMMETRIES[torch.from_numpy(numbers)].to(batch.actions.device)
-    return batch._replace(
-        observations=turn_observation(batch.observations, maps),
-        next_observations=turn_observation(batch.next_observations, maps),
-        actions=turn(batch.actions, maps))
-
-
 def turned_maps(observation: dict[str, torch.Tensor], places: torch.Tensor, number: int
                 ) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
     """
@@ -135,4 +125,10 @@ class SymmetricReplayBuffer(DictReplayBuffer):
 
     def sample(self, batch_size: int, env=None) -> DictReplayBufferSamples:
         """Draw a batch and one symmetry per transition."""
-        return symmetric(super().sample(batch_size, env))
+        batch = super().sample(batch_size, env)
+        numbers = np.random.randint(len(SYMMETRIES), size=len(batch.actions))
+        maps = SYMMETRIES[torch.from_numpy(numbers)].to(batch.actions.device)
+        return batch._replace(
+            observations=turn_observation(batch.observations, maps),
+            next_observations=turn_observation(batch.next_observations, maps),
+            actions=turn(batch.actions, maps))

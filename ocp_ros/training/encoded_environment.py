@@ -1,6 +1,6 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The environment as the networks read it: each observation is encoded once."""
+"""The environment as the networks read and play it: each observation is encoded once."""
 
 import gymnasium as gym
 from gymnasium import spaces
@@ -12,13 +12,15 @@ from ocp_ros.agent.heading_planner import HeadingPlanner
 from ocp_ros.agent.observation import encode, MARKS, OF_OTHERS, OF_TURN, OTHERS
 from ocp_ros.agent.observation_map import CELLS, NUMBERS, OF_ROOM
 from ocp_ros.agent.observation_map import OF_OTHERS as MAPS_OF_OTHERS
+from ocp_ros.planners.map_actor import MapActor
+from ocp_ros.planners.map_turn import MapTurn
+from ocp_ros.planners.registry import settings_of
 from ocp_ros.planners.rollout import state_of
 from ocp_ros.rig.motion import bounded_moves, order_of, way_between
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
-from ocp_ros.simulation.reward import RewardTerms
-from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.reward import NO_REWARD, RewardTerms
 
 LARGEST = 1000.0
 
@@ -69,22 +71,7 @@ def unwrapped(env: gym.Env) -> CameraPlacementEnv:
     return inner
 
 
-def encoded(env: CameraPlacementEnv, agent: AgentConfig) -> gym.Env:
-    """
-    Return an environment as a network reads the cloud, in which an action is a move on the plane.
-
-    :param agent: which network: cameras choose one by one, or all at once.
-    """
-    level = on_plane(env)
-    return (CameraByCamera if agent.one_by_one else EncodedObservation)(level, agent)
-
-
-def on_plane(env: CameraPlacementEnv) -> gym.Env:
-    """Return an environment in which actions are moves on the plane alone."""
-    return env if env.axes == PlaneProblem.axes else PlaneMoves(env)
-
-
-class PlaneMoves(gym.Wrapper):
+class PlaneMoves(gym.ActionWrapper):
     """
     Let actions be moves on the plane alone.
 
@@ -105,14 +92,14 @@ class PlaneMoves(gym.Wrapper):
         self._aim.reset()
         return self.env.reset(**kwargs)
 
-    def step(self, action):
-        """Play a turn."""
+    def action(self, action: np.ndarray) -> np.ndarray:
+        """Return a turn's action on all axes."""
         env = unwrapped(self.env)
         axes = np.zeros((len(action), len(env.axes)))
         axes[:, :2] = action
         if 'yaw' in env.axes:
             axes[:, -2:] = self._rotations(env.episode, np.asarray(action, dtype=np.float64))
-        return self.env.step(axes)
+        return axes
 
     def _rotations(self, episode: Episode, action: np.ndarray) -> np.ndarray:
         """Choose how cameras are turned where they go: (K, 2) yaw and pitch, of ``max_turn``."""
@@ -124,7 +111,7 @@ class PlaneMoves(gym.Wrapper):
         return way_between(turn.headings, headings[:state.movable]) / limits.max_turn
 
 
-class EncodedObservation(gym.Wrapper):
+class EncodedObservation(gym.ObservationWrapper):
     """
     Encode the observed cloud for a network that moves all cameras at once.
 
@@ -137,26 +124,10 @@ class EncodedObservation(gym.Wrapper):
         super().__init__(env)
         self._agent, self.observation_space = agent, encoded_space(agent)
 
-    def reset(self, **kwargs):
-        """Begin an episode."""
-        _, info = self.env.reset(**kwargs)
-        return self._encoded(), info
-
-    def step(self, action):
-        """Play a turn."""
-        _, *rest = self.env.step(action)
-        return self._encoded(), *rest
-
-    def _encoded(self) -> dict[str, np.ndarray]:
+    def observation(self, observation) -> dict[str, np.ndarray]:
         """Encode the turn."""
         episode = unwrapped(self.env).episode
         return encode(episode.observed_cloud, episode.turn.positions, self._agent)
-
-
-def encoder_of(agent: AgentConfig, config: SimulationConfig) -> Encoder:
-    """Return the encoder of a simulated rig."""
-    return Encoder(agent, float(config.rig.ranges.max()), config.episode.max_step,
-                   config.episode.wall_margin, config.episode.clearance)
 
 
 class CameraByCamera(gym.Wrapper):
@@ -173,7 +144,8 @@ class CameraByCamera(gym.Wrapper):
 
     def __init__(self, env: gym.Env, agent: AgentConfig) -> None:
         super().__init__(env)
-        self._encoder = encoder_of(agent, unwrapped(env).config)
+        _, max_step, max_range, *margins = settings_of(unwrapped(env).config, env.np_random)
+        self._encoder = Encoder(agent, max_range, max_step, *margins)
         self.observation_space, self.action_space = encoded_space(agent), action_space(1)
         self.encoded: EncodedTurn | None = None
         #: The cameras that have not chosen yet, and the moves of those that have.
@@ -206,7 +178,7 @@ class CameraByCamera(gym.Wrapper):
         """Take note of a turn and show it to the first camera."""
         episode = unwrapped(self.env).episode
         turn = episode.turn
-        self._encoder.turns.sight = None if episode.problem.rig is None else state_of(episode)
+        self._encoder.turns.sight = state_of(episode)
         self.encoded = self._encoder.turn(episode.observed_cloud, turn.positions, turn.step,
                                           episode.config.turns)
         self._left = order_of(turn.step, len(turn.positions))
@@ -225,3 +197,73 @@ class CameraByCamera(gym.Wrapper):
         self._views[camera] = episode.simulator.look(pose, camera)
         before, self._value = self._value, episode.value_of(self._views)
         return episode.reward(before, self._value)
+
+
+class MapChoices(gym.Wrapper):
+    """
+    One camera after the other chooses where it goes; when all that are asked have, they walk.
+
+    The reward of a turn comes with its last choice. What is read and who is asked is the map
+    actor's: see :class:`~ocp_ros.planners.map_actor.MapActor`.
+
+    :param env: :class:`~ocp_ros.simulation.environment.CameraPlacementEnv`, or in
+        :class:`PlaneMoves`.
+    :param agent: with the inputs ``map``.
+    """
+
+    def __init__(self, env: gym.Env, agent: AgentConfig) -> None:
+        super().__init__(env)
+        self.observation_space, self.action_space = encoded_space(agent), action_space(1)
+        self._actor: MapActor | None = None
+        self._known: MapTurn | None = None
+        self._left: list[int] = []
+
+    def reset(self, **kwargs):
+        """Begin an episode, in which something is seen of a room."""
+        _, info = self.env.reset(**kwargs)
+        while not self._begin(new=True):
+            _, info = self.env.reset()
+        return self._observation(), info
+
+    def step(self, action):
+        """Send a camera somewhere; after the last choice of a turn all cameras walk."""
+        known, camera = self._known, self._left.pop(0)
+        known.send_to(camera, np.asarray(action)[0])
+        if self._left:
+            return self._observation(), 0.0, False, False, NO_REWARD._asdict()
+        limits, moves = unwrapped(self.env).config.episode, np.zeros(self.env.action_space.shape)
+        moves[:len(known.plan)] = self._actor.end(known) / limits.max_step
+        _, reward, terminated, truncated, info = self.env.step(moves)
+        self._begin()
+        return self._observation(), reward, terminated, truncated, info
+
+    def _begin(self, new: bool = False) -> bool:
+        """Take note of a turn; returns whether anything is known of the room."""
+        env = unwrapped(self.env)
+        episode, turn, turns = env.episode, env.episode.turn, env.config.episode.turns
+        if new:
+            self._actor = MapActor(None, *settings_of(env.config, env.np_random))
+        self._actor.know(state_of(episode))
+        known = self._actor.begin(episode.observed_cloud, turn.positions, turn.step, turns)
+        if known is None:
+            return False
+        self._known = known
+        self._left = self._actor.asked(len(known.plan), turn.step, turns).tolist()
+        return True
+
+    def _observation(self) -> dict[str, np.ndarray]:
+        """Show the turn to the camera that is next."""
+        return self._known.experience(self._left[0])
+
+
+def playable(env: CameraPlacementEnv, agent: AgentConfig) -> gym.Env:
+    """
+    Return an environment as the agent plays it.
+
+    :param agent: which network. An action is where on the map a camera goes (``map``), the move of
+        one camera on the plane (``cloud``), or those of all cameras (``paper``).
+    """
+    level = env if env.axes == PlaneProblem.axes else PlaneMoves(env)
+    if agent.map:
+        return MapChoices(level, agent)
+    return (CameraByCamera if agent.one_by_one else EncodedObservation)(level, agent)

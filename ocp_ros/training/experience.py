@@ -112,14 +112,12 @@ def _choices(actions: np.ndarray, targets: np.ndarray, together: int | None) -> 
     if targets.ndim != 2 or targets.shape[1] != 3 or not 1 <= len(targets) <= MOST:
         raise ExperienceError(f'experience: found targets of shape {targets.shape}; expected '
                               f'(K, 3) with at most {MOST} cameras')
-    counts = range(1, MOST + 1)
-    if together is not None:
-        counts = range(len(targets), len(targets) + 1) if together == 1 else range(
-            1, 1 + (together == len(targets)))
-    count, together = len(actions) if actions.ndim else 0, together or 1
-    if count not in counts or actions.shape != (count, together, 2) or (
-            actions.dtype != np.float32):
+    count, each = len(actions) if actions.ndim else 0, together or 1
+    # All cameras choose: one by one, or at once.
+    good = 1 <= count <= MOST if together is None else (
+        (count, each) in ((len(targets), 1), (1, len(targets))))
+    if not good or actions.shape != (count, each, 2) or actions.dtype != np.float32:
         raise ExperienceError(
             f'experience: found actions as {actions.dtype} {actions.shape} of {len(targets)} '
-            f'cameras; expected float32 choices of {together} at a time')
+            f'cameras; expected float32 choices of {each} at a time')
     return count

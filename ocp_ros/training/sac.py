@@ -11,9 +11,8 @@ import torch
 from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.training.augmentation import MapReplayBuffer, SymmetricReplayBuffer
-from ocp_ros.training.cloud_networks import policy_of
 from ocp_ros.training.encoded_environment import action_space, cameras_of, encoded_space
-from ocp_ros.training.map_networks import MapPolicy, NearValueMap
+from ocp_ros.training.sac_networks import NearValueMap, policy_of
 from ocp_ros.training.training_config import SacConfig
 
 
@@ -76,7 +75,7 @@ def make_sac(sac: SacConfig, agent: AgentConfig, env=None, seed: int = 0,
     :param kwargs: passed on to ``stable_baselines3.SAC``.
     """
     cameras = cameras_of(agent)
-    policy, arguments = (MapPolicy, {'agent': agent}) if agent.map else policy_of(agent)
+    policy, arguments = policy_of(agent)
     buffer = MapReplayBuffer if agent.map else (
         SymmetricReplayBuffer if agent.one_by_one else DictReplayBuffer)
     model = AgentSac(

@@ -1,12 +1,23 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The whole state of SAC as safetensors, so that training resumes without unpickling anything."""
+"""
+The whole state of SAC as safetensors, so that training resumes without unpickling anything.
 
+Networks, optimisers and counters are in one file; the replay buffer, the past moves that are
+learned from, is in another.
+"""
+
+from collections.abc import Mapping
+import os
 from pathlib import Path
 import uuid
 
+import numpy as np
+from safetensors import SafetensorError
+import safetensors.numpy
 import safetensors.torch
 from stable_baselines3 import SAC
+from stable_baselines3.common.buffers import DictReplayBuffer
 import torch
 
 from ocp_ros.agent.checkpoint import CheckpointError, LARGEST_WEIGHT, read_metadata
@@ -14,6 +25,8 @@ from ocp_ros.util.files import write_atomically
 
 #: Nothing that a run counts is larger.
 MOST = 1 << 40
+#: Name of the array that says which slot is written next, and whether all have been.
+FILLED = 'filled'
 COUNTERS = ('_n_updates', 'num_timesteps', 'own_updates')
 
 
@@ -30,6 +43,22 @@ def _networks(model: SAC) -> dict[str, torch.Tensor]:
             **{f'counter.{name}': torch.tensor(getattr(model, name)) for name in COUNTERS}}
 
 
+def saved_slots(optimizer: torch.optim.Optimizer, prefix: str) -> dict[str, torch.Tensor]:
+    """Return what an optimiser keeps of each parameter, by its number and what it is."""
+    return {f'{prefix}{index}.{key}': value
+            for index, slot in optimizer.state_dict()['state'].items()
+            for key, value in slot.items()}
+
+
+def load_slots(optimizer: torch.optim.Optimizer, slots: dict[str, torch.Tensor]) -> None:
+    """Put back what :func:`saved_slots` returned, named without the prefix."""
+    state: dict[int, dict[str, torch.Tensor]] = {}
+    for name, value in slots.items():
+        index, key = name.split('.')
+        state.setdefault(int(index), {})[key] = value
+    optimizer.load_state_dict({**optimizer.state_dict(), 'state': state})
+
+
 def new_run() -> str:
     """Name a training run: 12 random hexadecimal digits."""
     return uuid.uuid4().hex[:12]
@@ -39,7 +68,7 @@ def save_state(model: SAC, path: Path, run: str) -> None:
     """
     Write networks, optimisers, entropy coefficient and counters; the file is whole or absent.
 
-    The replay buffer is not part of it; see :mod:`ocp_ros.training.replay_file`.
+    The replay buffer is not part of it; see :func:`save_replay`.
 
     :param model: from :func:`ocp_ros.training.sac.make_sac`.
     :param path: where to.
@@ -47,9 +76,7 @@ def save_state(model: SAC, path: Path, run: str) -> None:
     """
     tensors = _networks(model)
     for name, optimizer in _optimizers(model).items():
-        for index, slot in optimizer.state_dict()['state'].items():
-            tensors.update({f'optimizer.{name}.{index}.{key}': value
-                            for key, value in slot.items()})
+        tensors |= saved_slots(optimizer, f'optimizer.{name}.')
     tensors = {name: value.cpu().contiguous().clone() for name, value in tensors.items()}
     write_atomically(path, safetensors.torch.save(tensors, metadata={'run': run}))
 
@@ -69,7 +96,7 @@ def load_state(model: SAC, path: Path) -> str:
             raise ValueError(f'its run is {run!r}')
         slots = _slots(model, tensors)
         _check(tensors, _networks(model) | slots)
-    except (OSError, safetensors.SafetensorError, KeyError, TypeError, ValueError,
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError,
             RuntimeError) as error:
         reason = f'{path}: found no training state for this network ({error}); '
         raise CheckpointError(
@@ -83,12 +110,9 @@ def load_state(model: SAC, path: Path) -> str:
     for name in COUNTERS:
         setattr(model, name, int(tensors[f'counter.{name}']))
     for name, optimizer in _optimizers(model).items():
-        state: dict[int, dict[str, torch.Tensor]] = {}
-        for key in slots:
-            _, owner, index, slot = key.split('.')
-            if owner == name:
-                state.setdefault(int(index), {})[slot] = tensors[key]
-        optimizer.load_state_dict({**optimizer.state_dict(), 'state': state})
+        prefix = f'optimizer.{name}.'
+        load_slots(optimizer, {key.removeprefix(prefix): tensors[key]
+                               for key in slots if key.startswith(prefix)})
     return run
 
 
@@ -105,14 +129,19 @@ def _slots(model: SAC, tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tens
     return slots
 
 
+def _check_names(found: Mapping[str, object], expected: Mapping[str, object]) -> None:
+    """Refuse names that are not the expected ones, by a ``ValueError``."""
+    if odd := sorted(found.keys() ^ expected.keys()):
+        raise ValueError(f'{odd[0]} is {"unknown" if odd[0] in found else "missing"}')
+
+
 def _check(tensors: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]) -> None:
     """
     Refuse tensors of other names, shapes or types than expected, and numbers that cannot be.
 
     :raises ValueError: if so.
     """
-    if odd := sorted(tensors.keys() ^ expected.keys()):
-        raise ValueError(f'{odd[0]} is {"unknown" if odd[0] in tensors else "missing"}')
+    _check_names(tensors, expected)
     for name, tensor in tensors.items():
         if tensor.shape != expected[name].shape or tensor.dtype != expected[name].dtype:
             raise ValueError(f'{name} is {tensor.dtype} {tuple(tensor.shape)}, not '
@@ -121,3 +150,77 @@ def _check(tensors: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]) 
         most = LARGEST_WEIGHT if name.startswith('policy.') else MOST
         if not ((tensor >= low) & (tensor.abs() <= most)).all():
             raise ValueError(f'{name} has numbers that no training ends with')
+
+
+def save_replay(buffer: DictReplayBuffer, path: Path) -> None:
+    """
+    Write what a replay buffer holds; the file is whole or absent.
+
+    :param buffer: of stable-baselines3.
+    :param path: where to; what was there before is replaced.
+    :raises OSError: if it cannot be written; what was there before stays.
+    """
+    arrays = {name: np.ascontiguousarray(rows[:buffer.size()])
+              for name, rows in _rows(buffer).items()}
+    arrays[FILLED] = np.array([buffer.pos, buffer.full], dtype=np.int64)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f'.{path.name}.part')
+    try:
+        # To the file at once: a second copy of all moves may not fit into memory.
+        safetensors.numpy.save_file(arrays, beside)
+        os.replace(beside, path)
+    except BaseException as error:
+        beside.unlink(missing_ok=True)
+        if isinstance(error, SafetensorError):
+            raise OSError(f'{path}: found no room to write it ({error})') from error
+        raise
+
+
+def load_replay(buffer: DictReplayBuffer, path: Path) -> None:
+    """
+    Fill an empty replay buffer with what another process has saved.
+
+    :param buffer: made with the same settings.
+    :raises CheckpointError: if the file is damaged, or of a buffer of another kind; the buffer is
+        as it was.
+    """
+    try:
+        arrays = safetensors.numpy.load_file(path)
+        position, full = arrays.pop(FILLED).tolist()
+        rows = _rows(buffer)
+        _check_rows(arrays, rows, buffer.buffer_size if full else position)
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError, IndexError) as error:
+        raise CheckpointError(
+            f'{path}: found no moves of this run ({error}); expected those that it has saved; '
+            'remove the file: the run goes on and plays new moves first, nothing else is lost'
+        ) from error
+    for name, values in arrays.items():
+        rows[name][:len(values)] = values
+    buffer.pos, buffer.full = position, bool(full)
+
+
+def _rows(buffer: DictReplayBuffer) -> dict[str, np.ndarray]:
+    """Name the arrays that have a row for each slot and environment: (S, E, ...)."""
+    found = {}
+    for name, value in vars(buffer).items():
+        parts = value if isinstance(value, dict) else {'': value}
+        found |= {f'{name}.{part}' if part else name: array for part, array in parts.items()
+                  if isinstance(array, np.ndarray)
+                  and array.shape[:2] == (buffer.buffer_size, buffer.n_envs)}
+    return found
+
+
+def _check_rows(arrays: dict[str, np.ndarray], rows: dict[str, np.ndarray], count: int) -> None:
+    """
+    Refuse arrays that are not some rows of a buffer's, and numbers that are not finite.
+
+    :raises ValueError: if so.
+    """
+    _check_names(arrays, rows)
+    for name, expected in rows.items():
+        found, shape = arrays[name], (count, *expected.shape[1:])
+        if found.dtype != expected.dtype or found.shape != shape or count > len(expected):
+            raise ValueError(f'{name} is {found.dtype} {found.shape}, not {expected.dtype} '
+                             f'{shape}')
+        if found.dtype.kind == 'f' and not np.isfinite(found).all():
+            raise ValueError(f'{name} has NaN or inf')

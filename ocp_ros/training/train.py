@@ -12,11 +12,9 @@ to resume from, and TensorBoard's files.
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from datetime import date
+from dataclasses import replace
 import logging
 from pathlib import Path
-import time
 
 import numpy as np
 from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -29,10 +27,8 @@ from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.errors import CheckpointError
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.simulation.environment import CameraPlacementEnv
-from ocp_ros.training.map_environment import playable
-from ocp_ros.training.replay_file import load_replay, save_replay
+from ocp_ros.training.encoded_environment import playable
 from ocp_ros.training.run_folder import (
-    add_record,
     BEST,
     claim,
     records,
@@ -41,13 +37,18 @@ from ocp_ros.training.run_folder import (
     VALUES,
 )
 from ocp_ros.training.sac import actor_checkpoint, AgentSac, load_actor, make_sac
-from ocp_ros.training.sac_state import load_state, new_run, save_state
+from ocp_ros.training.sac_state import (
+    load_replay,
+    load_state,
+    save_replay,
+    save_state,
+)
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import room_names, Rooms
-from ocp_ros.training.validation import evaluate, RANDOM_MOVES, ValidationTrial
-from ocp_ros.training.value_training import learn_values, ValueRun
+from ocp_ros.training.validation import evaluate, RANDOM_MOVES, trials_of
+from ocp_ros.training.value_training import learn_values, TrainingRun, ValueRun
 from ocp_ros.util.resources import find_model
-from ocp_ros.util.settings import ConfigurationError, to_nested
+from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
 from ocp_ros.util.threads import cores
 from ocp_ros.util.worker_pool import WorkerPool
@@ -59,68 +60,36 @@ SAC = 'sac'
 TERMS = ('delta_space_coverage', 'delta_depth_error', 'penalty')
 
 
-@dataclass
-class Run:
+class Run(TrainingRun):
     """
-    A run as it goes on.
+    A run in which soft actor-critic plays and learns; see :class:`TrainingRun`.
 
-    :ivar config: its settings.
-    :ivar folder: where it lives.
-    :ivar model: SAC, whose actor is what is trained.
-    :ivar pool: plays episodes.
-    :ivar progress: the bars.
-    :ivar name: identity of the run.
+    :param model: SAC, whose actor is what is trained.
     """
 
-    config: TrainingConfig
-    folder: Path
-    model: AgentSac
-    pool: WorkerPool
-    progress: Progress
-    name: str
-
-    def __post_init__(self) -> None:
-        """Go on from the evaluations so far."""
-        self.past = records(self.folder)
-        self.best = np.inf
-        self.began = time.monotonic() - (self.past[-1]['seconds'] if self.past else 0.0)
-        self.rooms = room_names(self.config.rooms, 'training')
-        self.trials = trials_of(self.config, 'validation')
+    def __init__(self, model: AgentSac, *settings) -> None:
+        super().__init__(*settings)
+        self.model, self.device, self.best = model, model.device, np.inf
 
     @property
-    def state(self) -> Path:
-        """Return the file to resume from."""
-        return self.folder / STATE
+    def interactions(self) -> int:
+        """Return the interactions so far."""
+        return self.model.num_timesteps
 
     @property
-    def replay(self) -> Path:
-        """Return the file of the moves to learn from."""
-        return self.folder / REPLAY
-
-    @property
-    def device(self) -> torch.device:
-        """Return where the networks are."""
-        return self.model.device
-
-    @property
-    def seconds(self) -> float:
-        """Return how long the run has taken so far."""
-        return round(time.monotonic() - self.began, 1)
+    def updates(self) -> int:
+        """Return the gradient steps so far."""
+        return int(self.model._n_updates)
 
     def checkpoint(self) -> Checkpoint:
         """Return the actor as it is now."""
-        return actor_checkpoint(self.model, self.name, {
-            'interactions': self.model.num_timesteps, 'seed': self.config.seed,
-            'date': date.today().isoformat(), 'training': to_nested(self.config)})
+        return actor_checkpoint(self.model, self.name, self.provenance)
 
     def note(self, phase: str, **figures: float) -> None:
         """Write a line of progress, with the losses that were logged last."""
         losses = {name.rpartition('/')[2]: float(value) for name, value
                   in self.model.logger.name_to_value.items() if name.endswith('loss')}
-        record = {'phase': phase, 'interactions': self.model.num_timesteps,
-                  'updates': int(self.model._n_updates),
-                  'seconds': self.seconds, **losses, **figures}
-        add_record(self.folder, record)
+        super().note(phase, **losses | figures)
 
     def evaluate(self, phase: str) -> float:
         """Play the validation rooms; write the line, the state and, if best, the weights."""
@@ -136,11 +105,6 @@ class Run:
         self.note(phase, **result)
         return result['ratio']
 
-    def judge(self, checkpoint: Checkpoint) -> dict[str, float]:
-        """Play the validation rooms."""
-        blob = checkpoint.to_bytes()
-        return evaluate(self.pool, [replace(trial, weights=blob) for trial in self.trials])
-
     def resume(self) -> None:
         """
         Go on from the state that was saved last; the best weights so far stay the best.
@@ -148,14 +112,14 @@ class Run:
         :raises CheckpointError: if the state or the best weights cannot be used; the message says
             what is lost and how to go on.
         """
-        begun = any(line['phase'] != VALUES for line in self.past)
-        if self.state.exists():
-            self.name = load_state(self.model, self.state)
-            if self.replay.exists():
-                load_replay(self.model.replay_buffer, self.replay)
-        elif begun:
+        state, replay = self.folder / STATE, self.folder / REPLAY
+        if state.exists():
+            self.name = load_state(self.model, state)
+            if replay.exists():
+                load_replay(self.model.replay_buffer, replay)
+        elif any(line['phase'] != VALUES for line in self.past):
             raise CheckpointError(
-                f'{self.state}: found no file though the run had begun; expected the state to go '
+                f'{state}: found no file though the run had begun; expected the state to go '
                 'on from; put it back from a copy, or begin in another folder with model set to '
                 f'{self.folder / BEST}: its best weights are kept, the rest is lost')
         self._find_best()
@@ -187,19 +151,8 @@ class Run:
         """Write what is needed to resume."""
         # In this order: moves that the state does not count yet do no harm.
         if self.model.replay_buffer.size():
-            save_replay(self.model.replay_buffer, self.replay)
-        save_state(self.model, self.state, self.name)
-
-
-def trials_of(config: TrainingConfig, part: str) -> list[ValidationTrial]:
-    """Return one episode in each room of a set, turned by one rotation after the other."""
-    rooms, simulation = config.rooms, config.simulation
-    if not simulation.rig_file:
-        few = replace(simulation.rig, cameras=min(4, simulation.rig.cameras))
-        simulation = replace(simulation, rig=few)
-    return [ValidationTrial(room, rooms, rooms.angles[index % len(rooms.angles)], simulation,
-                            index)
-            for index, room in enumerate(room_names(rooms, part))]
+            save_replay(self.model.replay_buffer, self.folder / REPLAY)
+        save_state(self.model, self.folder / STATE, self.name)
 
 
 class TrainingWatch(BaseCallback):
@@ -260,7 +213,7 @@ def learn(run: Run) -> None:
     # Where the moves so far are lost, some are played before learning from them.
     if not model.replay_buffer.size():
         model.learning_starts += model.num_timesteps
-    model.set_env(environments(config, run.rooms))
+    model.set_env(environments(config, room_names(config.rooms, 'training')))
     # Of the number of moves as well: a run that goes on sees other episodes than at first.
     sequence = np.random.SeedSequence([config.seed, model.num_timesteps])
     model.env.seed(int(sequence.generate_state(1)[0]) >> 1)
@@ -294,29 +247,20 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
     with WorkerPool(config.workers, config.ray or None) as pool, Progress(*columns) as progress:
         start = Checkpoint.load(find_model(config.model)) if config.model else None
         if config.agent.map and config.values.steps:
-            values = ValueRun(config, folder, pool, progress, new_run())
+            values = ValueRun(config, folder, pool, progress)
             values.resume()
             start = learn_values(values)
             if not config.interactions:
-                return _report_values(values, command)
-        run = Run(config, folder, _model(config, folder, start), pool, progress, new_run())
+                if not any('ratio' in line for line in records(folder)):
+                    values.note(VALUES, **values.judge(start))
+                return report(values, command)
+        run = Run(_model(config, folder, start), config, folder, pool, progress)
         run.resume()
         learn(run)
         if not (folder / BEST).exists():
             # It was lost after the last evaluation.
             run.evaluate(SAC)
         return report(run, command)
-
-
-def _report_values(run: ValueRun, command: str) -> Checkpoint:
-    """Play the validation rooms with a map actor that has learned dense values, and report."""
-    if any('ratio' in line for line in records(run.folder)):
-        return report(run, command)
-    blob = run.checkpoint().to_bytes()
-    result = evaluate(run.pool, [replace(trial, weights=blob)
-                                 for trial in trials_of(run.config, 'validation')])
-    run.note(VALUES, **result)
-    return report(run, command)
 
 
 def _model(config: TrainingConfig, folder: Path, start: Checkpoint | None) -> AgentSac:
@@ -334,14 +278,13 @@ def _model(config: TrainingConfig, folder: Path, start: Checkpoint | None) -> Ag
     return model
 
 
-def report(run: Run | ValueRun, command: str) -> Checkpoint:
+def report(run: TrainingRun, command: str) -> Checkpoint:
     """Play the test rooms with the best weights and at random; write the figures into the card."""
     config, best = run.config, Checkpoint.load(run.folder / BEST)
     # Whatever it learned on, the figures are those of the engine at its best.
     fine = EngineConfig(preset='fine')
     trials = [replace(trial, simulation=replace(trial.simulation, engine=fine))
               for trial in trials_of(config, 'test')]
-    blob = best.to_bytes()
     on_gpu = run.device.type == 'cuda'
     cpu = f'CPU, {config.workers or cores()} processes, {torch.get_num_threads()} threads'
     lines = records(run.folder)
@@ -350,7 +293,7 @@ def report(run: Run | ValueRun, command: str) -> Checkpoint:
         'hardware': torch.cuda.get_device_name() if on_gpu else cpu,
         'seconds': lines[-1]['seconds'] if lines else run.seconds, 'curve': lines,
         'test': {'rooms': len(trials),
-                 'policy': evaluate(run.pool, [replace(one, weights=blob) for one in trials]),
+                 'policy': evaluate(run.pool, trials, best.to_bytes()),
                  RANDOM_MOVES: evaluate(run.pool, trials)}}
     final = replace(best, provenance=provenance)
     final.save(run.folder / BEST)

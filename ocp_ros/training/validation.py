@@ -3,14 +3,13 @@
 """What a way of moving the cameras ends with, in rooms it has not seen."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
 from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.policy import make_policy, Policy
-from ocp_ros.agent.value_policy import ValuePolicy
+from ocp_ros.agent.policy import make_policy, Policy, ValuePolicy
 from ocp_ros.planners.online_planner import Online
 from ocp_ros.planners.registry import ONLINE, planned_by, settings_of
 from ocp_ros.planners.rollout import play
@@ -18,8 +17,8 @@ from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import make_problem, PlaneProblem, Problem, settings_for
 from ocp_ros.simulation.simulation_config import SimulationConfig
-from ocp_ros.training.training_config import RoomsConfig
-from ocp_ros.training.training_rooms import make
+from ocp_ros.training.training_config import RoomsConfig, TrainingConfig
+from ocp_ros.training.training_rooms import make, room_names
 from ocp_ros.util.worker_pool import WorkerPool
 
 #: The control that learning has to beat.
@@ -91,13 +90,28 @@ def policy_of(weights: bytes) -> Policy | ValuePolicy:
     return make_policy(Checkpoint.from_bytes(weights))
 
 
-def evaluate(pool: WorkerPool, trials: Sequence[ValidationTrial]) -> dict[str, float]:
+def trials_of(config: TrainingConfig, part: str) -> list[ValidationTrial]:
+    """Return one episode in each room of a set, turned by one rotation after the other."""
+    rooms, simulation = config.rooms, config.simulation
+    if not simulation.rig_file:
+        few = replace(simulation.rig, cameras=min(4, simulation.rig.cameras))
+        simulation = replace(simulation, rig=few)
+    return [ValidationTrial(room, rooms, rooms.angles[index % len(rooms.angles)], simulation,
+                            index)
+            for index, room in enumerate(room_names(rooms, part))]
+
+
+def evaluate(pool: WorkerPool, trials: Sequence[ValidationTrial], weights: bytes = b''
+             ) -> dict[str, float]:
     """
     Play some episodes.
 
+    :param weights: of the policy that moves, as one blob; empty to move as the trials say.
     :returns: mean depth error at start and end (metres), their ratio, and mean space coverage at
         the end (cubic metres).
     """
+    if weights:
+        trials = [replace(trial, weights=weights) for trial in trials]
     starts, ends, covered = np.array(list(pool.map(play_trial, trials))).T
     return {'depth_error_start': float(starts.mean()), 'depth_error_end': float(ends.mean()),
             'ratio': float(ends.mean() / starts.mean()),

@@ -24,6 +24,7 @@ from ocp_ros.agent.errors import CheckpointError
 from ocp_ros.agent.observation_map import CELLS, used_part, yaws_of
 from ocp_ros.agent.value_network import ValueMap
 from ocp_ros.training.augmentation import turned_maps
+from ocp_ros.training.sac_state import load_slots, saved_slots
 from ocp_ros.training.training_config import ValuesConfig
 
 #: Where the loss is no more quadratic, how much more the best place counts than a bad one, and
@@ -212,8 +213,7 @@ class ValueFit:
         """Write the state to resume from."""
         tensors = {f'network.{name}': value for name, value in self.network.state_dict().items()}
         tensors |= {f'average.{name}': value for name, value in self.average.state_dict().items()}
-        for index, slot in self._optimizer.state_dict()['state'].items():
-            tensors |= {f'optimizer.{index}.{key}': value for key, value in slot.items()}
+        tensors |= saved_slots(self._optimizer, 'optimizer.')
         tensors['step'] = torch.tensor(self.step)
         return safetensors.torch.save({name: value.contiguous().clone()
                                        for name, value in tensors.items()}, {'run': run})
@@ -235,12 +235,7 @@ class ValueFit:
                     parts[part][rest] = value
             self.network.load_state_dict(parts['network'])
             self.average.load_state_dict(parts['average'])
-            slots: dict[int, dict[str, Tensor]] = {}
-            for name, value in parts['optimizer'].items():
-                index, key = name.split('.')
-                slots.setdefault(int(index), {})[key] = value
-            self._optimizer.load_state_dict(
-                {**self._optimizer.state_dict(), 'state': slots})
+            load_slots(self._optimizer, parts['optimizer'])
             self.step = int(tensors['step'])
         except (OSError, safetensors.SafetensorError, KeyError, TypeError, ValueError,
                 RuntimeError) as error:

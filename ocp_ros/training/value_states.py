@@ -99,7 +99,6 @@ class StateTask:
     :ivar seed: of everything that is drawn.
     :ivar weights: of the policy that plays, as one blob; empty for walks to drawn places.
     :ivar headings: how many are valued at each place; 0 for cameras that see all around.
-    :ivar observed: whether places are also valued on what has been seen.
     """
 
     rooms: RoomsConfig
@@ -107,7 +106,6 @@ class StateTask:
     seed: tuple[int, ...]
     weights: bytes = b''
     headings: int = 0
-    observed: bool = False
 
 
 class TrueRoom:
@@ -180,8 +178,7 @@ def play_states(task: StateTask) -> dict[str, np.ndarray]:
         (S, ...), see :class:`~ocp_ros.agent.observation_map.ObservationMap`; ``lens`` (S, ...),
         see :func:`~ocp_ros.agent.observation_map.told_of`; ``of`` (S,), the map of each choice;
         ``places`` (M, P, 2), the places that are labelled, in cells of the map; and ``values``
-        (S, P, D) float16, the labels, NaN beyond the last. If it is asked for, ``observed``
-        (S, P, D) is the same as the labels, of what has been seen in place of the true room.
+        (S, P, D) float16, the labels, NaN beyond the last.
     """
     rng = np.random.default_rng(task.seed)
     rotation = float(rng.uniform(0.0, 360.0)) if rng.random() < 0.5 else 0.0
@@ -209,8 +206,6 @@ class _States:
     def __init__(self, room: TrueRoom, rng: np.random.Generator, task: StateTask) -> None:
         self._room, self._rng, self._headings = room, rng, task.headings
         self._lens = room.engine.models[0].lens if task.headings else None
-        #: For each choice what the poses are worth on what has been seen; None if nobody asks.
-        self._observed: list[np.ndarray] | None = [] if task.observed else None
         self._maps: list[np.ndarray] = []
         self._places: list[np.ndarray] = []
         self._choices: list[tuple[int, np.ndarray, np.ndarray, np.ndarray]] = []
@@ -275,8 +270,6 @@ class _States:
                                float(positions[0, 2]), coarse * EDGE)
         going = (going if rng.random() < 0.5 else self._drawn(cameras)).copy()
         views = [self._look(model, poses[pose], positions) for pose in going]
-        looks = [] if self._observed is None else [
-            self._look(model, pose, positions).seen for pose in poses]
         number = len(self._maps)
         self._maps.append(known.room)
         self._places.append(((places - known.window.low) / known.window.edge).astype(np.float32))
@@ -285,12 +278,8 @@ class _States:
             others = np.delete(going, camera)
             values = self._room.values(others)
             channels, numbers = known.others(
-                [views[other] for other in range(cameras) if other != camera], poses[others])
+                views[:camera] + views[camera + 1:], poses[others])
             self._choices.append((number, channels, numbers, values))
-            if self._observed is not None:
-                self._observed.append(model.depth_error.changes(
-                    [views[other].seen for other in range(cameras) if other != camera],
-                    looks, FLOOR))
             if rng.random() < AT_RANDOM:
                 going[camera] = rng.integers(len(poses))
             else:
@@ -314,14 +303,9 @@ class _States:
         places, count = np.stack(self._places), len(self._room.places)
         most = shapes_of(self._headings)['places'][1][0]
         padding = ((0, 0), (0, most - count), (0, 0))
-
-        def labels(found: Sequence[np.ndarray]) -> np.ndarray:
-            by_heading = np.stack(found).astype(np.float16).reshape(len(found), count, -1)
-            return np.pad(by_heading, padding, constant_values=np.nan)
-
-        observed = {} if self._observed is None else {'observed': labels(self._observed)}
+        labels = np.stack(values).astype(np.float16).reshape(len(values), count, -1)
         return {'room': np.stack(self._maps), 'of': np.array(of, dtype=np.int32),
                 'others': np.stack(others), 'numbers': np.stack(numbers),
                 'lens': np.tile(told_of(self._lens), (len(values), 1)),
                 'places': np.pad(places, padding, constant_values=0.5 * CELLS),
-                'values': labels(values)} | observed
+                'values': np.pad(labels, padding, constant_values=np.nan)}

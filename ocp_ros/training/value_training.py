@@ -9,8 +9,10 @@ all around, whose value map begins as that of the first weights. The folder hold
 :mod:`ocp_ros.training.train` writes, and ``states/`` with the states of each room.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import replace
 from datetime import date
+from functools import cached_property
 import io
 from pathlib import Path
 import time
@@ -24,8 +26,10 @@ from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.errors import CheckpointError
 from ocp_ros.agent.value_network import ValueMapNetwork
 from ocp_ros.training.run_folder import add_record, BEST, records, VALUES, VALUES_STATE
+from ocp_ros.training.sac_state import new_run
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import room_names
+from ocp_ros.training.validation import evaluate, trials_of, ValidationTrial
 from ocp_ros.training.value_fit import regret_of, ValueFit, ValueSet
 from ocp_ros.training.value_states import play_states, shapes_of, StateTask
 from ocp_ros.util.files import write_atomically
@@ -41,7 +45,7 @@ NAMES = {WALKED: 'walked', OWN: 'own', CHECKED: 'validation'}
 EVERY = 3
 
 
-class ValueRun:
+class TrainingRun(ABC):
     """
     A run as it goes on.
 
@@ -49,16 +53,58 @@ class ValueRun:
     :param folder: where it lives.
     :param pool: plays episodes.
     :param progress: the bars.
-    :param name: identity of the run.
+    :ivar name: identity of the run.
+    :ivar past: its lines of progress, as it began.
     """
 
+    #: Interactions of soft actor-critic so far, and where the networks are.
+    interactions, device = 0, torch.device('cpu')
+
     def __init__(self, config: TrainingConfig, folder: Path, pool: WorkerPool,
-                 progress: Progress, name: str) -> None:
+                 progress: Progress) -> None:
         self.config, self.folder, self.pool = config, folder, pool
-        self.progress, self.name = progress, name
+        self.progress, self.name, self.past = progress, new_run(), records(folder)
+        self._began = time.monotonic() - (self.past[-1]['seconds'] if self.past else 0.0)
+
+    @property
+    @abstractmethod
+    def updates(self) -> int:
+        """Return the gradient steps so far."""
+
+    @property
+    def seconds(self) -> float:
+        """Return how long the run has taken so far."""
+        return round(time.monotonic() - self._began, 1)
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """Return how weights were made by now."""
+        return {'interactions': self.interactions, 'seed': self.config.seed,
+                'date': date.today().isoformat(), 'training': to_nested(self.config)}
+
+    def note(self, phase: str, **figures: float) -> None:
+        """Write a line of progress."""
+        add_record(self.folder, {
+            'phase': phase, 'interactions': self.interactions, 'updates': self.updates,
+            'seconds': self.seconds, **figures})
+
+    def judge(self, checkpoint: Checkpoint) -> dict[str, float]:
+        """Play the validation rooms."""
+        return evaluate(self.pool, self._validation, checkpoint.to_bytes())
+
+    @cached_property
+    def _validation(self) -> list[ValidationTrial]:
+        """Return the episodes of the validation rooms."""
+        return trials_of(self.config, 'validation')
+
+
+class ValueRun(TrainingRun):
+    """A run in which the map actor learns dense values; see :class:`TrainingRun`."""
+
+    def __init__(self, *settings) -> None:
+        super().__init__(*settings)
+        config = self.config
         torch.manual_seed(config.seed)
-        past = records(folder)
-        self._began = time.monotonic() - (past[-1]['seconds'] if past else 0.0)
         #: What is learned of it is the value map for cameras that are aimed, where there is one.
         self._whole = ValueMapNetwork(config.agent)
         #: How the weights were made that it begins with, if there are any.
@@ -72,26 +118,15 @@ class ValueRun:
     def checkpoint(self) -> Checkpoint:
         """Return the network as it is now."""
         learned = self.fit.average.state_dict(prefix='aimed.' if self._whole.aimed else '')
-        return Checkpoint(self.config.agent, {
-            name: value.clone() for name, value in (self._whole.state_dict() | learned).items()},
-            self.fit.step, self.name, {
-                'interactions': 0, 'seed': self.config.seed, 'date': date.today().isoformat(),
-                'training': to_nested(self.config), **self._before})
+        weights = {name: value.clone()
+                   for name, value in (self._whole.state_dict() | learned).items()}
+        return Checkpoint(self.config.agent, weights, self.updates, self.name,
+                          {**self.provenance, **self._before})
 
     @property
-    def device(self) -> torch.device:
-        """Return where the network is."""
-        return next(self.fit.network.parameters()).device
-
-    def note(self, phase: str, **figures: float) -> None:
-        """Write a line of progress."""
-        add_record(self.folder, {'phase': phase, 'interactions': 0, 'updates': self.fit.step,
-                                 'seconds': self.seconds, **figures})
-
-    @property
-    def seconds(self) -> float:
-        """Return how long the run has taken so far."""
-        return round(time.monotonic() - self._began, 1)
+    def updates(self) -> int:
+        """Return the gradient steps so far."""
+        return self.fit.step
 
     def save(self) -> None:
         """Write what is needed to resume, and the weights so far."""
@@ -137,13 +172,11 @@ def _begin_with(network: ValueMapNetwork, config: TrainingConfig) -> Checkpoint:
                             replace(checkpoint.config, headings=config.agent.headings)):
         raise CheckpointError(f'{config.model}: found {checkpoint.config}; expected weights of '
                               f"the run's own agent settings, {config.agent}")
-    if checkpoint.config.headings == config.agent.headings:
-        network.load_state_dict(checkpoint.weights)
-        return checkpoint
-    network.load_state_dict({**network.state_dict(), **{
+    alike = checkpoint.config.headings == config.agent.headings
+    network.load_state_dict(network.state_dict() | {
         name: value for name, value in checkpoint.weights.items()
-        if not name.startswith('aimed.')}})
-    if network.aimed is not None:
+        if alike or not name.startswith('aimed.')})
+    if network.aimed is not None and not alike:
         network.begin_aimed()
     return checkpoint
 

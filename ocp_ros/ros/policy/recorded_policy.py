@@ -4,8 +4,7 @@
 
 import numpy as np
 
-from ocp_ros.agent.policy import Policy
-from ocp_ros.agent.value_policy import ValuePolicy
+from ocp_ros.agent.policy import Policy, ValuePolicy
 from ocp_ros.training.experience import Choice
 
 
@@ -37,7 +36,7 @@ class RecordedValues(_Record, ValuePolicy):
     """A policy of places that remembers what it read and drew."""
 
     def draw(self, inputs: dict[str, np.ndarray], rng: np.random.Generator) -> np.ndarray:
-        """Draw where a camera goes; see :meth:`~ocp_ros.agent.value_policy.ValuePolicy.draw`."""
+        """Draw where a camera goes; see :meth:`~ocp_ros.agent.policy.ValuePolicy.draw`."""
         place = super().draw(inputs, rng)
         self._choices.append(Choice(inputs, place[None]))
         return place

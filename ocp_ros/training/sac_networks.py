@@ -1,23 +1,26 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The map actor's network as soft actor-critic's actor and critics.
+The agent's networks as stable-baselines3's soft actor-critic trains them.
 
-An action is a cell of the map, so means over actions are not drawn but summed up over all cells
-(Christodoulou, 2019). To stable-baselines3 an action is the place of a cell, (B, 2), where it was
-chosen, and the likelihood of every cell, (B, 64 * 64), where it is asked for.
+Of the map actor an action is a cell of the map, so means over actions are not drawn but summed up
+over all cells (Christodoulou, 2019). To stable-baselines3 an action is the place of a cell,
+(B, 2), where it was chosen, and the likelihood of every cell, (B, 64 * 64), where it is asked for.
 """
 
+from collections.abc import Callable
+from functools import partial
 import math
+from typing import Any
 
 from gymnasium import spaces
 from stable_baselines3.common.policies import ContinuousCritic
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-from stable_baselines3.sac.policies import Actor as SacActor
-from stable_baselines3.sac.policies import MultiInputPolicy
+from stable_baselines3.sac.policies import Actor, MultiInputPolicy
 import torch
 
 from ocp_ros.agent.agent_config import AgentConfig
+from ocp_ros.agent.networks import Extractor
 from ocp_ros.agent.observation_map import CELLS
 from ocp_ros.agent.value_network import cell_of, CellChoices, valued, ValueMapNetwork
 
@@ -28,6 +31,78 @@ IN_REWARDS = 2.0
 PER_AREA = 2.0 * math.log(0.5 * CELLS)
 #: How much the weights of the critics differ at first, as shares of them.
 UNLIKE = 0.01
+
+
+class CloudFeatures(BaseFeaturesExtractor):
+    """The agent's extractor as stable-baselines3 wants it."""
+
+    def __init__(self, observation_space: spaces.Dict, agent: AgentConfig) -> None:
+        extractor = Extractor(agent)
+        super().__init__(observation_space, extractor.width)
+        self.extractor = extractor
+
+    def forward(self, observation: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Return (B, F)."""
+        return self.extractor(observation)
+
+
+class FollowingActor(Actor):
+    """An actor that reads features as they are: its loss does not train them."""
+
+    def extract_features(self, obs, features_extractor) -> torch.Tensor:
+        """Return (B, F) without gradients."""
+        with torch.no_grad():
+            return super().extract_features(obs, features_extractor)
+
+
+class LeadingCritic(ContinuousCritic):
+    """Critics whose loss trains the features that they share with the actor."""
+
+    def forward(self, obs, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Return (B, 1) of each critic."""
+        # What the actor does for more reward shall not change what is read.
+        with torch.set_grad_enabled(torch.is_grad_enabled() and not actions.requires_grad):
+            features = self.extract_features(obs, self.features_extractor)
+        read = torch.cat([features, actions], dim=1)
+        return tuple(network(read) for network in self.q_networks)
+
+
+class OwnPolicy(MultiInputPolicy):
+    """
+    SAC's policy with an actor and critics of another kind.
+
+    :cvar actor_of: makes the actor, with stable-baselines3's arguments.
+    :cvar critic_of: makes the critics.
+    """
+
+    actor_of: Callable[..., Actor]
+    critic_of: Callable[..., ContinuousCritic]
+
+    def make_actor(self, features_extractor=None) -> Actor:
+        """Build the actor."""
+        arguments = self._update_features_extractor(self.actor_kwargs, features_extractor)
+        return self.actor_of(**arguments).to(self.device)
+
+    def make_critic(self, features_extractor=None) -> ContinuousCritic:
+        """Build the critics."""
+        arguments = self._update_features_extractor(self.critic_kwargs, features_extractor)
+        return self.critic_of(**arguments).to(self.device)
+
+
+class CloudPolicy(OwnPolicy):
+    """
+    SAC's policy with one extractor, which the critics train.
+
+    In stable-baselines3 the actor trains an extractor that is shared: nearly nothing of what is
+    seen reaches it that way (Yarats et al., 2021).
+    """
+
+    actor_of, critic_of = FollowingActor, LeadingCritic
+
+    def _build(self, lr_schedule) -> None:
+        """Build the networks and their optimizers."""
+        super()._build(lr_schedule)
+        self.critic.optimizer.param_groups[0]['params'] = list(self.critic.parameters())
 
 
 class NearValueMap:
@@ -65,7 +140,7 @@ class AsItIs(BaseFeaturesExtractor):
         return observation
 
 
-class MapSacActor(SacActor):
+class MapSacActor(Actor):
     """SAC's actor: the softmax of the value map."""
 
     def __init__(self, *args, agent: AgentConfig, **kwargs) -> None:
@@ -123,23 +198,14 @@ class MapCritic(ContinuousCritic):
         return tuple(network(maps, actions) for network in self.q_networks)
 
 
-class MapPolicy(MultiInputPolicy):
+class MapPolicy(OwnPolicy):
     """stable-baselines3's SAC policy on maps."""
 
     def __init__(self, *args, agent: AgentConfig, **kwargs) -> None:
-        self.agent = agent
+        self.actor_of = partial(MapSacActor, agent=agent)
+        self.critic_of = partial(MapCritic, agent=agent)
         # The network divides the maps itself.
         super().__init__(*args, features_extractor_class=AsItIs, normalize_images=False, **kwargs)
-
-    def make_actor(self, features_extractor=None) -> MapSacActor:
-        """Build the actor."""
-        arguments = self._update_features_extractor(self.actor_kwargs, features_extractor)
-        return MapSacActor(**arguments, agent=self.agent).to(self.device)
-
-    def make_critic(self, features_extractor=None) -> MapCritic:
-        """Build the critics."""
-        arguments = self._update_features_extractor(self.critic_kwargs, features_extractor)
-        return MapCritic(**arguments, agent=self.agent).to(self.device)
 
     def begin_with(self, weights: dict[str, torch.Tensor]) -> None:
         """Start the actor and the critics from weights of a value map."""
@@ -150,3 +216,14 @@ class MapPolicy(MultiInputPolicy):
                 f'network.{name}': value * (1.0 + number * UNLIKE * torch.randn_like(value))
                 for name, value in weights.items()})
         self.critic_target.load_state_dict(self.critic.state_dict())
+
+
+def policy_of(agent: AgentConfig) -> tuple[type[MultiInputPolicy], dict[str, Any]]:
+    """Return SAC's policy and its arguments; for ``paper`` it is stable-baselines3's own."""
+    if agent.map:
+        return MapPolicy, {'agent': agent}
+    arguments = {'features_extractor_class': CloudFeatures,
+                 'features_extractor_kwargs': {'agent': agent},
+                 'net_arch': [agent.hidden, agent.hidden],
+                 'share_features_extractor': agent.one_by_one}
+    return CloudPolicy if agent.one_by_one else MultiInputPolicy, arguments
