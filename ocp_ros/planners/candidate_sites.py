@@ -3,6 +3,7 @@
 """Places and directions among which :mod:`ocp_ros.planners.lookahead` chooses a placement."""
 
 from collections.abc import Sequence
+from functools import partial
 
 from numba import njit
 import numpy as np
@@ -172,18 +173,15 @@ class Sites(Candidates):
         self.kind_of, firsts = kinds_of(sight)
         sites, of_kind, views = [], [], []
         if plan is not None:
-            for camera, row in enumerate(plan):
-                views.append(model.look(row, sight.models[camera].lens))
+            views = [model.look(row, camera.lens) for row, camera in zip(plan, sight.models)]
             sites, of_kind = list(plan), self.kind_of.tolist()
         for kind, camera in enumerate(firsts):
             headings = sight.headings(camera, YAWS, PITCHES)
-            lens = sight.models[camera].lens
-            for some in mapped(lambda place, headings=headings, lens=lens: model.look_many(
-                    place, headings, lens), places):
+            look = partial(model.look_many, headings=headings, lens=sight.models[camera].lens)
+            for place, some in zip(places, mapped(look, places)):
                 views += some
-            sites += [np.concatenate([place, heading]) for place in places
-                      for heading in headings]
-            of_kind += [kind] * (len(places) * len(headings))
+                sites += [np.concatenate([place, heading]) for heading in headings]
+                of_kind += [kind] * len(headings)
         self.sites, self.places = np.array(sites), np.array(sites)[:, :2]
         self._of_kind = [np.flatnonzero(np.array(of_kind) == kind) for kind in range(len(firsts))]
         self._see(views, fixed_views(model, sight), unseen)

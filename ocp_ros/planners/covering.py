@@ -168,6 +168,26 @@ def _exchanged(weights, starts, who, number, count):
 
 
 @njit(cache=True, nogil=True)
+def _hash_table(entries):
+    """Return an empty hash table for so many entries: a power of two of slots, -1 each."""
+    size = 16
+    while size < 2 * entries:
+        size *= 2
+    return np.full(size, -1, dtype=np.int32)
+
+
+@njit(cache=True, nogil=True)
+def _same(one, other):
+    """Return whether two lists of numbers are the same."""
+    count, alike = one.shape[0], 0
+    if count != other.shape[0]:
+        return False
+    while alike < count and one[alike] == other[alike]:
+        alike += 1
+    return alike == count
+
+
+@njit(cache=True, nogil=True)
 def _merged(weights, starts, who, blocks, new, keys, count):
     """
     Write the customers that are left, those of a block with the same columns once.
@@ -179,10 +199,7 @@ def _merged(weights, starts, who, blocks, new, keys, count):
         nobody serves.
     """
     customers = weights.shape[0]
-    size = 16
-    while size < 2 * customers:
-        size *= 2
-    table = np.full(size, -1, dtype=np.int32)
+    table = _hash_table(customers)
     hashes = np.empty(customers, dtype=np.uint64)
     merged, begins = np.empty(customers), np.zeros(customers + 1, dtype=np.int64)
     kept = np.empty(who.shape[0], dtype=np.uint16)
@@ -208,19 +225,13 @@ def _merged(weights, starts, who, blocks, new, keys, count):
         if end == begin:
             missed[block] += weights[customer]
             continue
-        slot = np.int64((key ^ (key >> np.uint64(31))) & np.uint64(size - 1))
+        slot = np.int64((key ^ (key >> np.uint64(31))) & np.uint64(table.shape[0] - 1))
         while table[slot] >= 0:
             other = table[slot]
             if (hashes[other] == key and other >= bounds[block]
-                    and begins[other + 1] - begins[other] == end - begin):
-                same = True
-                for k in range(end - begin):
-                    if kept[begins[other] + k] != kept[begin + k]:
-                        same = False
-                        break
-                if same:
-                    break
-            slot = (slot + 1) & (size - 1)
+                    and _same(kept[begins[other]:begins[other + 1]], kept[begin:end])):
+                break
+            slot = (slot + 1) & (table.shape[0] - 1)
         if table[slot] >= 0:
             merged[table[slot]] += weights[customer]
             continue
@@ -260,14 +271,8 @@ def _found(words, sets, hashes, table, total):
     slot = np.int64(key & np.uint64(table.shape[0] - 1))
     while table[slot] >= 0:
         other = table[slot]
-        if hashes[other] == key:
-            same = True
-            for k in range(words.shape[0]):
-                if sets[other, k] != words[k]:
-                    same = False
-                    break
-            if same:
-                return other
+        if hashes[other] == key and _same(sets[other], words):
+            return other
         slot = (slot + 1) & (table.shape[0] - 1)
     table[slot] = total
     hashes[total] = key
@@ -288,10 +293,7 @@ def _customers(trees, prefix, seers, fixed, extra, sets):
     :returns: (C,) metres, the weight of each set.
     """
     nodes, words = trees.point.shape[0], seers.shape[1]
-    size = 16
-    while size < 2 * sets.shape[0]:
-        size *= 2
-    table, hashes = np.full(size, -1, dtype=np.int32), np.empty(sets.shape[0], dtype=np.uint64)
+    table, hashes = _hash_table(sets.shape[0]), np.empty(sets.shape[0], dtype=np.uint64)
     weights, total = np.zeros(sets.shape[0]), 0
     ends, path = np.empty(nodes, dtype=np.uint32), np.zeros((nodes + 1, words), dtype=np.uint64)
     depth, node = 0, 0

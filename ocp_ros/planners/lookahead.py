@@ -18,12 +18,7 @@ In an episode of many turns plans are made while the cameras move; see
 import numpy as np
 
 from ocp_ros.agent.partial_map import cell_weight, KeptModel, PartialMap
-from ocp_ros.agent.rig_state import (
-    AROUND,
-    clearance_of,
-    fixed_views,
-    view_from,
-)
+from ocp_ros.agent.rig_state import AROUND, clearance_of, fixed_views, view_from
 from ocp_ros.geometry.visibility import FINE
 from ocp_ros.planners.annealing import accepted, between
 from ocp_ros.planners.candidate_sites import Candidates, most_places, Sites
@@ -63,10 +58,7 @@ class Lookahead(ThinksAhead):
     def reset(self) -> None:
         """Forget the last episode."""
         super().reset()
-        #: Where each camera goes: (K, 2) metres.
-        self._plan: np.ndarray | None = None
-        #: How they are turned there: (K, 3) radians; None where all are omnidirectional.
-        self._headings: np.ndarray | None = None
+        self.targets, self.headings = None, None
         self._candidates: Candidates | None = None
         self._chosen: list[int] = []
         self._kept = KeptModel(self.max_range, self.wall_margin, REFINING_POINTS, REFINING_ROWS)
@@ -75,12 +67,7 @@ class Lookahead(ThinksAhead):
 
     def take_over(self, other: Online) -> None:
         """Go on with where another planner would have gone, if it says so."""
-        self._plan, self._headings = other.targets, other.headings
-
-    @property
-    def targets(self) -> np.ndarray | None:
-        """Return where each camera goes; see :attr:`Online.targets`."""
-        return self._plan
+        self.targets, self.headings = other.targets, other.headings
 
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Plan for a turn; see :meth:`ThinksAhead._think`."""
@@ -110,7 +97,7 @@ class Lookahead(ThinksAhead):
               cameras: int) -> None:
         """List candidates; the plan so far is among them, and it is chosen."""
         count = int(np.clip(space.area / SPACING ** 2, 4, CANDIDATES))
-        planned = None if self._plan is None else space.inside(self._plan)
+        planned = None if self.targets is None else space.inside(self.targets)
         if self.directional:
             places = space.placement(space.grid(min(count, most_places(self.sight))))
             if planned is not None:
@@ -131,7 +118,7 @@ class Lookahead(ThinksAhead):
         """Match the cameras with the chosen places, so that they walk least."""
         candidates, chosen = self._candidates, np.array(self._chosen)
         chosen = chosen[matched(positions, candidates.places[chosen], candidates.kind_of)]
-        self._plan, self._headings = candidates.places[chosen], candidates.headings(chosen)
+        self.targets, self.headings = candidates.places[chosen], candidates.headings(chosen)
 
     def _refine(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Anneal the plan in small steps, among what can be reached."""
@@ -147,7 +134,7 @@ class Lookahead(ThinksAhead):
         reached = [self._space.reached(position[:2], self.max_step, turns - turn)
                    for position in positions]
         placed = best = np.array([
-            area.inside(place) for area, place in zip(reached, self._plan, strict=True)])
+            area.inside(place) for area, place in zip(reached, self.targets, strict=True)])
         headings = best_headings = self._planned_headings()
         views = [view_from(model, self.sight, camera, position,
                            None if headings is None else headings[camera])
@@ -171,7 +158,7 @@ class Lookahead(ThinksAhead):
                     headings[camera] = heading
                 if error < best_error:
                     best, best_headings, best_error = placed, headings, error
-        self._plan, self._headings = best, best_headings
+        self.targets, self.headings = best, best_headings
 
     def _survey(self, positions: np.ndarray) -> None:
         """Anneal the plan once more among all candidates, on the model to refine on."""
@@ -196,17 +183,12 @@ class Lookahead(ThinksAhead):
             headings[camera], camera, between(WIDE, NARROW, share))
         return camera, space.placement(place[None])[0], heading
 
-    @property
-    def headings(self) -> np.ndarray | None:
-        """Return how the cameras are turned in the plan; see :attr:`Online.headings`."""
-        return self._headings
-
     def _planned_headings(self) -> np.ndarray | None:
         """Return how the cameras are turned in the plan; None where all are omnidirectional."""
         if not self.directional:
             return None
-        if self._headings is not None and self.sight.turns:
-            return self._headings
+        if self.headings is not None and self.sight.turns:
+            return self.headings
         return self.sight.placement[:self.sight.movable, 3:].copy()
 
     def _wiggled(self, heading: np.ndarray, camera: int, most: float) -> np.ndarray:

@@ -63,9 +63,12 @@ class Online(ABC):
     :param clearance: cameras stay this far from all points that were seen, metres.
     :ivar targets: (K, 2) metres, where each camera goes in the end; None for planners that do not
         say so, and before the first turn.
+    :ivar headings: (K, 3) radians, how the cameras would best be turned there, where a plan says
+        so.
     """
 
     targets: np.ndarray | None = None
+    headings: np.ndarray | None = None
 
     def __init__(self, rng: np.random.Generator, max_step: float, max_range: float,
                  wall_margin: float, clearance: float = CLEARANCE) -> None:
@@ -76,11 +79,6 @@ class Online(ABC):
     def know(self, sight: RigState | None) -> None:
         """Learn before a turn how the cameras stand and what each sees; None for all around."""
         self.sight = sight
-
-    @property
-    def headings(self) -> np.ndarray | None:
-        """Return how the cameras would best be turned, (K, 3) radians, where a plan says so."""
-        return None
 
     @property
     def directional(self) -> bool:

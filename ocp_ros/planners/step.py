@@ -6,7 +6,8 @@ One time step of a rig that knows only what it has seen: observe, plan, constrai
 ``policy_node``, ``ocp plan`` with an online planner and the benchmark all take this step.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import numpy as np
@@ -122,15 +123,13 @@ class OnlineStep:
         """Show the planner what is; return its moves (K, 2), metres, none where it fails."""
         positions = state.placement[:state.movable, :3]
         self.planner.know(state)
-        try:
+        # Planners know what to do without a room. What else may happen, a node goes on.
+        with self._reported('planner', 'where they are'):
             moves = self.planner.move(cloud, positions, turn, turns)
             if not np.isfinite(moves).all():
                 raise ValueError('moves of NaN or inf')
-        except Exception as error:
-            # Planners know what to do without a room. What else may happen, a node goes on.
-            self._fail('planner', error, 'where they are')
-            return np.zeros((state.movable, 2))
-        return moves
+            return moves
+        return np.zeros((state.movable, 2))
 
     def reflect(self) -> None:
         """
@@ -138,10 +137,8 @@ class OnlineStep:
 
         Who does not call it gets the same answers: the next step makes up for it.
         """
-        try:
+        with self._reported('planner', 'where they are'):
             self.planner.reflect()
-        except Exception as error:
-            self._fail('planner', error, 'where they are')
         if self._next is None:
             return
         (cloud, positions, turn, turns, state), self._next = self._next, None
@@ -149,12 +146,10 @@ class OnlineStep:
         if self.aim is None or not self.limits.max_turn:
             return
         targets = state.placement[:, :3].copy()
-        try:
+        with self._reported('aiming', 'turned as they are'):
             targets[:state.movable, :2] = self.planner.goals(positions)
             self.aim.think(cloud, state, targets, self.limits.max_turn, turn, turns,
                            self.planner.headings)
-        except Exception as error:
-            self._fail('aiming', error, 'turned as they are')
 
     def _constrain(self, cloud: np.ndarray, state: RigState, moves: np.ndarray
                    ) -> tuple[np.ndarray, list[str]]:
@@ -183,16 +178,18 @@ class OnlineStep:
         """Choose headings (3,) in radians for the cameras that are not omnidirectional."""
         if self.aim is None or not self.limits.max_turn:
             return {}
-        try:
+        with self._reported('aiming', 'turned as they are'):
             headings = self.aim(cloud, state, targets, self.limits.max_turn, turn, turns,
                                 self.planner.headings)
-        except Exception as error:
-            self._fail('aiming', error, 'turned as they are')
-            return {}
-        return {camera: headings[camera] for camera in self.aim.aimed}
+            return {camera: headings[camera] for camera in self.aim.aimed}
+        return {}
 
-    def _fail(self, what: str, error: Exception, how: str) -> None:
-        """Report an error, or raise it where nobody is told."""
-        if self._report is None:
-            raise error
-        self._report(f'{what}: found {type(error).__name__}: {error}; cameras stay {how}')
+    @contextmanager
+    def _reported(self, what: str, how: str) -> Iterator[None]:
+        """Report an error and go on behind the block, or raise it where nobody is told."""
+        try:
+            yield
+        except Exception as error:
+            if self._report is None:
+                raise
+            self._report(f'{what}: found {type(error).__name__}: {error}; cameras stay {how}')

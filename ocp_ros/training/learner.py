@@ -16,13 +16,7 @@ from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.training.run_folder import REPLAY, STATE
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
-from ocp_ros.training.sac_state import (
-    load_replay,
-    load_state,
-    new_run,
-    save_replay,
-    save_state,
-)
+from ocp_ros.training.sac_state import load_replay, load_state, new_run, save_replay, save_state
 from ocp_ros.training.training_config import SacConfig
 from ocp_ros.training.transitions import Transition
 from ocp_ros.util.settings import LARGEST_SEED, setting

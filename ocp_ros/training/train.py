@@ -28,21 +28,9 @@ from ocp_ros.agent.errors import CheckpointError
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.training.encoded_environment import playable
-from ocp_ros.training.run_folder import (
-    BEST,
-    claim,
-    records,
-    REPLAY,
-    STATE,
-    VALUES,
-)
+from ocp_ros.training.run_folder import BEST, claim, records, REPLAY, STATE, VALUES
 from ocp_ros.training.sac import actor_checkpoint, AgentSac, load_actor, make_sac
-from ocp_ros.training.sac_state import (
-    load_replay,
-    load_state,
-    save_replay,
-    save_state,
-)
+from ocp_ros.training.sac_state import load_replay, load_state, save_replay, save_state
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import room_names, Rooms
 from ocp_ros.training.validation import evaluate, RANDOM_MOVES, trials_of
@@ -91,7 +79,7 @@ class Run(TrainingRun):
                   in self.model.logger.name_to_value.items() if name.endswith('loss')}
         super().note(phase, **losses | figures)
 
-    def evaluate(self, phase: str) -> float:
+    def evaluate(self) -> float:
         """Play the validation rooms; write the line, the state and, if best, the weights."""
         checkpoint = self.checkpoint()
         result = self.judge(checkpoint)
@@ -102,7 +90,7 @@ class Run(TrainingRun):
             self.best = result['ratio']
             checkpoint.save(self.folder / BEST)
         self.save()
-        self.note(phase, **result)
+        self.note(SAC, **result)
         return result['ratio']
 
     def resume(self) -> None:
@@ -189,7 +177,7 @@ class TrainingWatch(BaseCallback):
 
     def _evaluate(self) -> None:
         """Play the validation rooms."""
-        ratio = self.run.evaluate(SAC)
+        ratio = self.run.evaluate()
         self.evaluated = self.num_timesteps
         self.run.progress.update(self.task, error=f'validation {ratio:.4f}')
 
@@ -259,7 +247,7 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
         learn(run)
         if not (folder / BEST).exists():
             # It was lost after the last evaluation.
-            run.evaluate(SAC)
+            run.evaluate()
         return report(run, command)
 
 
