@@ -78,7 +78,7 @@ def test_commands_of_the_wheel_find_what_comes_with_it(installed, elsewhere):
     room = elsewhere / 'rooms' / 'room-1.ply'
     call(ocp, 'evaluate', '--rooms', room, '--cameras', '2', '--workers', '1')
     # The settings are found; what is wrong is the folder.
-    done = subprocess.run([ocp, 'train', '--config', 'config/train/quick.yaml', '--out', room],
+    done = subprocess.run([ocp, 'train', '--config', 'config/train/paper.yaml', '--out', room],
                           capture_output=True, text=True, timeout=HUNG, check=False)
     assert done.returncode == 2 and 'it is a file' in done.stderr
 

@@ -233,7 +233,7 @@ def good_files(folder: Path) -> dict[str, Callable]:
         write_mesh(folder / name, mesh)
     readers: dict[str, Callable] = {path.name: load_scene for path in sorted(folder.iterdir())}
     (folder / 'rig.yaml').write_bytes((ROOT / 'config/rig/mixed.yaml').read_bytes())
-    (folder / 'train.yaml').write_bytes((ROOT / 'config/train/moves.yaml').read_bytes())
+    (folder / 'train.yaml').write_bytes((ROOT / 'config/train/map_sac.yaml').read_bytes())
     _placement(folder / 'placement.yaml')
     if find_spec('rosbags'):
         readers |= _write_bags(folder)

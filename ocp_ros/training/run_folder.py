@@ -41,7 +41,12 @@ def read_config(path: Path) -> TrainingConfig:
 
 def _config_of(content: Any, path: Path) -> TrainingConfig:
     """Return the settings that a file says."""
-    return from_nested(TrainingConfig, {} if content is None else content, str(path))
+    try:
+        return from_nested(TrainingConfig, {} if content is None else content, str(path))
+    except ConfigurationError as error:
+        # What contradicts itself is told by its keys alone.
+        where = '' if str(path) in str(error) else f'{path}: '
+        raise ConfigurationError(f'{where}{error}') from error
 
 
 def claim(folder: Path, config: TrainingConfig) -> None:
@@ -100,9 +105,8 @@ def _settings(path: Path) -> TrainingConfig:
             raise ConfigurationError(f'{path}: found no settings; expected those of the run')
         return _config_of(content, path)
     except ConfigurationError as error:
-        where = '' if str(path) in str(error) else f'{path.parent}: '
         raise ConfigurationError(
-            f'{where}{error}; nothing of the run is lost: remove the file, and the run goes on '
+            f'{error}; nothing of the run is lost: remove the file, and the run goes on '
             'with the settings asked for') from error
 
 
