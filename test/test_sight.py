@@ -6,7 +6,7 @@ from conftest import box_room
 import numpy as np
 import pytest
 
-from ocp_ros.agent.move_effects import ERROR, FLOOR, POINTS, ROWS, WorldInputs
+from ocp_ros.agent.observed_turn import ObservedTurns
 from ocp_ros.agent.partial_map import PartialMap, thinned
 from ocp_ros.agent.rig_state import directions, RigState
 from ocp_ros.geometry.cameras import CameraModel
@@ -22,8 +22,9 @@ from ocp_ros.planners.candidate_sites import (
     most_places,
     Sites,
 )
+from ocp_ros.planners.greedy_step import GreedyStep, POINTS, ROWS
 from ocp_ros.planners.lookahead import Lookahead
-from ocp_ros.planners.online_planner import GreedyStep, matched, ThenLookahead
+from ocp_ros.planners.online_planner import matched, ThenLookahead
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.sensors import SENSORS
 
@@ -95,21 +96,18 @@ def test_a_plan_says_how_cameras_are_turned_within_the_limits():
 
 
 def test_moves_are_judged_by_what_a_camera_sees_as_it_is_turned():
-    """The inputs of policy and greedy step: who looks one way misses what is behind it."""
+    """Who looks one way misses what is behind it."""
     turned = RigState(np.array([[*START, 0.0, 0.2, 0.0], [2.0, 2.0, 1.9, 1.0, 0.3, 0.0]]),
                       (D455, D455), 1)
     model = PartialMap(CLOUD, START[None], MAX_RANGE, POINTS, ROWS)
     views = [model.look(row, D455.lens) for row in turned.placement]
-    worst = model.depth_error.worst
     for sight, expected in (
             (turned, model.error(views)), (None, model.error([model.look(START)])),
             (turned._replace(placement=turned.placement[:1], models=(D455,)),
              model.error(views[:1]))):
-        inputs = WorldInputs(MAX_RANGE, MARGIN)
-        inputs.sight = sight
-        own = inputs(CLOUD, START[None], 0, 30)['own'][0]
-        assert own[ERROR] == pytest.approx(
-            np.log((expected + FLOOR * worst) / (worst + FLOOR * worst)), abs=1e-5)
+        turns = ObservedTurns(MAX_RANGE, MARGIN, points=POINTS, rows=ROWS)
+        turns.sight = sight
+        assert turns(CLOUD, START[None], 0, 30).error == pytest.approx(expected)
 
 
 def rig(turns=True):
@@ -142,7 +140,7 @@ def test_cameras_take_places_of_their_kind_only():
     own = sites.sites[3:]
     aimed = {tuple(row[3:]) for row in own[:-len(places)]}
     assert len(aimed) == 16 and not own[-len(places):, 4:].any()
-    chosen = sites.fill(3)
+    chosen = sites.fill()
     values = [sites.value(chosen)]
     for _ in range(3):
         chosen = sites.anneal(chosen, rng)
@@ -159,7 +157,7 @@ def test_annealing_agrees_with_its_twin(kinds, weight):
     space = FreePlane.of(CLOUD, 1.9, 3, MARGIN)
     places, unseen = space.grid(20), pack(model.cells % 3 > 0)
     if kinds == 1:
-        found = Candidates(model, places, space, unseen, weight)
+        found = Candidates(model, places, space, 3, unseen, weight)
     else:
         found = Sites(model, space.placement(places), None, sight, unseen, weight)
     kind_of = [0, kinds - 1, 0]
@@ -173,7 +171,7 @@ def test_annealing_agrees_with_its_twin(kinds, weight):
             trial[camera] = int(twin.choice(found._near[trial[camera]][:len(own)]))
         return trial
 
-    start = found.fill(3)[::-1] if kinds == 1 else found.fill(3)
+    start = found.fill()[::-1] if kinds == 1 else found.fill()
     for seed in range(3):
         rng, twin = np.random.default_rng(seed), np.random.default_rng(seed)
         expected = annealed(start, found.value, exchanged, [

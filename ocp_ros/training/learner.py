@@ -93,9 +93,12 @@ class Learner:
         run = load_state(self.model, state) if state.exists() else new_run()
         if replay.exists():
             load_replay(self.model.replay_buffer, replay)
+        # Those that came after the state was saved are to be learned from as well.
+        known = self.model.replay_buffer.size()
+        self.model.num_timesteps = max(self.transitions, known)
         #: Transitions so far when all were saved last, and those that are not in memory any more.
         self._saved = self.transitions
-        self._lost = max(self.transitions - self.model.replay_buffer.size(), 0)
+        self._lost = self.transitions - known
         # Steps that nobody owes any more: the transitions for them are gone.
         self._paid = max(self.updates - max(self._owed(self.transitions), 0.0), 0.0)
         return run
