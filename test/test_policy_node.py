@@ -4,6 +4,7 @@
 
 from array import array
 from copy import deepcopy
+from dataclasses import replace
 import subprocess
 import sys
 
@@ -169,7 +170,7 @@ def test_commands_stay_inside_the_observed_bounds(robot, room):
 def test_nan_from_the_network_holds_the_cameras(robot):
     policy = robot.start(explore=True)
     with torch.no_grad():
-        policy.policy.actor.head.out.bias.fill_(float('nan'))
+        policy.policy.actor.mu.bias.fill_(float('nan'))
     robot.send(1)
     np.testing.assert_allclose(msg_to_positions(robot.command(1)), POSITIONS)
 
@@ -437,9 +438,9 @@ def test_weights_that_cannot_be_used_are_refused(robot, small_agent):
     policy = robot.start()
     weights = robot.publisher(UInt8MultiArray, topics.POLICY_WEIGHTS, qos.LATCHED)
     good = random_checkpoint(small_agent, updates=10, run='a')
-    other = random_checkpoint(type(small_agent)(), updates=20, run='a')
+    other = random_checkpoint(replace(small_agent, hidden=8), updates=20, run='a')
     broken = deepcopy(good)
-    broken.weights['head.out.bias'][0] = float('nan')
+    broken.weights['mu.bias'][0] = float('nan')
     blobs = [good.to_bytes(), good.to_bytes()[:-7], b'', b'\xff' * 64, other.to_bytes(),
              broken.to_bytes(),
              random_checkpoint(small_agent, updates=9, run='a').to_bytes()]

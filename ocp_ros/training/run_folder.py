@@ -105,8 +105,9 @@ def _settings(path: Path) -> TrainingConfig:
             raise ConfigurationError(f'{path}: found no settings; expected those of the run')
         return _config_of(content, path)
     except ConfigurationError as error:
+        where = '' if str(path) in str(error) else f'{path.parent}: '
         raise ConfigurationError(
-            f'{error}; nothing of the run is lost: remove the file, and the run goes on '
+            f'{where}{error}; nothing of the run is lost: remove the file, and the run goes on '
             'with the settings asked for') from error
 
 
