@@ -13,7 +13,7 @@ from ocp_ros.agent.agent_config import AgentConfig, PAPER
 from ocp_ros.agent.sampling import ball_query, farthest_points, nearest_in_ball
 from ocp_ros.geometry.clouds import corners_of
 
-#: The other cameras that one camera is told of at most, the nearest ones.
+#: The most other cameras that a network reads for one camera: the nearest ones.
 OTHERS = 7
 #: What is told of each other camera: the way to it, whether there is one, and whether it has
 #: chosen already. What is told of the turn: the share of the turns that is over, cameras / 4, and

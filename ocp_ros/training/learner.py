@@ -19,6 +19,7 @@ from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
 from ocp_ros.training.sac_state import load_replay, load_state, new_run, save_replay, save_state
 from ocp_ros.training.training_config import SacConfig
 from ocp_ros.training.transitions import Transition
+from ocp_ros.util.files import remove_unfinished
 from ocp_ros.util.settings import LARGEST_SEED, setting
 
 #: Gradient steps between two looks at the world: short enough to stop at once.
@@ -86,9 +87,7 @@ class Learner:
 
     def _resume(self) -> str:
         """Go on from what is in the folder; returns the name of the run."""
-        # What was being written when a process was killed.
-        for path in self.folder.glob('.*.safetensors.*'):
-            path.unlink(missing_ok=True)
+        remove_unfinished(self.folder)
         state, replay = self.folder / STATE, self.folder / REPLAY
         run = load_state(self.model, state) if state.exists() else new_run()
         if replay.exists():

@@ -44,7 +44,7 @@ def _config_of(content: Any, path: Path) -> TrainingConfig:
     try:
         return from_nested(TrainingConfig, {} if content is None else content, str(path))
     except ConfigurationError as error:
-        # What contradicts itself is told by its keys alone.
+        # The error of settings that contradict each other names their keys alone.
         where = '' if str(path) in str(error) else f'{path}: '
         raise ConfigurationError(f'{where}{error}') from error
 

@@ -8,7 +8,6 @@ learned from, is in another.
 """
 
 from collections.abc import Mapping
-import os
 from pathlib import Path
 import uuid
 
@@ -21,7 +20,7 @@ from stable_baselines3.common.buffers import DictReplayBuffer
 import torch
 
 from ocp_ros.agent.checkpoint import CheckpointError, LARGEST_WEIGHT, read_metadata
-from ocp_ros.util.files import write_atomically
+from ocp_ros.util.files import whole_or_absent, write_atomically
 
 #: Nothing that a run counts is larger.
 MOST = 1 << 40
@@ -163,17 +162,12 @@ def save_replay(buffer: DictReplayBuffer, path: Path) -> None:
     arrays = {name: np.ascontiguousarray(rows[:buffer.size()])
               for name, rows in _rows(buffer).items()}
     arrays[FILLED] = np.array([buffer.pos, buffer.full], dtype=np.int64)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f'.{path.name}.part')
     try:
-        # To the file at once: a second copy of all moves may not fit into memory.
-        safetensors.numpy.save_file(arrays, beside)
-        os.replace(beside, path)
-    except BaseException as error:
-        beside.unlink(missing_ok=True)
-        if isinstance(error, SafetensorError):
-            raise OSError(f'{path}: found no room to write it ({error})') from error
-        raise
+        with whole_or_absent(path) as beside:
+            # To the file at once: a second copy of all moves may not fit into memory.
+            safetensors.numpy.save_file(arrays, beside)
+    except SafetensorError as error:
+        raise OSError(f'{path}: found no room to write it ({error})') from error
 
 
 def load_replay(buffer: DictReplayBuffer, path: Path) -> None:

@@ -35,6 +35,7 @@ from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import room_names, Rooms
 from ocp_ros.training.validation import evaluate, RANDOM_MOVES, trials_of
 from ocp_ros.training.value_training import learn_values, TrainingRun, ValueRun
+from ocp_ros.util.files import remove_unfinished
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
@@ -100,6 +101,7 @@ class Run(TrainingRun):
         :raises CheckpointError: if the state or the best weights cannot be used; the message says
             what is lost and how to go on.
         """
+        remove_unfinished(self.folder)
         state, replay = self.folder / STATE, self.folder / REPLAY
         if state.exists():
             self.name = load_state(self.model, state)

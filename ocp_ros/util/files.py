@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files that are whole or absent, whenever the process ends, and places to write them to."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 import errno
 import os
 from pathlib import Path
@@ -44,14 +46,26 @@ def write_atomically(path: str | Path, content: bytes | str) -> None:
     :param content: text is written as UTF-8; bytes of file names that are no text, as escapes.
     :raises OSError: if it cannot be written; what was there before stays.
     """
-    path = Path(path)
     content = content.encode(errors='backslashreplace') if isinstance(content, str) else content
+    with whole_or_absent(path) as beside:
+        beside.write_bytes(content)
+
+
+@contextmanager
+def whole_or_absent(path: str | Path) -> Iterator[Path]:
+    """
+    Yield a path beside a file; what is written there takes its place in the end, or never.
+
+    :param path: its folder is made where it is not there.
+    :raises OSError: if it cannot be written; what was there before stays.
+    """
+    path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')
+    os.close(handle)
     try:
-        with os.fdopen(handle, 'wb') as file:
-            file.write(content)
-            file.flush()
+        yield Path(name)
+        with open(name, 'rb') as file:
             os.fsync(file.fileno())
         # Temporary files are private; what people share is not.
         os.chmod(name, 0o644)
@@ -62,6 +76,12 @@ def write_atomically(path: str | Path, content: bytes | str) -> None:
             # That of a full disk names no file.
             error.filename = str(path)
         raise
+
+
+def remove_unfinished(folder: Path) -> None:
+    """Remove the weights and states of which a process was killed while it wrote them."""
+    for path in folder.glob('.*.safetensors.*'):
+        path.unlink(missing_ok=True)
 
 
 def file_to_write(path: Path, what: str, option: str = '--out') -> Path:
