@@ -9,12 +9,15 @@ counted, and the next file is read by a new one.
 
 import argparse
 from collections import Counter
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
 import json
 import os
 from pathlib import Path
 import queue
 import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -26,6 +29,7 @@ import numpy as np
 
 from benchmarks import results
 from benchmarks.drills.spoilt_files import good_files, spoilt
+from ocp_ros.util import guarded_process
 from ocp_ros.util.settings import UserError
 
 #: What may come of a file; the last three must not.
@@ -37,34 +41,65 @@ MOST, SENTENCE = 4_000_000_000, 2500
 
 
 class ForkedProcesses:
-    """What :mod:`subprocess` does, for a reader of files that is loaded already."""
+    """What :mod:`subprocess` does, for readers of files that are loaded already."""
 
-    DEVNULL, TimeoutExpired = subprocess.DEVNULL, subprocess.TimeoutExpired
+    DEVNULL, PIPE, TimeoutExpired = subprocess.DEVNULL, subprocess.PIPE, subprocess.TimeoutExpired
 
     def __init__(self) -> None:
         # What takes long to import is imported once.
         import laspy  # noqa: F401
         import open3d  # noqa: F401
+        self.memory = 0
 
-        from ocp_ros.scenes import reading_process
-        self._main, self.memory = reading_process.main, 0
+    def Popen(self, command: list[str], stderr, **_) -> 'ForkedProcess':  # noqa: N802
+        """Run a reader in a copy of this process."""
+        return ForkedProcess(self, import_module(command[3]).main, command[4:], stderr)
 
-    def run(self, command: list[str], stdout, stderr, **_) -> subprocess.CompletedProcess:
-        """Run the reader in a copy of this process."""
-        child = os.fork()
-        if child == 0:
+
+class ForkedProcess:
+    """
+    A copy of this process that runs a reader.
+
+    :param family: notes the memory that it took.
+    :param stderr: where it says what is wrong.
+    """
+
+    def __init__(self, family: ForkedProcesses, run: Callable[[list[str]], int],
+                 arguments: list[str], stderr) -> None:
+        self._family, self._code = family, None
+        asked, asking = os.pipe()
+        answers, answering = os.pipe()
+        self._child = os.fork()
+        if self._child == 0:
             # Whatever happens, the copy must not go on as the original does.
             try:
-                os.dup2(stdout.fileno(), 1)
+                os.close(asking)
+                os.close(answers)
+                sys.stdin = os.fdopen(asked)
+                os.dup2(answering, 1)
                 os.dup2(stderr.fileno(), 2)
-                code = self._main(command[3:])
+                os.close(answering)
+                code = run(arguments)
             except BaseException:
                 code = 1
             finally:
                 os._exit(code)
-        _, status, used = os.wait4(child, 0)
-        self.memory = max(self.memory, used.ru_maxrss)
-        return subprocess.CompletedProcess(command, os.waitstatus_to_exitcode(status))
+        os.close(asked)
+        os.close(answering)
+        self.stdin, self.stdout = os.fdopen(asking, 'wb'), os.fdopen(answers, 'rb')
+
+    def kill(self) -> None:
+        """Kill it."""
+        if self._code is None:
+            os.kill(self._child, signal.SIGKILL)
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Return the code that it ended with."""
+        if self._code is None:
+            _, status, used = os.wait4(self._child, 0)
+            self._family.memory = max(self._family.memory, used.ru_maxrss)
+            self._code = os.waitstatus_to_exitcode(status)
+        return self._code
 
 
 def read_one(reader, path: Path) -> tuple[str, str]:
@@ -85,13 +120,7 @@ def work(name: str, seed: int, start: int, stop: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (MOST, MOST))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     warnings.simplefilter('ignore')
-    forked = None
-    try:
-        from ocp_ros.scenes import guarded_reading
-        guarded_reading.subprocess = forked = ForkedProcesses()
-    except ImportError:
-        # Code that has no such process is compared with.
-        pass
+    guarded_process.subprocess = forked = ForkedProcesses()
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         reader = good_files(folder)[name]
@@ -102,14 +131,13 @@ def work(name: str, seed: int, start: int, stop: int) -> None:
             path = folder / f'spoilt_{name}'
             path.write_bytes(spoilt(np.random.default_rng([seed, number]), content))
             Path('/proc/self/clear_refs').write_text('5')
-            if forked:
-                forked.memory = 0
+            forked.memory = 0
             print(json.dumps(['begin', number]), flush=True)
             began = time.monotonic()
             outcome, said = read_one(reader, path)
             seconds = time.monotonic() - began
             peak = int(Path('/proc/self/status').read_text().split('VmHWM:')[1].split()[0])
-            memory = max(peak, forked.memory if forked else 0) / 1024
+            memory = max(peak, forked.memory) / 1024
             print(json.dumps(['end', number, outcome, said, seconds, memory]), flush=True)
 
 

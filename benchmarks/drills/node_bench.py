@@ -97,7 +97,7 @@ class Answers:
     def _reflect(self) -> None:
         """Think as the node does, and remember when that began."""
         self._published = time.perf_counter()
-        self.node._decider.reflect()
+        self.node._reflect()
 
     def play(self, room: int, points: int) -> None:
         """Play an episode in a room of so many points."""

@@ -20,7 +20,7 @@ import torch
 from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.agent.errors import CheckpointError
 from ocp_ros.agent.networks import actor_of
-from ocp_ros.util.files import write_atomically
+from ocp_ros.util.files import LARGEST, read_regular, write_atomically
 from ocp_ros.util.settings import from_nested, to_nested
 
 FORMAT = 'ocp_ros-actor-2'
@@ -144,10 +144,11 @@ class Checkpoint:
         :raises CheckpointError: if there is none or it cannot be used.
         """
         try:
-            blob = Path(path).read_bytes()
+            blob = read_regular(path)
         except OSError as error:
             raise CheckpointError(f'{path}: found no file that can be read ({error.strerror}); '
-                                  'expected weights ending in .safetensors') from error
+                                  'expected weights ending in .safetensors, of '
+                                  f'{LARGEST:,} bytes at most') from error
         return cls.from_bytes(blob, str(path))
 
 

@@ -27,7 +27,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from ocp_ros import __version__
 from ocp_ros.compare.protocol import BenchmarkTask, Protocol, run_task
 from ocp_ros.compare.summary import pairs, Rows, summarise
-from ocp_ros.util.files import write_atomically
+from ocp_ros.util.files import read_regular, sha256_of_file, write_atomically
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
@@ -132,13 +132,13 @@ def _seal(record: str, task: BenchmarkTask, rows: str) -> str:
 def _kept(path: Path, record: str, task: BenchmarkTask) -> Rows | None:
     """Return the rows of a task that was played before; None if there are none or damaged ones."""
     try:
-        kept = json.loads(path.read_bytes())
+        kept = json.loads(read_regular(path))
         if kept['sha256'] == _seal(record, task, json.dumps(kept['rows'])):
             return kept['rows']
         reason = 'the checksum is another'
     except FileNotFoundError:
         return None
-    except (KeyError, TypeError, ValueError, RecursionError) as error:
+    except (OSError, KeyError, TypeError, ValueError, RecursionError) as error:
         reason = f'{type(error).__name__}: {error}'
     _log.warning('%s: found no whole result (%s); expected the runs of one planner in one room; '
                  'running them again, nothing else is lost', printable(str(path)), reason)
@@ -153,14 +153,13 @@ def _claim(folder: Path, protocol: Protocol) -> str:
     common = {
         'ocp_ros': __version__,
         # Under the same names there may be other weights and another rig.
-        'files': {name: hashlib.sha256(path.read_bytes()).hexdigest()
-                  for name, path in files.items()},
+        'files': {name: sha256_of_file(path) for name, path in files.items()},
         **{name: value for name, value in asdict(protocol).items()
            if name not in ('rooms', 'rotations', 'planners')}}
     path, text = folder / 'protocol.json', json.dumps(common, indent=2) + '\n'
     if not path.exists():
         write_atomically(path, text)
-    elif path.read_bytes() != text.encode():
+    elif read_regular(path) != text.encode():
         raise ConfigurationError(
             f'{path}: found the record of another comparison, or a damaged one; expected the '
             'budgets, seeds, rig, weights and version that are asked for; name another folder, '

@@ -4,6 +4,7 @@
 
 from importlib.util import find_spec
 from pathlib import Path
+import re
 import struct
 
 import numpy as np
@@ -12,6 +13,13 @@ from ocp_ros.scenes.guarded_reading import read_guarded
 
 #: Bytes of the headers that are looked at.
 LAS_HEADER, E57_HEADER = 255, 48
+#: Bytes of a page of an E57 file, of which the last ones are its checksum, and of XML that a file
+#: may have: thousands of scans need a tenth of it.
+PAGE, CHECKSUM, XML = 1024, 4, 50_000_000
+#: What XML may have to do with other files: the reader would open them, and those of other
+#: machines. Without the first there are no entities.
+REFERENCES = re.compile('<!DOCTYPE|<!ENTITY|schemaLocation', re.IGNORECASE)
+ENCODING = re.compile(r'\ufeff?<\?xml[^>]*?encoding\s*=\s*["\']([^"\']*)')
 #: Bytes of a record before the points, at least.
 RECORD = 54
 #: Points that a byte may hold where they are compressed; real scans need one byte or more each.
@@ -72,10 +80,37 @@ def read_e57_points(path: Path) -> np.ndarray:
         head = file.read(E57_HEADER)
     if len(head) < E57_HEADER or head[:8] != b'ASTM-E57':
         raise ValueError('no E57 header')
-    length, = struct.unpack_from('<Q', head, 16)
+    length, start, xml, page = struct.unpack_from('<QQQQ', head, 16)
     if length != size:
         raise ValueError(f'{size:,} of {length:,} bytes')
+    if page != PAGE:
+        raise ValueError(f'pages of {page:,} bytes, not {PAGE:,}')
+    _check_xml(_xml_of(path, start, xml))
     if not find_spec('pye57'):
         raise ImportError('pye57; pip install pye57')
     # Real files pack a point in 6 bytes or more.
     return read_guarded('e57', path, 3, size)
+
+
+def _xml_of(path: Path, start: int, length: int) -> bytes:
+    """Return the XML of an E57 file: so many bytes from a place on, without the checksums."""
+    if length > XML:
+        raise ValueError(f'{length:,} bytes of XML')
+    with path.open('rb') as file:
+        file.seek(start - start % PAGE)
+        pages = file.read((length // (PAGE - CHECKSUM) + 2) * PAGE)
+    logical = b''.join(pages[at:at + PAGE - CHECKSUM] for at in range(0, len(pages), PAGE))
+    xml = logical[start % PAGE:][:length]
+    if len(xml) < length:
+        raise ValueError(f'{len(xml):,} of {length:,} bytes of XML')
+    return xml
+
+
+def _check_xml(content: bytes) -> None:
+    """Refuse XML that names other files, or is written so that this cannot be seen."""
+    text = content.decode('utf-8')
+    encoding = ENCODING.match(text)
+    if '\0' in text or encoding and encoding[1].lower() != 'utf-8':
+        raise ValueError('XML that is not UTF-8')
+    if found := REFERENCES.search(text):
+        raise ValueError(f'XML with {found[0]}, which names other files')

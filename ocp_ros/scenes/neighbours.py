@@ -10,11 +10,11 @@ so, and clouds that are not even, are left to a k-d tree.
 
 from itertools import product
 
-from numba import njit
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ocp_ros.geometry.clouds import corners_of
+from ocp_ros.util.kernels import njit
 from ocp_ros.util.threads import mapped
 
 #: Points that an occupied cell should hold, as a share of the neighbours that are sought: most of

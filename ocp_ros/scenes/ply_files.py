@@ -2,16 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """PLY, the Stanford polygon file format: scans with plyfile, meshes with Open3D."""
 
+import io
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from plyfile import PlyData
 
+from ocp_ros.scenes.guarded_reading import read_guarded
 from ocp_ros.scenes.mesh_files import read_mesh
 
 #: Bytes in which the header has to end: plyfile reads it letter by letter.
 HEADER = 1 << 18
+#: Rows with lists that are read one by one, which takes a microsecond or two and 100 bytes each.
+LISTS = 1_000_000
+#: The columns of a room's points, those of normals where there are any.
+COLUMNS = ('x', 'y', 'z', 'nx', 'ny', 'nz')
 
 
 class PlyPart(NamedTuple):
@@ -19,34 +25,62 @@ class PlyPart(NamedTuple):
     What a header says of one element.
 
     :ivar count: rows.
-    :ivar kinds: of the properties of each row; ``b'list'`` for lists.
+    :ivar kinds: of the properties of each row by name; ``b'list'`` for lists.
+    :ivar end: of what the header says of it, bytes.
     """
 
     name: str
     count: int
-    kinds: list[bytes]
+    kinds: dict[str, bytes]
+    end: int
+
+    @property
+    def has_lists(self) -> bool:
+        """Return whether rows are of different lengths."""
+        return b'list' in self.kinds.values()
 
 
 def read_ply_fields(path: Path) -> dict[str, np.ndarray]:
     """
     Read a PLY file, ascii or binary.
 
+    What comes after the vertices is not read unless it is faces; where lists come before them, a
+    process of its own reads the file.
+
     :returns: each column of the vertices by its name, (N,), or, where there are faces, columns
-        x y z nx ny nz of points on them; nothing where there are no vertices.
+        x y z nx ny nz of points on them; nothing where there are no vertices. Of a file with
+        lists before its vertices, only the columns that a room needs.
     :raises ValueError: if the file is broken.
     """
-    parts = _parts(path)
-    if any(part.name == 'face' and part.count and b'list' in part.kinds for part in parts):
-        return dict(zip(('x', 'y', 'z', 'nx', 'ny', 'nz'), read_mesh(path).T))
-    content = PlyData.read(str(path))
-    if 'vertex' not in content:
+    header, end_of_line, parts = _parts(path)
+    if any(part.name == 'face' and part.count and part.has_lists for part in parts):
+        return dict(zip(COLUMNS, read_mesh(path).T))
+    names = [part.name for part in parts]
+    if 'vertex' not in names:
         return {}
-    rows = content['vertex'].data
-    return {field: rows[field] for field in rows.dtype.names}
+    read = parts[:names.index('vertex') + 1]
+    vertices = read[-1]
+    if not vertices.kinds.keys() >= set('xyz'):
+        return dict.fromkeys(vertices.kinds, np.empty(0))
+    if any(part.has_lists for part in read):
+        if (lists := sum(part.count for part in read if part.has_lists)) > LISTS:
+            raise ValueError(f'{lists:,} rows with lists up to its vertices, more than {LISTS:,}')
+        columns = [name for name in COLUMNS if name in vertices.kinds]
+        rows = read_guarded('ply', path, len(columns), vertices.count, columns)
+        return dict(zip(columns, rows.T))
+    if len(read) == len(parts):
+        content = PlyData.read(str(path))
+    else:
+        with path.open('rb') as file:
+            file.seek(len(header) + len(b'end_header') + len(end_of_line))
+            content = PlyData.read(io.BytesIO(
+                header[:vertices.end] + b'end_header' + end_of_line + file.read()))
+    found = content['vertex'].data
+    return {field: found[field] for field in found.dtype.names}
 
 
-def _parts(path: Path) -> list[PlyPart]:
-    """Return the elements of a PLY file, if there is room for them in it."""
+def _parts(path: Path) -> tuple[bytes, bytes, list[PlyPart]]:
+    """Return the header, how its lines end, and the elements, if the file has room for them."""
     with path.open('rb') as file:
         head = file.read(HEADER)
     # The first line shows how lines end.
@@ -55,14 +89,17 @@ def _parts(path: Path) -> list[PlyPart]:
     if head[:3] != b'ply' or not end:
         raise ValueError(f'no PLY header within {HEADER:,} bytes')
     parts: list[PlyPart] = []
+    at = 0
     for line in header.split(end_of_line):
         words = line.split()
+        at += len(line) + len(end_of_line)
         if words[:1] == [b'element'] and len(words) == 3:
-            parts.append(PlyPart(words[1].decode('ascii'), int(words[2]), []))
+            parts.append(PlyPart(words[1].decode('ascii'), int(words[2]), {}, at))
         elif words[:1] == [b'property'] and parts:
-            parts[-1].kinds.append(b''.join(words[1:2]))
+            parts[-1].kinds[words[-1].decode('ascii')] = b''.join(words[1:2])
+            parts[-1] = parts[-1]._replace(end=at)
     # Each number takes a byte or more, and a row without any is none.
     least = sum(part.count * max(len(part.kinds), 1) for part in parts)
     if min((part.count for part in parts), default=0) < 0 or least > path.stat().st_size:
         raise ValueError('more rows than the file has room for')
-    return parts
+    return header + end_of_line, end_of_line, parts

@@ -5,14 +5,22 @@ A process that reads a file with a library that hostile bytes can crash, hang or
 
 :mod:`~ocp_ros.scenes.guarded_reading` starts it and says what it may use. It writes rows of
 float64 numbers to its standard output, or one line about what is wrong to its standard error.
+It imports what reads the file, then gives up all else (:mod:`~ocp_ros.util.confinement`), and
+only then opens it.
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
+from importlib import import_module
+import json
 import os
-import resource
+from pathlib import Path
 import sys
+from urllib.parse import unquote
 
 import numpy as np
+
+from ocp_ros.util.confinement import confine, limit
 
 #: Bytes of points that are unpacked at once.
 PART = 1 << 25
@@ -78,27 +86,65 @@ def _check_rounding(vertices: np.ndarray) -> None:
                              'near the origin, or save it as .ply')
 
 
-READ = {'e57': e57_rows, 'las': las_rows, 'mesh': mesh_rows}
+def ply_rows(path: str, *columns: str) -> Iterator[np.ndarray]:
+    """Yield columns of the vertices (N, C) of a PLY file."""
+    from plyfile import PlyData
+    vertices = PlyData.read(path)['vertex'].data
+    yield np.stack([vertices[name] for name in columns], axis=1)
+
+
+def named_files(path: str) -> list[str]:
+    """
+    Return the files of its own folder that a glTF file has its numbers in.
+
+    :raises ValueError: if they are elsewhere.
+    """
+    if not path.lower().endswith(('.gltf', '.glb')):
+        return []
+    content = Path(path).read_bytes()
+    if content[:4] == b'glTF':
+        content = content[20:20 + int.from_bytes(content[12:16], 'little')]
+    folder, found = Path(path).resolve().parent, []
+    for buffer in json.loads(content).get('buffers', ()):
+        uri = buffer.get('uri', 'data:')
+        if uri.startswith('data:'):
+            continue
+        # Not all readers know that %20 is a blank.
+        named = [(folder / name).resolve() for name in (uri, unquote(uri))]
+        if not all(name.parent == folder for name in named):
+            raise ValueError(f'it names {uri[:60]!r}, which is not in its folder')
+        if not any(name.is_file() for name in named):
+            raise ValueError(f'it names {uri[:60]!r}, where there is no file')
+        found += [str(name) for name in named if name.is_file()]
+    return found
+
+
+#: Of each kind, what reads it, and the packages that it needs before it gives up the others.
+READ = {'e57': (e57_rows, 'pye57'), 'las': (las_rows, 'laspy', 'lazrs', 'laszip'),
+        'mesh': (mesh_rows, 'open3d', 'ocp_ros.scenes.mesh_files', 'numpy.random'),
+        'ply': (ply_rows, 'plyfile')}
 
 
 def main(arguments: list[str]) -> int:
     """
     Read a file.
 
-    :param arguments: key of ``READ``, path, and the most bytes of memory, seconds of all cores
-        and bytes of output.
+    :param arguments: the most bytes of memory, seconds of all cores and bytes that are written,
+        key of ``READ``, path, and more for what reads it.
     :returns: the exit code: 1 if the file cannot be read.
     """
-    kind, path, *most = arguments
-    memory, seconds, output = map(int, most)
-    for limit, value in ((resource.RLIMIT_DATA, memory), (resource.RLIMIT_CPU, seconds),
-                         (resource.RLIMIT_FSIZE, output), (resource.RLIMIT_CORE, 0)):
-        resource.setrlimit(limit, (value, value))
+    limit(*map(int, arguments[:3]))
+    kind, path, *more = arguments[3:]
+    read, *packages = READ[kind]
     with os.fdopen(os.dup(1), 'wb') as rows:
         # What libraries print is no row.
         os.dup2(2, 1)
         try:
-            for part in READ[kind](path):
+            for package in packages:
+                with suppress(ImportError):
+                    import_module(package)
+            confine([path, *named_files(path)])
+            for part in read(path, *more):
                 rows.write(np.ascontiguousarray(part, dtype=np.float64))
         except MemoryError:
             print('more memory than such a file needs', file=sys.stderr)
@@ -107,7 +153,3 @@ def main(arguments: list[str]) -> int:
             print((str(error).splitlines() or [''])[0] or type(error).__name__, file=sys.stderr)
             return 1
     return 0
-
-
-if __name__ == '__main__':
-    sys.exit(main(sys.argv[1:]))

@@ -4,7 +4,6 @@
 
 import hashlib
 import io
-import os
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -14,16 +13,12 @@ from ocp_ros import __version__
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.scenes.source_frame import SourceFrame
-from ocp_ros.util.files import write_atomically
+from ocp_ros.util.files import cache_folder, write_atomically
 
 #: Bytes of a file from which it is worth keeping what was read.
 LARGE = 4_000_000
-
-
-def cache_folder() -> Path:
-    """Return where thinned scans are kept; ``OCP_ROS_CACHE`` names another place."""
-    base = os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache'
-    return Path(os.environ.get('OCP_ROS_CACHE') or Path(base) / 'ocp_ros')
+#: The folder of the cache that they are in.
+SCANS = 'scans'
 
 
 def load_cached(path: str | Path, **options) -> Scene:
@@ -47,7 +42,10 @@ def load_cached(path: str | Path, **options) -> Scene:
         return load_scene(path, **options)
     known = [__version__, path.absolute(), state.st_size, state.st_mtime_ns,
              sorted(options.items())]
-    kept = cache_folder() / f'{hashlib.sha256(str(known).encode()).hexdigest()[:24]}.npz'
+    folder = cache_folder()
+    if folder is None:
+        return load_scene(path, **options)
+    kept = folder / SCANS / f'{hashlib.sha256(str(known).encode()).hexdigest()[:24]}.npz'
     try:
         with kept.open('rb') as file, np.load(file, allow_pickle=False) as arrays:
             source = SourceFrame(float(arrays['scale']), arrays['rotation'], arrays['shift'])
@@ -71,6 +69,7 @@ def _keep(path: Path, scene: Scene) -> None:
     try:
         content = io.BytesIO()
         np.savez(content, **arrays)
-        write_atomically(path, content.getvalue())
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        write_atomically(path, content.getvalue(), private=True)
     except OSError:
         pass

@@ -4,7 +4,6 @@
 
 from dataclasses import dataclass
 import hashlib
-from pathlib import Path
 from typing import Any
 
 from ocp_ros.scenes.scene import Scene, SceneError, turned
@@ -12,6 +11,7 @@ from ocp_ros.scenes.scene_cache import load_cached
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.scenes.up_axis import UP_CHOICES
+from ocp_ros.util.files import sha256_of_file
 from ocp_ros.util.settings import FEWEST_POINTS, LARGEST_SEED, MOST_POINTS, setting
 
 #: Points of a room that placements are judged in, where nobody says.
@@ -95,9 +95,8 @@ def room_named(name: str, points: int = ROOM_POINTS, **reading: Any
     if name.isdecimal():
         return scene, {'seed': int(name), 'points': points,
                        'sha256': sha256_of(scene)}
-    content = hashlib.sha256(Path(name).read_bytes()).hexdigest()
-    room = {'file': name, 'sha256': content, 'points': points, 'scale': 1.0, **reading,
-            'up': scene.source.up}
+    room = {'file': name, 'sha256': sha256_of_file(name), 'points': points, 'scale': 1.0,
+            **reading, 'up': scene.source.up}
     if not scene.source.is_map:
         room['source_from_map'] = scene.source.matrix.tolist()
     return scene, room

@@ -12,6 +12,8 @@ import numpy as np
 
 from ocp_ros.scenes.scene import SceneError
 
+#: Bytes of the longest line, and that are read at once.
+LONGEST, PIECE = 100_000, 1 << 20
 #: What UTF-8 files of some programs begin with, read as Latin-1.
 MARK = b'\xef\xbb\xbf'.decode('latin-1')
 
@@ -53,6 +55,7 @@ def read_points(path: Path) -> np.ndarray:
     They are separated by blanks, commas, or semicolons, with which decimals may have a comma. A
     first line may name the columns, such as ``X,Y,Z,R,G,B``; without it they are the first three.
     """
+    _check_lines(path)
     return read_table(path, form_of(path))
 
 
@@ -69,6 +72,20 @@ def read_table(path: Path, form: TableForm) -> np.ndarray:
             raise _bad_line(path, form) or error from None
     _check_last_line(path, form)
     return table
+
+
+def _check_lines(path: Path) -> None:
+    """Refuse a text with a line that is too long to be one, before a line of it is read."""
+    length = 0
+    with path.open('rb') as file:
+        while piece := file.read(PIECE):
+            first, *others = re.split(rb'[\r\n]', piece)
+            longest = max([length + len(first), *map(len, others)])
+            if longest > LONGEST:
+                raise SceneError(f'{path.name}: found a line of more than {LONGEST:,} bytes; '
+                                 'expected lines of numbers x y z; name the right file, or '
+                                 'export it again')
+            length = len(others[-1]) if others else length + len(first)
 
 
 def form_of(path: Path) -> TableForm:

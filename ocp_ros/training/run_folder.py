@@ -12,7 +12,7 @@ import yaml
 
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import PARTS, room_names
-from ocp_ros.util.files import write_atomically
+from ocp_ros.util.files import read_regular, write_atomically
 from ocp_ros.util.settings import ConfigurationError, from_nested, to_nested
 from ocp_ros.util.shown_text import printable
 from ocp_ros.util.yaml_files import read_plain
@@ -114,10 +114,10 @@ def _settings(path: Path) -> TrainingConfig:
 def _sets(path: Path) -> dict[str, list[str]]:
     """Read which rooms are in each set of a run."""
     try:
-        sets = json.loads(path.read_bytes())
+        sets = json.loads(read_regular(path))
         if not isinstance(sets, dict) or sets.keys() != set(PARTS):
             raise ValueError('no sets of rooms')
-    except (ValueError, RecursionError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ConfigurationError(
             f'{path}: found no list of rooms ({error}); expected those of {", ".join(PARTS)}; '
             'nothing of the run is lost: remove the file, and the run goes on with the rooms '
@@ -139,7 +139,7 @@ def records(folder: Path) -> list[dict[str, Any]]:
     path = folder / PROGRESS
     if not path.exists():
         return []
-    lines = path.read_text(encoding='utf-8', errors='replace').splitlines()
+    lines = read_regular(path).decode(errors='replace').splitlines()
     found = [record for line in lines if (record := _record(line)) is not None]
     if len(found) < len(lines):
         _log.warning(

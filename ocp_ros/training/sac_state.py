@@ -20,10 +20,12 @@ from stable_baselines3.common.buffers import DictReplayBuffer
 import torch
 
 from ocp_ros.agent.checkpoint import CheckpointError, LARGEST_WEIGHT, read_metadata
-from ocp_ros.util.files import whole_or_absent, write_atomically
+from ocp_ros.util.files import check_regular, read_regular, whole_or_absent, write_atomically
 
 #: Nothing that a run counts is larger.
 MOST = 1 << 40
+#: Bytes of a file of moves that are none.
+REST = 1_000_000
 #: Name of the array that says which slot is written next, and whether all have been.
 FILLED = 'filled'
 COUNTERS = ('_n_updates', 'num_timesteps', 'own_updates')
@@ -89,7 +91,7 @@ def load_state(model: SAC, path: Path) -> str:
         it was.
     """
     try:
-        blob = Path(path).read_bytes()
+        blob = read_regular(path)
         tensors, run = safetensors.torch.load(blob), read_metadata(blob)['run']
         if not isinstance(run, str):
             raise ValueError(f'its run is {run!r}')
@@ -179,6 +181,7 @@ def load_replay(buffer: DictReplayBuffer, path: Path) -> None:
         as it was.
     """
     try:
+        check_regular(path, sum(row.nbytes for row in _rows(buffer).values()) + REST)
         arrays = safetensors.numpy.load_file(path)
         position, full = arrays.pop(FILLED).tolist()
         rows = _rows(buffer)

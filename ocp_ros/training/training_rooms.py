@@ -10,7 +10,6 @@ enough for all three sets.
 """
 
 from collections.abc import Sequence
-import hashlib
 
 from ocp_ros.scenes.s3dis import chosen_rooms, s3dis_folder, TEST_AREAS
 from ocp_ros.scenes.scene import Scene, SceneError
@@ -18,6 +17,7 @@ from ocp_ros.scenes.scene_files import READERS, scans_in
 from ocp_ros.scenes.scene_source import make_room
 from ocp_ros.scenes.splits import MORE_TRAINING, TEST, TRAINING, VALIDATION
 from ocp_ros.training.training_config import RoomsConfig
+from ocp_ros.util.files import sha256_of_file
 from ocp_ros.util.settings import ConfigurationError
 
 PARTS = ('training', 'validation', 'test')
@@ -110,7 +110,7 @@ def _of_folder(folder: str, part: str) -> list[str]:
     if len(scans) < len(PARTS):
         raise SceneError(f'{folder}: found {len(scans)} scans; expected at least {len(PARTS)}, '
                          f'one for each set, of {", ".join(READERS)}')
-    content = {hashlib.sha256(path.read_bytes()).hexdigest(): path for path in scans}
+    content = {sha256_of_file(path): path for path in scans}
     order = sorted(content)
     parts = {one: _part_of(one) for one in order}
     if set(parts.values()) != set(PARTS):

@@ -26,6 +26,7 @@ from ocp_ros.agent.value_network import ValueMap
 from ocp_ros.training.augmentation import turned_maps
 from ocp_ros.training.sac_state import load_slots, saved_slots
 from ocp_ros.training.training_config import ValuesConfig
+from ocp_ros.util.files import read_regular
 
 #: Where the loss is no more quadratic, how much more the best place counts than a bad one, and
 #: within which difference of values places count as good.
@@ -226,7 +227,7 @@ class ValueFit:
         :raises CheckpointError: if it is damaged or of another network.
         """
         try:
-            blob = path.read_bytes()
+            blob = read_regular(path)
             tensors, run = safetensors.torch.load(blob), read_metadata(blob)['run']
             parts: dict[str, dict[str, Tensor]] = {'network': {}, 'average': {}, 'optimizer': {}}
             for name, value in tensors.items():

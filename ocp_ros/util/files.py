@@ -2,18 +2,32 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files that are whole or absent, whenever the process ends, and places to write them to."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager, suppress
 import errno
+import fcntl
+import hashlib
+import json
+import math
 import os
 from pathlib import Path
+import shutil
 import stat
 import tempfile
+from typing import BinaryIO
 
 from ocp_ros.util.settings import ConfigurationError
 
+#: Folders in a folder of results: a set of files that is being written, one that is complete and
+#: takes its place, and in that one the names of its files.
+UNFINISHED, COMPLETE, NAMES = '.ocp_unfinished_', '.ocp_complete', '.names.json'
+#: Bytes of a list of names.
+LONGEST_LIST = 10_000
+#: Bytes of what is read whole unless a reader knows better, and that are read at once.
+LARGEST, PIECE = 1_000_000_000, 1 << 20
 
-def read_regular(path: str | Path, most: int) -> bytes:
+
+def read_regular(path: str | Path, most: int = LARGEST) -> bytes:
     """
     Read a file that should not be large; pipes and devices, which may never end, are refused.
 
@@ -21,16 +35,43 @@ def read_regular(path: str | Path, most: int) -> bytes:
     :raises OSError: if it cannot be read, is no regular file, or has more; ``EFBIG`` with the
         number of bytes for the last.
     """
+    with _regular(path, most) as file:
+        # Of files in /proc the size is not known before they are read.
+        content = file.read(most + 1)
+    if len(content) > most:
+        raise OSError(errno.EFBIG, f'{len(content):,} bytes')
+    return content
+
+
+def check_regular(path: str | Path, most: int) -> None:
+    """Refuse a file that :func:`read_regular` would, for a library that reads it itself."""
+    with _regular(path, most):
+        pass
+
+
+@contextmanager
+def _regular(path: str | Path, most: float) -> Iterator[BinaryIO]:
+    """Open a regular file of so many bytes at most; see :func:`read_regular`."""
     with open(path, 'rb', opener=_open_at_once) as file:
         state = os.fstat(file.fileno())
         if not stat.S_ISREG(state.st_mode):
             raise OSError(errno.EINVAL, 'it is a pipe or a device, not a regular file')
-        # Of files in /proc the size is not known before they are read.
-        content = file.read(most + 1) if state.st_size <= most else b''
-    size = max(state.st_size, len(content))
-    if size > most:
-        raise OSError(errno.EFBIG, f'{size:,} bytes')
-    return content
+        if state.st_size > most:
+            raise OSError(errno.EFBIG, f'{state.st_size:,} bytes')
+        yield file
+
+
+def sha256_of_file(path: str | Path) -> str:
+    """
+    Return the SHA-256 of a file of any size.
+
+    :raises OSError: if it cannot be read, or is a pipe or a device.
+    """
+    found = hashlib.sha256()
+    with _regular(path, math.inf) as file:
+        while piece := file.read(PIECE):
+            found.update(piece)
+    return found.hexdigest()
 
 
 def _open_at_once(path: str, flags: int) -> int:
@@ -38,25 +79,46 @@ def _open_at_once(path: str, flags: int) -> int:
     return os.open(path, flags | os.O_NONBLOCK)
 
 
-def write_atomically(path: str | Path, content: bytes | str) -> None:
+def cache_folder() -> Path | None:
+    """
+    Return where the package keeps what it can make again: ``OCP_ROS_CACHE``, or the user's cache.
+
+    :returns: an absolute path, made with its folder closed to other users; None where there is
+        none.
+    """
+    base = os.environ.get('XDG_CACHE_HOME', '')
+    if not os.path.isabs(base):
+        base = os.path.expanduser('~/.cache')
+    folder = Path(os.environ.get('OCP_ROS_CACHE') or Path(base, 'ocp_ros'))
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError:
+        return None
+    # What is relative is in a folder that somebody else may have made.
+    return folder if folder.is_absolute() else None
+
+
+def write_atomically(path: str | Path, content: bytes | str, private: bool = False) -> None:
     """
     Write a file so that readers find the old content or the new, never a part.
 
     :param path: its folder is made where it is not there.
     :param content: text is written as UTF-8; bytes of file names that are no text, as escapes.
+    :param private: whether other users must not read it, whatever the umask says.
     :raises OSError: if it cannot be written; what was there before stays.
     """
     content = content.encode(errors='backslashreplace') if isinstance(content, str) else content
-    with whole_or_absent(path) as beside:
+    with whole_or_absent(path, private) as beside:
         beside.write_bytes(content)
 
 
 @contextmanager
-def whole_or_absent(path: str | Path) -> Iterator[Path]:
+def whole_or_absent(path: str | Path, private: bool = False) -> Iterator[Path]:
     """
     Yield a path beside a file; what is written there takes its place in the end, or never.
 
     :param path: its folder is made where it is not there.
+    :param private: see :func:`write_atomically`.
     :raises OSError: if it cannot be written; what was there before stays.
     """
     path = Path(path)
@@ -67,8 +129,9 @@ def whole_or_absent(path: str | Path) -> Iterator[Path]:
         yield Path(name)
         with open(name, 'rb') as file:
             os.fsync(file.fileno())
-        # Temporary files are private; what people share is not.
-        os.chmod(name, 0o644)
+        if not private:
+            # Temporary files are private; what people share is as they say.
+            os.chmod(name, 0o666 & ~_umask())
         os.replace(name, path)
     except BaseException as error:
         Path(name).unlink(missing_ok=True)
@@ -76,6 +139,95 @@ def whole_or_absent(path: str | Path) -> Iterator[Path]:
             # That of a full disk names no file.
             error.filename = str(path)
         raise
+
+
+def _umask() -> int:
+    """Return which rights new files do not have; to read it, it has to be set."""
+    umask = os.umask(0o077)
+    os.umask(umask)
+    return umask
+
+
+class FileSet:
+    """
+    Files of a folder that belong together: written aside, and swapped in at the end.
+
+    Use it in a ``with`` statement. Whenever the process ends, the folder has all files of the set
+    or all of the one before, if not at once, then when the next run begins, see :func:`recover`.
+    Where the block fails, what it has written is taken for the set, if the mark is among it.
+
+    :param folder: it is made where it is not there.
+    :param names: of all files that sets may have; those that this one has not are removed.
+    :param mark: name of the file without which nothing is a set.
+    :ivar aside: the folder to write to.
+    :raises OSError: if nothing can be written.
+    """
+
+    def __init__(self, folder: Path, names: Collection[str], mark: str) -> None:
+        self.folder, self._names, self._mark = folder, names, mark
+
+    def __enter__(self) -> 'FileSet':
+        """Make the folder to write to."""
+        recover(self.folder, self._names)
+        with _locked(self.folder):
+            self.aside = Path(tempfile.mkdtemp(prefix=UNFINISHED, dir=self.folder))
+            #: Shows that whoever writes there lives.
+            self._lock = os.open(self.aside, os.O_RDONLY)
+            with suppress(OSError):
+                fcntl.flock(self._lock, fcntl.LOCK_EX)
+        return self
+
+    def __exit__(self, *exception) -> None:
+        """Swap the set in."""
+        written = [name for name in self._names if (self.aside / name).exists()]
+        try:
+            if self._mark in written:
+                write_atomically(self.aside / NAMES, json.dumps(written))
+                with _locked(self.folder):
+                    self.aside.rename(self.folder / COMPLETE)
+        finally:
+            os.close(self._lock)
+            recover(self.folder, self._names)
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Let no other process swap files of a folder, where the disk knows locks."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
+def recover(folder: Path, names: Collection[str]) -> None:
+    """
+    Finish what a killed run has begun: swap in a set that is complete, remove one that is not.
+
+    :param names: of all files that sets may have.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with _locked(folder):
+        complete = folder / COMPLETE
+        with suppress(OSError, ValueError):
+            kept = json.loads(read_regular(complete / NAMES, LONGEST_LIST))
+            for name in names:
+                if name not in kept:
+                    (folder / name).unlink(missing_ok=True)
+                elif (complete / name).exists():
+                    os.replace(complete / name, folder / name)
+        if complete.is_dir():
+            shutil.rmtree(complete, ignore_errors=True)
+        for aside in folder.glob(f'{UNFINISHED}*'):
+            with suppress(OSError):
+                handle = os.open(aside, os.O_RDONLY | os.O_NOFOLLOW)
+                try:
+                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    shutil.rmtree(aside, ignore_errors=True)
+                finally:
+                    os.close(handle)
 
 
 def remove_unfinished(folder: Path) -> None:

@@ -4,31 +4,34 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import islice
+from functools import cache
+from importlib.util import find_spec
+import json
 from pathlib import Path
 import re
 import struct
+import tempfile
 from typing import Any, NamedTuple
 
 import yaml
 
+from ocp_ros.ros.bags.bag_process import CLOUD, END, HEADER, KINDS, MESSAGE, POSES, TRANSFORMS
 from ocp_ros.util.files import read_regular
+from ocp_ros.util.guarded_process import GuardedProcess, ReadingCost
 from ocp_ros.util.settings import ConfigurationError
 
-CLOUD, POSES = 'sensor_msgs/msg/PointCloud2', 'geometry_msgs/msg/PoseArray'
-TRANSFORMS = 'tf2_msgs/msg/TFMessage'
-#: The types that are read; old bags have transforms of another name and the same layout.
-KINDS = {CLOUD: CLOUD, POSES: POSES, TRANSFORMS: TRANSFORMS, 'tf/msg/tfMessage': TRANSFORMS}
 #: Messages of a topic that are asked for their frame, and the longest name of one.
 ASKED, LONGEST = 20, 1000
 #: Bytes of metadata, which is text: a bag of hundreds of topics and files has a tenth of it.
 METADATA = 10_000_000
-#: Bytes that a field of a cloud, a pose and a transform take at least in ROS 1.
-PARTS = {CLOUD: 13, POSES: 56, TRANSFORMS: 76}
+#: What a bag may take: of memory at once, and of seconds for all its messages.
+COST = ReadingCost(1_500_000_000, 0, 10)
+#: Bytes that a file which is compressed as a whole may have: so many, and for each of its own.
+UNPACKED, UNPACKED_PER_BYTE = 500_000_000, 50
 #: What may be an alias in YAML; whether it is one, only a parser knows.
 ALIAS = re.compile(rb'(^|[\s,\[{])\*\w')
 #: What a file begins with that is a ROS 1 bag, and how files of ROS 2 bags are called.
-ROS1, ROS2_FILES = b'#ROSBAG V', ('.mcap', '.db3')
+ROS1, ROS2_FILES, PACKED = b'#ROSBAG V', ('.mcap', '.db3'), '.zstd'
 
 
 class Topic(NamedTuple):
@@ -65,7 +68,7 @@ class BrokenMessage(ValueError):
 
 class Bag:
     """
-    An open bag; use it in a ``with`` statement.
+    A bag, read by a process of its own; use it in a ``with`` statement.
 
     :param path: a ROS 1 bag, the folder of a ROS 2 bag, or a file in it.
     :raises ConfigurationError: if it cannot be read, in one sentence.
@@ -73,24 +76,53 @@ class Bag:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        with self._readable():
-            try:
-                from rosbags.typesys import get_typestore, Stores
-            except ImportError as error:
-                raise ConfigurationError(
-                    f'{self.path}: found no package to read bags with; expected rosbags; '
-                    'install it: pip install rosbags') from error
-            self._reader, self._is_ros1 = _reader(self.path)
-            self._store = get_typestore(Stores.ROS2_JAZZY)
-            self._reader.open()
+        self._folder = tempfile.TemporaryDirectory(prefix='ocp_bag_')
+        self._process: GuardedProcess | None = None
+        try:
+            with self._readable():
+                if not find_spec('rosbags'):
+                    raise ConfigurationError(
+                        f'{self.path}: found no package to read bags with; expected rosbags; '
+                        'install it: pip install rosbags')
+                self._is_ros1, self._bag, self._files = _parts_of(self.path)
+                self._found = self._start()
+        except BaseException:
+            self.__exit__()
+            raise
 
     def __enter__(self) -> 'Bag':
         """Return itself."""
         return self
 
     def __exit__(self, *exception) -> None:
-        """Close the files."""
-        self._reader.close()
+        """End the process that reads."""
+        self._end()
+        self._folder.cleanup()
+
+    def _end(self) -> None:
+        """End the process that reads, if there is one."""
+        if self._process is not None:
+            self._process.__exit__()
+            self._process = None
+
+    def _start(self) -> dict[str, Any]:
+        """Start the process that reads, and return what it says of the bag."""
+        size = sum(file.stat().st_size for file in self._files)
+        self._process = GuardedProcess(
+            'ocp_ros.ros.bags.bag_process',
+            ['1' if self._is_ros1 else '2', self._folder.name, str(self._bag.absolute()),
+             *(str(file.absolute()) for file in self._files)],
+            COST, size, UNPACKED + UNPACKED_PER_BYTE * size,
+            {'TMPDIR': self._folder.name, 'SQLITE_TMPDIR': self._folder.name})
+        return json.loads(self._answer()[-1])
+
+    def _answer(self) -> tuple[int, int, int, bytearray]:
+        """Return the next answer of the process: what it is, topic, time and content."""
+        header = self._process.read(HEADER.size)
+        if len(header) < HEADER.size:
+            raise ValueError('its reader ended too early')
+        kind, topic, time, size = HEADER.unpack(header)
+        return kind, topic, time, self._process.read(size)
 
     @contextmanager
     def _readable(self) -> Iterator[None]:
@@ -110,55 +142,56 @@ class Bag:
     @property
     def topics(self) -> list[Topic]:
         """Return all topics by name."""
-        with self._readable():
-            return [Topic(name, info.msgtype or 'several types', info.msgcount)
-                    for name, info in sorted(self._reader.topics.items())]
+        return [Topic(*topic) for topic in self._found['topics']]
 
     @property
     def start(self) -> int:
         """Return when the first message was recorded, nanoseconds."""
-        return self._reader.start_time
+        return self._found['start']
 
     @property
     def seconds(self) -> float:
         """Return how long the recording is."""
-        return max(self._reader.end_time - 1 - self.start, 0) * 1e-9
+        return max(self._found['end'] - 1 - self.start, 0) * 1e-9
 
     def frames(self, topic: Topic) -> list[str]:
         """Return the frames of a topic's first messages; for transforms none."""
         if KINDS.get(topic.kind) not in (CLOUD, POSES):
             return []
-        with self._readable():
-            raw = [message for _, _, message in islice(
-                self._reader.messages(self._connections([topic.name])), ASKED)]
-            return sorted({_frame(message, self._is_ros1) for message in raw})
+        return sorted({_frame(item.cdr) if isinstance(item, Recorded) else '?'
+                       for item in self.messages([topic.name], most=ASKED)})
 
-    def messages(self, names: list[str], start: int | None = None, stop: int | None = None
-                 ) -> Iterator[Recorded | BrokenMessage]:
+    def messages(self, names: list[str], start: int | None = None, stop: int | None = None,
+                 most: int | None = None) -> Iterator[Recorded | BrokenMessage]:
         """
         Yield the messages of some topics in the order in which they were recorded.
 
         :param names: topics whose kinds are among ``KINDS``.
         :param start: from when on, nanoseconds.
         :param stop: until when, nanoseconds; that itself not included.
+        :param most: how many at most.
         :returns: what can be read; for what cannot the reason.
         :raises ConfigurationError: where the bag ends too early.
         """
-        connections = self._connections(names)
+        topics = self.topics
         with self._readable():
-            if not connections:
-                return
-            for connection, time, raw in self._reader.messages(connections, start, stop):
-                kind = KINDS[connection.msgtype]
-                try:
-                    if self._is_ros1:
-                        _check_count(raw, kind)
-                    cdr = bytes(self._store.ros1_to_cdr(raw, kind) if self._is_ros1 else raw)
-                except Exception as error:
-                    yield BrokenMessage(f'{connection.topic}: found a message that is no {kind} '
-                                        f'({error}); expected one; it is left out')
-                else:
-                    yield Recorded(connection.topic, kind, time, cdr)
+            if self._process is None:
+                self._start()
+            self._process.ask(json.dumps([names, start, stop, most]))
+            try:
+                while (answer := self._answer())[0] != END:
+                    what, number, time, content = answer
+                    topic, kind = topics[number].name, KINDS[topics[number].kind]
+                    if what == MESSAGE:
+                        yield Recorded(topic, kind, time, bytes(content))
+                    else:
+                        yield BrokenMessage(
+                            f'{topic}: found a message that is no {kind} '
+                            f'({content.decode()}); expected one; it is left out')
+            except BaseException:
+                # What it would still say belongs to this question.
+                self._end()
+                raise
 
     def transforms(self, cdr: bytes) -> list:
         """
@@ -167,22 +200,22 @@ class Bag:
         :raises BrokenMessage: if it is none.
         """
         try:
-            message: Any = self._store.deserialize_cdr(cdr, TRANSFORMS)
+            message: Any = _store().deserialize_cdr(cdr, TRANSFORMS)
             return message.transforms
         except Exception as error:
             raise BrokenMessage(f'transforms: found a message that is none ({error}); expected '
                                 'one; it is left out') from error
 
-    def _connections(self, names: list[str]) -> list:
-        """Return the recorded connections of some topics."""
-        return [one for one in self._reader.connections
-                if one.topic in names and one.msgtype in KINDS]
+
+@cache
+def _store() -> Any:
+    """Return the types of messages."""
+    from rosbags.typesys import get_typestore, Stores
+    return get_typestore(Stores.ROS2_JAZZY)
 
 
-def _reader(path: Path):
-    """Return the reader of a bag that is not open yet, and whether it is one of ROS 1."""
-    from rosbags.rosbag1 import Reader as Reader1
-    from rosbags.rosbag2 import Reader as Reader2
+def _parts_of(path: Path) -> tuple[bool, Path, list[Path]]:
+    """Return whether a bag is one of ROS 1, the bag, and the files that it consists of."""
     expected = ('expected a ROS 1 bag or the folder of a ROS 2 bag, in which metadata.yaml and '
                 '.mcap or .db3 files are')
     if not path.exists():
@@ -192,7 +225,11 @@ def _reader(path: Path):
     if path.is_dir():
         if (path / 'metadata.yaml').is_file():
             _check_metadata(path / 'metadata.yaml')
-            return Reader2(path), False
+            files = [file for file in path.iterdir() if file.suffix in (*ROS2_FILES, PACKED)]
+            if strange := [file.name for file in files if not file.is_file()]:
+                raise ConfigurationError(f'{path}: found {strange[0]}, which is no file; '
+                                         f'{expected}; remove it')
+            return False, path, [path / 'metadata.yaml', *files]
         recorded = any(file.suffix in ROS2_FILES for file in path.iterdir())
         inside, remedy = ('recorded files without metadata.yaml', 'run ros2 bag reindex') if (
             recorded) else ('a folder that is no bag', 'name the folder that ros2 bag record made')
@@ -203,7 +240,7 @@ def _reader(path: Path):
         if file.read(len(ROS1)) != ROS1:
             raise ConfigurationError(f'{path}: found a file that is no bag; {expected}; correct '
                                      'the path')
-    return Reader1(path), True
+    return True, path, [path]
 
 
 def _check_metadata(path: Path) -> None:
@@ -213,26 +250,10 @@ def _check_metadata(path: Path) -> None:
         raise ValueError('metadata.yaml has an alias, which ROS never writes')
 
 
-def _check_count(raw: bytes, kind: str) -> None:
-    """
-    Refuse a ROS 1 message whose list is longer than its bytes: the library would go on for hours.
-
-    :raises ValueError: if so.
-    """
-    start = 0
-    if kind != TRANSFORMS:
-        length, = struct.unpack_from('<I', raw, 12)
-        start = 16 + length + (8 if kind == CLOUD else 0)
-    count, = struct.unpack_from('<I', raw, start)
-    if count * PARTS[kind] > len(raw):
-        raise ValueError(f'{count:,} parts in {len(raw):,} bytes')
-
-
-def _frame(raw: bytes, is_ros1: bool) -> str:
+def _frame(cdr: bytes) -> str:
     """Return the frame of a message that begins with a header."""
-    # ROS 1: sequence, stamp, text. ROS 2: byte order, stamp, text, which ends with a zero byte.
-    order = '>' if not is_ros1 and raw[1] % 2 == 0 else '<'
-    length, = struct.unpack_from(f'{order}I', raw, 12)
-    if length > min(LONGEST, len(raw) - 16):
+    # Byte order, stamp, and a text that ends with a zero byte.
+    length, = struct.unpack_from('>I' if cdr[1] % 2 == 0 else '<I', cdr, 12)
+    if length > min(LONGEST, len(cdr) - 16):
         return '?'
-    return bytes(raw[16:16 + length]).rstrip(b'\0').decode(errors='replace')
+    return cdr[16:16 + length].rstrip(b'\0').decode(errors='replace')

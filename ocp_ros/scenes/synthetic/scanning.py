@@ -10,12 +10,12 @@ nothing.
 from collections.abc import Callable
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.scenes.synthetic.furniture import KINDS
 from ocp_ros.scenes.synthetic.room_plan import RoomPlan, WALL_GAP
+from ocp_ros.util.kernels import njit
 
 #: A tripod for so many square metres, within limits; its height, and the air around it.
 FLOOR_PER_TRIPOD, TRIPODS = 10.0, (2, 10)
@@ -195,7 +195,7 @@ def _patches(plan: RoomPlan, rng: np.random.Generator) -> np.ndarray:
     return np.column_stack([centres, rng.uniform(*PATCH, count)])
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def exposed(points, owner, size, centre, half, turn, gap):
     """Tell which points (N, 3) are farther than a gap, metres, from other solids and the shell."""
     keep = np.ones(len(points), dtype=np.bool_)
@@ -219,7 +219,7 @@ def exposed(points, owner, size, centre, half, turn, gap):
     return keep
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def free(at, air, centre, half, turn):
     """Tell whether a place (3,) has some air around it, metres."""
     for k in range(len(centre)):
@@ -232,7 +232,7 @@ def free(at, air, centre, half, turn):
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def densities(points, normals, owner, tripods, centre, half, turn):
     """
     Return how densely the tripods sample each point (N,): the sum of cosine over distance squared.

@@ -1,0 +1,180 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+A process that reads a bag with rosbags: a few kilobytes may expand to gigabytes, or without end.
+
+:mod:`~ocp_ros.ros.bags.bag_files` starts it and says what it may use. It first answers with the
+topics, then each line of its standard input with messages. An answer is a row of ``HEADER`` and
+its content. What is wrong with the bag is one line of its standard error.
+"""
+
+from collections.abc import Iterator
+from importlib import import_module
+from itertools import islice
+import json
+import os
+from pathlib import Path
+import struct
+import sys
+from typing import Any, BinaryIO
+
+from ocp_ros.util.confinement import allow_seconds, confine, limit
+
+CLOUD, POSES = 'sensor_msgs/msg/PointCloud2', 'geometry_msgs/msg/PoseArray'
+TRANSFORMS = 'tf2_msgs/msg/TFMessage'
+#: The types that are read; old bags have transforms of another name and the same layout.
+KINDS = {CLOUD: CLOUD, POSES: POSES, TRANSFORMS: TRANSFORMS, 'tf/msg/tfMessage': TRANSFORMS}
+#: Bytes that a field of a cloud, a pose and a transform take at least in ROS 1.
+PARTS = {CLOUD: 13, POSES: 56, TRANSFORMS: 76}
+#: What an answer is, the number of its topic, when it was recorded, and bytes of its content.
+HEADER = struct.Struct('<BIqQ')
+TOPICS, MESSAGE, BROKEN, END = range(4)
+#: What is imported before all else is given up.
+PACKAGES = ('apsw', 'numpy', 'rosbags.rosbag1', 'rosbags.rosbag2', 'rosbags.serde.cdr',
+            'rosbags.serde.primitives', 'rosbags.serde.ros1', 'rosbags.serde.utils',
+            'rosbags.typesys.stores.ros2_jazzy')
+#: All tables that a bag of ROS 2 has in SQLite, or SQLite makes.
+TABLES = {'schema', 'metadata', 'topics', 'messages', 'message_definitions', 'sqlite_sequence',
+          'sqlite_stat1', 'sqlite_stat4'}
+
+
+def check_schema(path: Path) -> None:
+    """
+    Refuse an SQLite file that could do more than hold rows: its views and columns may be programs.
+
+    :raises ValueError: if it is no bag.
+    """
+    import apsw
+    database = apsw.Connection(f'file:{path}?immutable=1',
+                               flags=apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI)
+    for kind, name, sql in list(database.execute('SELECT type, name, sql FROM sqlite_master')):
+        plain = kind == 'index' or (kind == 'table' and name in TABLES and
+                                    sql.lstrip()[:13].upper().startswith('CREATE TABLE'))
+        # The last column tells those that are computed, or of a module.
+        if not plain or kind == 'table' and any(
+                column[-1] for column in database.execute(f'PRAGMA table_xinfo("{name}")')):
+            raise ValueError(f'{path.name} has the {kind} {name[:60]!r}, which is none of a bag')
+    database.close()
+
+
+def open_reader(path: Path, is_ros1: bool) -> Any:
+    """Open a bag."""
+    if is_ros1:
+        from rosbags.rosbag1 import Reader as Reader1
+        reader: Any = Reader1(path)
+    else:
+        from rosbags.rosbag2.reader import DirectoryReader, Reader
+        from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+
+        class CheckedReader(Sqlite3Reader):
+            """A reader that first looks whether the file is a bag."""
+
+            def open(self) -> None:
+                """Look, then open it."""
+                check_schema(self.path)
+                super().open()
+
+        DirectoryReader.STORAGE_PLUGINS = {**DirectoryReader.STORAGE_PLUGINS,
+                                           'sqlite3': CheckedReader}
+        reader = Reader(path)
+    reader.open()
+    return reader
+
+
+class Answers:
+    """
+    Answer what is asked of a bag.
+
+    :param reader: of rosbags, open.
+    :param out: where answers go.
+    """
+
+    def __init__(self, reader: Any, is_ros1: bool, out: BinaryIO) -> None:
+        from rosbags.typesys import get_typestore, Stores
+        self._reader, self._is_ros1, self._out = reader, is_ros1, out
+        self._store = get_typestore(Stores.ROS2_JAZZY)
+        self._names = sorted(reader.topics)
+
+    def _answer(self, kind: int, topic: int = 0, time: int = 0, content: bytes = b'') -> None:
+        """Write an answer."""
+        self._out.write(HEADER.pack(kind, topic, time, len(content)))
+        self._out.write(content)
+
+    def topics(self) -> None:
+        """Say what is in the bag."""
+        reader = self._reader
+        self._answer(TOPICS, content=json.dumps({
+            'topics': [(name, reader.topics[name].msgtype or 'several types',
+                        reader.topics[name].msgcount) for name in self._names],
+            'start': reader.start_time, 'end': reader.end_time}).encode())
+        self._out.flush()
+
+    def messages(self, names: list[str], start: int | None, stop: int | None, most: int | None
+                 ) -> None:
+        """Write the messages of some topics, ``most`` of them at most."""
+        connections = [one for one in self._reader.connections
+                       if one.topic in names and one.msgtype in KINDS]
+        found: Iterator = self._reader.messages(connections, start, stop) if connections else (
+            iter(()))
+        for connection, time, raw in islice(found, most):
+            topic, kind = self._names.index(connection.topic), KINDS[connection.msgtype]
+            try:
+                if self._is_ros1:
+                    check_count(raw, kind)
+                    raw = self._store.ros1_to_cdr(raw, kind)
+            except Exception as error:
+                self._answer(BROKEN, topic, time, str(error).encode(errors='replace'))
+            else:
+                self._answer(MESSAGE, topic, time, bytes(raw))
+        self._answer(END)
+        self._out.flush()
+
+
+def check_count(raw: bytes, kind: str) -> None:
+    """
+    Refuse a ROS 1 message whose list is longer than its bytes: the library would go on for hours.
+
+    :raises ValueError: if so.
+    """
+    start = 0
+    if kind != TRANSFORMS:
+        length, = struct.unpack_from('<I', raw, 12)
+        start = 16 + length + (8 if kind == CLOUD else 0)
+    count, = struct.unpack_from('<I', raw, start)
+    if count * PARTS[kind] > len(raw):
+        raise ValueError(f'{count:,} parts in {len(raw):,} bytes')
+
+
+def main(arguments: list[str]) -> int:
+    """
+    Serve a bag.
+
+    :param arguments: the most bytes of memory, seconds of all cores for an answer and bytes of a
+        file that is written; ``1`` or ``2`` for the version of ROS; a folder to write to; the bag;
+        and the files in it that may be read.
+    :returns: the exit code: 1 if the bag cannot be read.
+    """
+    memory, seconds, written = map(int, arguments[:3])
+    limit(memory, seconds, written)
+    version, folder, bag, *files = arguments[3:]
+    with os.fdopen(os.dup(1), 'wb') as out:
+        # What libraries print is no answer.
+        os.dup2(2, 1)
+        try:
+            for package in PACKAGES:
+                import_module(package)
+            confine(files, folder)
+            answers = Answers(open_reader(Path(bag), version == '1'), version == '1', out)
+            answers.topics()
+            for line in sys.stdin:
+                allow_seconds(seconds)
+                answers.messages(*json.loads(line))
+        except MemoryError:
+            print('more memory than a bag needs', file=sys.stderr)
+            return 1
+        except BrokenPipeError:
+            return 1
+        except Exception as error:
+            print(' '.join(str(error).split()) or type(error).__name__, file=sys.stderr)
+            return 1
+    return 0

@@ -1,0 +1,130 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Libraries that hostile bytes can crash or lead astray, run in a process with limits."""
+
+from collections.abc import Mapping
+from contextlib import suppress
+import os
+from pathlib import Path
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+from typing import NamedTuple
+
+#: Seconds to wait for a process that uses no core, beyond those that it may use one; and seconds
+#: of all cores for each million bytes of a file.
+PATIENCE, SECONDS_PER_MB = 60, 4
+#: Bytes of its last words that are read, and of a file that it may write.
+LAST_WORDS, WRITTEN = 4096, 1 << 20
+#: Bytes that are taken from it at once.
+PIECE = 1 << 20
+TOO_LONG = 'it takes its reader too long'
+#: What the process runs: nothing of the folder that a user happens to be in is to be imported.
+RUN = ('import sys; sys.path = [folder for folder in sys.path if folder]; '
+       'from importlib import import_module; '
+       'sys.exit(import_module(sys.argv[1]).main(sys.argv[2:]))')
+
+
+class ReadingCost(NamedTuple):
+    """
+    What reading a file of some kind may take.
+
+    :ivar memory: bytes that it takes with any file.
+    :ivar memory_per_byte: bytes for each byte of a file.
+    :ivar seconds: of all cores together with any file; ``SECONDS_PER_MB`` come on top.
+    """
+
+    memory: int
+    memory_per_byte: int
+    seconds: int
+
+
+class GuardedProcess:
+    """
+    A process that reads files and answers with bytes; use it in a ``with`` statement.
+
+    Nothing is unpickled. It gets as its first arguments the most bytes of memory, seconds of all
+    cores and bytes of each file that it may write, and has to hold itself to them, see
+    :mod:`~ocp_ros.util.confinement`.
+
+    :param module: whose ``main`` it runs.
+    :param arguments: of the module.
+    :param cost: of what it reads.
+    :param size: bytes of what it reads.
+    :param written: bytes of each file that it may write.
+    :param more: environment variables.
+    """
+
+    def __init__(self, module: str, arguments: list[str], cost: ReadingCost, size: int,
+                 written: int = WRITTEN, more: Mapping[str, str] | None = None) -> None:
+        seconds = cost.seconds + SECONDS_PER_MB * size // 1_000_000
+        limits = cost.memory + cost.memory_per_byte * size, seconds, written
+        self._patience = seconds + PATIENCE
+        self._words = tempfile.TemporaryFile()  # noqa: SIM115
+        self._process = subprocess.Popen(
+            [sys.executable, '-c', RUN, module, *map(str, limits), *arguments],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._words,
+            env={**_environment(), **(more or {})})
+        self._out = self._process.stdout.fileno()
+
+    def __enter__(self) -> 'GuardedProcess':
+        """Return itself."""
+        return self
+
+    def __exit__(self, *exception) -> None:
+        """End the process, whatever it does."""
+        self._process.kill()
+        self._process.wait()
+        self._process.stdout.close()
+        with suppress(BrokenPipeError):
+            self._process.stdin.close()
+        self._words.close()
+
+    def ask(self, line: str) -> None:
+        """Send a line to the standard input of the process; a lost process is noticed later."""
+        with suppress(BrokenPipeError):
+            self._process.stdin.write(line.encode() + b'\n')
+            self._process.stdin.flush()
+
+    def read(self, count: int) -> bytearray:
+        """
+        Return the next bytes: fewer than ``count`` only at the end.
+
+        :raises ValueError: if the process says that it cannot read its file, is lost, or takes
+            too long.
+        """
+        parts, left = [], count
+        while left:
+            if not select.select([self._out], [], [], self._patience)[0]:
+                raise ValueError(TOO_LONG)
+            part = os.read(self._out, min(left, PIECE))
+            if not part:
+                self._check_end()
+                break
+            parts.append(part)
+            left -= len(part)
+        return bytearray().join(parts)
+
+    def _check_end(self) -> None:
+        """Say in a few words why the process ended, if not well."""
+        try:
+            code = self._process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            raise ValueError(TOO_LONG) from None
+        if code in (-signal.SIGXCPU, -signal.SIGKILL):
+            raise ValueError(TOO_LONG)
+        if code < 0:
+            raise ValueError('it makes its reader crash')
+        if code:
+            self._words.seek(-min(LAST_WORDS, self._words.seek(0, os.SEEK_END)), os.SEEK_END)
+            lines = self._words.read().decode(errors='replace').splitlines()
+            raise ValueError(lines[-1] if lines else f'its reader ended with {code}')
+
+
+def _environment() -> dict[str, str]:
+    """Return an environment in which the process finds what this one has imported."""
+    places = [*filter(None, sys.path), str(Path(__file__).absolute().parents[2])]
+    return {**os.environ, 'PYTHONPATH': os.pathsep.join(places), 'OMP_NUM_THREADS': '1',
+            'OPENBLAS_NUM_THREADS': '1'}

@@ -1,0 +1,313 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""No file reads another one, calls out, runs code or takes the machine; nor does a folder."""
+
+import json
+import os
+from pathlib import Path
+import socket
+import stat
+import subprocess
+import sys
+
+from conftest import made_room, ROOT
+import numpy as np
+import pytest
+
+from benchmarks.drills.file_fuzz import read_one
+from benchmarks.drills.hostile_files import hostile_files, Listener, outcome_of, SECRET
+from benchmarks.drills.spoilt_files import gltf_of
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.planners import rig_plan
+from ocp_ros.planners.budget import Budget
+from ocp_ros.report.rig_planning import PlannedRig, PlanTask
+from ocp_ros.rig.rig_file import load_rig, rig_of
+from ocp_ros.ros.bags.bag_files import Bag
+from ocp_ros.scenes import scene_cache
+from ocp_ros.scenes.scene_cache import load_cached
+from ocp_ros.scenes.scene_files import load_scene, save_scene
+from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.util.files import FileSet, recover, sha256_of_file, write_atomically
+from ocp_ros.util.settings import ConfigurationError
+
+#: Files that take long to be refused, or a reader that is slow to start.
+SLOW = ('glTF', 'OBJ')
+SLOW_BAGS = ('bag_message_bomb', 'bag_file_bomb', 'bag_chunk_bomb')
+
+
+@pytest.fixture(scope='module')
+def listener():
+    """Return a listener on the loopback."""
+    made = Listener()
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope='module')
+def hostile(listener, tmp_path_factory):
+    """Return files that are made to do harm."""
+    return hostile_files(tmp_path_factory.mktemp('hostile'), listener.port)
+
+
+def test_no_file_reads_another_or_calls_out(hostile, listener):
+    outcomes = {}
+    for one in hostile:
+        if one.kind not in SLOW and one.path.name not in SLOW_BAGS:
+            outcome, said = read_one(one.read, one.path)
+            assert outcome in ('read', 'refused') and SECRET not in said, (one.path.name, said)
+            outcomes.setdefault(one.kind, set()).add(outcome)
+    assert outcomes['E57'] == outcomes['bag'] == outcomes['text'] == {'refused'}
+    assert not listener.calls
+
+
+@pytest.mark.system
+def test_no_file_of_any_kind_does_harm(hostile, listener):
+    assert len(hostile) > 30
+    for one in hostile:
+        assert outcome_of(one, listener) in ('read', 'refused'), one.path
+
+
+def test_a_mesh_may_have_its_numbers_in_a_file_beside_it(tmp_path):
+    document, buffer = gltf_of(generate_room(3, 300).mesh, [{'mesh': 0}])
+    document['buffers'][0]['uri'] = 'numbers.bin'
+    (tmp_path / 'a.gltf').write_text(json.dumps(document))
+    (tmp_path / 'numbers.bin').write_bytes(buffer)
+    assert len(load_scene(tmp_path / 'a.gltf')) > 100_000
+
+
+CONFINED = """
+import os, socket, sys
+from ocp_ros.util.confinement import confine, limit
+limit(1 << 30, 10, 1000)
+confine([sys.argv[1]], sys.argv[3])
+assert open(sys.argv[1]).read() == 'mine'
+open(sys.argv[3] + '/made', 'w').write('new')
+for deed in (lambda: open(sys.argv[2]), lambda: os.listdir('/'), lambda: open('/etc/passwd'),
+             lambda: socket.socket(), lambda: os.execv(sys.executable, ['python']),
+             lambda: os.symlink('a', 'b'), lambda: open(sys.argv[1], 'w')):
+    try:
+        deed()
+    except OSError:
+        continue
+    sys.exit('it could')
+"""
+
+
+def test_a_process_that_reads_has_its_file_and_nothing_else(tmp_path):
+    for name, content in (('mine', 'mine'), ('other', 'secret')):
+        (tmp_path / name).write_text(content)
+    (tmp_path / 'folder').mkdir()
+    known = Path('/sys/kernel/security/lsm')
+    if 'landlock' not in (known.read_text() if known.exists() else 'landlock'):
+        pytest.skip('this kernel has no Landlock')
+    ended = subprocess.run(
+        [sys.executable, '-c', CONFINED, tmp_path / 'mine', tmp_path / 'other',
+         tmp_path / 'folder'], cwd=tmp_path, text=True, capture_output=True,
+        env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    assert ended.returncode == 0, ended.stderr
+    assert (tmp_path / 'folder' / 'made').read_text() == 'new'
+
+
+SCORED = """
+import sys
+from ocp_ros.cli.main import main
+from ocp_ros.util.kernels import njit
+assert hasattr(njit(lambda x: x), 'py_func'), 'kernels are not compiled'
+sys.exit(main(['score', 'room.ply', 'p.yaml', '--out', 'made']))
+"""
+
+
+def test_a_folder_with_a_scan_says_nothing_to_libraries(tmp_path):
+    save_scene(made_room(8, 1500), tmp_path / 'room.ply')
+    (tmp_path / 'p.yaml').write_text(
+        'cameras: [{sensor: realsense_d455, position: [2, 2, 1.9], yaw: 45, pitch: 25}]')
+    planted = tmp_path / 'planted'
+    planted.mkdir()
+    (tmp_path / '.numba_config.yaml').write_text(
+        f'cache_dir: {planted}\nDISABLE_JIT: 1\nCACHE_LOCATOR_CLASSES: harm.Locator\n')
+    (tmp_path / 'harm.py').write_text('raise SystemExit(7)')
+    # Whoever opens it waits for ever.
+    os.mkfifo(tmp_path / 'matplotlibrc')
+    (tmp_path / 'DEFAULT_FASTRTPS_PROFILES.xml').write_text('no profile')
+    ended = subprocess.run([sys.executable, '-c', SCORED], cwd=tmp_path, text=True,
+                           capture_output=True, env={**os.environ, 'PYTHONPATH': str(ROOT)},
+                           timeout=200)
+    assert ended.returncode == 0, ended.stderr
+    assert (tmp_path / 'made' / 'report.png').exists() and not list(planted.iterdir())
+
+
+def test_a_node_takes_no_profile_from_the_current_folder(domain, tmp_path):
+    pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
+    (tmp_path / 'DEFAULT_FASTRTPS_PROFILES.xml').write_text('no profile at all')
+    code = ('from ocp_ros.ros.runtime.network import stay_local; stay_local(); import rclpy; '
+            "rclpy.init(); rclpy.create_node('a')")
+    ended = subprocess.run([sys.executable, '-c', code], cwd=tmp_path, text=True,
+                           capture_output=True, env={**os.environ, 'PYTHONPATH': str(ROOT),
+                                                     'ROS_DOMAIN_ID': str(domain)})
+    assert ended.returncode == 0 and 'XML' not in ended.stderr + ended.stdout
+
+
+def killed_at(moment, folder, monkeypatch):
+    """Write a second set of files, and be killed at a renaming; tell whether it came to that."""
+    child = os.fork()
+    if child == 0:
+        count, plain = 0, (os.rename, os.replace)
+
+        def watched(rename):
+            def renamed(*given, **more):
+                nonlocal count
+                count += 1
+                if count == moment:
+                    os._exit(9)
+                return rename(*given, **more)
+            return renamed
+
+        os.rename, os.replace = map(watched, plain)
+        write_set(folder, 'new', ('a', 'c', 'mark'))
+        os._exit(0)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9
+
+
+def write_set(folder, text, names):
+    """Write a set of files with the same text."""
+    with FileSet(folder, ('a', 'b', 'c', 'mark'), 'mark') as files:
+        for name in names:
+            write_atomically(files.aside / name, text)
+
+
+def test_a_kill_leaves_one_set_of_files_or_the_other(tmp_path, monkeypatch):
+    found = set()
+    for moment in range(1, 20):
+        folder = tmp_path / str(moment)
+        folder.mkdir()
+        (folder / 'mine').write_text('stays')
+        write_set(folder, 'old', ('a', 'b', 'mark'))
+        killed = killed_at(moment, folder, monkeypatch)
+        recover(folder, ('a', 'b', 'c', 'mark'))
+        texts = {path.name: path.read_text() for path in folder.iterdir()}
+        assert texts.pop('mine') == 'stays'
+        assert texts in ({'a': 'old', 'b': 'old', 'mark': 'old'},
+                         {'a': 'new', 'c': 'new', 'mark': 'new'})
+        found.add((killed, texts['mark']))
+        if not killed:
+            break
+    assert found == {(True, 'old'), (True, 'new'), (False, 'new')}
+
+
+def test_files_are_as_open_as_the_user_says_and_copies_of_scans_are_private(
+        tmp_path, monkeypatch):
+    def mode(path):
+        return stat.S_IMODE(path.stat().st_mode)
+
+    for umask, expected in ((0o077, 0o600), (0o022, 0o644), (0o002, 0o664)):
+        before = os.umask(umask)
+        try:
+            write_atomically(tmp_path / 'a', 'x')
+        finally:
+            os.umask(before)
+        assert mode(tmp_path / 'a') == expected
+    monkeypatch.setenv('OCP_ROS_CACHE', str(tmp_path / 'cache'))
+    monkeypatch.setattr(scene_cache, 'LARGE', 0)
+    save_scene(made_room(8, 1500), tmp_path / 'room.ply')
+    load_cached(tmp_path / 'room.ply')
+    kept, = (tmp_path / 'cache' / 'scans').iterdir()
+    assert (mode(kept), mode(kept.parent), mode(kept.parent.parent)) == (0o600, 0o700, 0o700)
+
+
+def test_a_pipe_has_no_checksum(tmp_path):
+    os.mkfifo(tmp_path / 'pipe')
+    with pytest.raises(OSError, match='not a regular file'):
+        sha256_of_file(tmp_path / 'pipe')
+
+
+BLIND = {
+    'far': {'min_range': 30, 'max_range': 40, 'horizontal_fov': 90, 'vertical_fov': 60},
+    'around': {'min_range': 30, 'max_range': 40, 'horizontal_fov': 360, 'vertical_fov': 180},
+    'near': {'min_range': 0, 'max_range': 0.06, 'horizontal_fov': 90, 'vertical_fov': 60}}
+
+
+@pytest.mark.parametrize('name', BLIND)
+def test_a_camera_that_sees_nothing_is_refused_before_the_search(tmp_path, name):
+    path = tmp_path / 'rig.json'
+    path.write_text(json.dumps({'cameras': [{'sensor': 'realsense_d455'},
+                                            {**BLIND[name], 'name': name}],
+                                'mount': {'on': 'walls', 'height': 2.0}, 'keep_clear': 0.1}))
+    with pytest.raises(ConfigurationError) as caught:
+        PlannedRig(made_room(8, 1500), load_rig(path), PlanTask(evaluations=20), Budget(None, 20))
+    said = str(caught.value)
+    assert name in said and f'{BLIND[name]["max_range"]:g} m' in said and 'm across' in said
+
+
+@pytest.mark.parametrize('key, value', [
+    ('horizontal_fov', 1e-99), ('vertical_fov', 1e-3), ('max_range', 1e-9), ('max_range', 1e6),
+    ('min_range', 1e4), ('resolution', [10 ** 9, 1])])
+def test_numbers_that_no_camera_has_are_refused(tmp_path, key, value):
+    camera = {'horizontal_fov': 90, 'vertical_fov': 60, 'max_range': 5, key: value}
+    (tmp_path / 'rig.json').write_text(json.dumps({'cameras': [camera]}))
+    with pytest.raises(ConfigurationError, match=key):
+        load_rig(tmp_path / 'rig.json')
+
+
+def test_depth_maps_that_would_fill_the_memory_are_refused():
+    EngineConfig(error_rows=1024, error_folds=2)
+    with pytest.raises(ConfigurationError, match='error_rows 2048'):
+        EngineConfig(error_rows=2048, error_folds=16)
+
+
+def test_a_proof_that_fails_does_not_lose_the_plan(monkeypatch):
+    def fail(*_):
+        raise ZeroDivisionError('float division by zero')
+
+    monkeypatch.setattr(rig_plan, 'certify', fail)
+    planned = PlannedRig(made_room(8, 1500), rig_of(2, 'd455', mount={'on': 'walls'}),
+                         PlanTask(evaluations=20), Budget(None, 20), 1.0)
+    assert len(planned.best.answer.poses) == 2 and planned.best.certificate is None
+    assert 'float division by zero' in planned.best.uncertain
+
+
+def ply_of(elements, form='binary_little_endian'):
+    """Return a PLY file of elements: name, properties, rows, body."""
+    head = f'ply\nformat {form} 1.0\n'
+    for name, properties, rows, _ in elements:
+        head += f'element {name} {rows}\n' + ''.join(f'property {one}\n' for one in properties)
+    return f'{head}end_header\n'.encode() + b''.join(body for *_, body in elements)
+
+
+def test_lists_of_a_ply_file_are_skipped_or_read_with_care(tmp_path):
+    points = generate_room(3, 2000).points.astype('<f4')
+    axes = [f'float {axis}' for axis in 'xyz']
+    vertices = ('vertex', axes, len(points), points.tobytes())
+    lists = ('strip', ['list uchar int i'], 3, b'\1\0\0\0\7\0\1\0\0\0\7')
+    # What is after the vertices is not even looked at.
+    broken = ('strip', ['list uchar int i'], 3, b'\xff\xff\xff')
+    rows = np.zeros(len(points), dtype=[('xyz', '<f4', 3), ('n', 'u1'), ('i', '<i4', 2)])
+    rows['xyz'], rows['n'] = points, 2
+    own = ('vertex', [*axes, 'list uchar int i'], len(points), rows.tobytes())
+    for name, elements in (('after', [vertices, broken]), ('before', [lists, vertices]),
+                           ('own', [own])):
+        path = tmp_path / f'{name}.ply'
+        path.write_bytes(ply_of(elements))
+        np.testing.assert_array_equal(load_scene(path).points, points, name)
+    text = '\n'.join(' '.join(map(repr, map(float, point))) for point in points).encode()
+    path.write_bytes(ply_of([('vertex', axes, len(points), text + b'\n'),
+                             ('strip', ['list uchar int i'], 1, b'2 a b\n')], 'ascii'))
+    np.testing.assert_allclose(load_scene(path).points, points, atol=1e-6)
+
+
+def test_a_bag_that_is_left_half_read_is_read_again(tmp_path):
+    pytest.importorskip('rosbags', reason='bags need rosbags (pip install rosbags)')
+    from benchmarks.drills.spoilt_files import good_files
+    good_files(tmp_path)
+    (tmp_path / 's' / 's.db3').write_bytes((tmp_path / 'sqlite3.db3').read_bytes())
+    with Bag(tmp_path / 's') as bag:
+        first = next(iter(bag.messages(['/poses'])))
+        assert len(list(bag.messages(['/poses']))) == 20
+        assert bag.frames(bag.topics[0]) == ['map'] and first.topic == '/poses'
+
+
+def test_the_listener_listens(listener):
+    """The tests above would notice a call."""
+    with socket.create_connection(('127.0.0.1', listener.port)):
+        while not listener.calls:
+            pass
+    listener.calls = 0
