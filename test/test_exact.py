@@ -233,7 +233,7 @@ def files(tmp_path, monkeypatch):
     save_scene(made_room(8, 2000), tmp_path / 'room.ply')
     (tmp_path / 'rig.yaml').write_text(RIG)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr('ocp_ros.report.sheet.draw', blank_report)
+    monkeypatch.setattr('ocp_ros.report.drawing.sheet.draw', blank_report)
     return tmp_path
 
 

@@ -266,7 +266,7 @@ def files(tmp_path, monkeypatch):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Leave the one-page report blank: it takes longer than the plan, and others look at it."""
-    monkeypatch.setattr('ocp_ros.report.sheet.draw', blank_report)
+    monkeypatch.setattr('ocp_ros.report.drawing.sheet.draw', blank_report)
 
 
 def planned(capsys, *arguments):
@@ -406,7 +406,7 @@ def test_an_answer_is_not_lost_where_it_cannot_be_written(files, capsys, monkeyp
     def fill(path, *_):
         raise OSError(errno.ENOSPC, 'No space left on device')
 
-    monkeypatch.setattr('ocp_ros.report.sheet.draw', fill)
+    monkeypatch.setattr('ocp_ros.report.drawing.sheet.draw', fill)
     arguments = ['plan', 'room.ply', '--cameras', '2', '--evaluations', '20']
     assert main(arguments) == 2
     out, err = capsys.readouterr()

@@ -17,9 +17,8 @@ import numpy as np
 import pytest
 
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.report import sheet
 from ocp_ros.report.assessment import judge
-from ocp_ros.report.drawing import assessment_pictures, figures
+from ocp_ros.report.drawing import assessment_pictures, figures, sheet
 from ocp_ros.report.drawing.figures import shortened, width_of
 from ocp_ros.report.drawing.plan_marks import apart
 from ocp_ros.report.key_figures import metres

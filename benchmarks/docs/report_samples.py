@@ -9,7 +9,7 @@ from PIL import Image
 
 from benchmarks.results import ROOT
 from ocp_ros.cli.main import main as ocp
-from ocp_ros.report.sheet import PAGES
+from ocp_ros.report.drawing.sheet import PAGES
 
 #: Name of the picture, seed of the room, and cameras; seconds of each search.
 SAMPLES, SECONDS = (('report', 16, 3), ('report_8', 16, 8), ('report_40', 5, 40)), 60

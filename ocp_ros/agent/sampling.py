@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Farthest-point sampling and ball query, as in PointNet++ (Qi et al., 2017)."""
 
-from numba import njit
 import numpy as np
+
+from ocp_ros.util.kernels import njit
 
 
 @njit(cache=True, nogil=True)

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import math
 from typing import NamedTuple
 
-from numba import njit
 import numpy as np
+
+from ocp_ros.util.kernels import njit
 
 OMNIDIRECTIONAL, PINHOLE, SPHERICAL = 0, 1, 2
 #: From the optical frame (z forward, x right, y down) to the body frame (x forward, y left, z up).

@@ -6,7 +6,8 @@ import numpy as np
 
 from ocp_ros.geometry.packed_bits import count_bits
 
-MOST_CELLS = 20_000_000
+#: Cells of a room: they take some 60 bytes each.
+MOST_CELLS = 8_000_000
 
 
 def _counts(bounds: np.ndarray, cell: float) -> np.ndarray:

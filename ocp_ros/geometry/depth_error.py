@@ -14,12 +14,12 @@ visible, all pixels below it are settled at once.
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from numba import njit
 import numpy as np
 
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose
 from ocp_ros.geometry.packed_bits import no_bits
 from ocp_ros.geometry.shadow_maps import footprint, projected
+from ocp_ros.util.kernels import njit
 from ocp_ros.util.threads import mapped
 
 #: Viewpoints of the paper, and rows that a map has at least.

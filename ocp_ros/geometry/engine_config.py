@@ -5,7 +5,10 @@
 from dataclasses import dataclass
 
 from ocp_ros.geometry.visibility import PRESETS
-from ocp_ros.util.settings import setting
+from ocp_ros.util.settings import ConfigurationError, setting
+
+#: The most of rows times rows times folds: the maps of a room then take some 0.7 GB.
+MOST_ROWS = 1 << 21
 
 
 @dataclass(frozen=True)
@@ -20,6 +23,14 @@ class EngineConfig:
         1, '1: the depth error uses all points; from 2 on: the points are split into so many '
            'parts (folds), and the depth error is the mean of so many errors; each error leaves '
            'out one part', 1, 16)
+
+    def __post_init__(self) -> None:
+        """Refuse depth maps that would fill the memory."""
+        if self.error_rows ** 2 * self.error_folds > MOST_ROWS:
+            raise ConfigurationError(
+                f'engine: found error_rows {self.error_rows} with error_folds {self.error_folds}; '
+                f'expected error_rows x error_rows x error_folds up to {MOST_ROWS:,}; lower one '
+                'of the two')
 
 
 #: The engine that searches end with and that promises are made by. Maps of the error that are

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Normals of points: planes through their neighbours, those on edges taken from inside a face."""
 
-from numba import njit
 import numpy as np
+
+from ocp_ros.util.kernels import njit
 
 #: Sweeps of Jacobi's method; three by three converges in fewer.
 SWEEPS = 12

@@ -10,11 +10,11 @@ instructions, and a room of 25,000 points takes 3 kB.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from numba import njit
 import numpy as np
 
 from ocp_ros.geometry.cameras import PINHOLE
 from ocp_ros.geometry.clouds import corners_of
+from ocp_ros.util.kernels import njit
 
 #: Points of a block, and 64-bit words that hold a flag for each.
 BLOCK, WORDS = 256, 4

@@ -4,8 +4,9 @@
 
 import math
 
-from numba import njit
 import numpy as np
+
+from ocp_ros.util.kernels import njit
 
 #: The row that is named where a column has no open cell.
 NO_ROW = -1

@@ -10,10 +10,10 @@ A shadow map is an (H, W) float32 array; row = elevation from -pi/2 to pi/2, col
 import math
 from typing import NamedTuple
 
-from numba import njit
 import numpy as np
 
 from ocp_ros.geometry.cameras import Frustum, in_cone, OMNIDIRECTIONAL, Pose
+from ocp_ros.util.kernels import njit
 
 HALF_PI = 0.5 * np.pi
 TWO_PI = 2.0 * np.pi

@@ -18,11 +18,11 @@ a disc is set back, by a share of the depth that its plane passes through in one
 import math
 from typing import NamedTuple
 
-from numba import njit
 import numpy as np
 
 from ocp_ros.geometry.cameras import in_cone, OMNIDIRECTIONAL
 from ocp_ros.geometry.packed_bits import BLOCK, blocks_in_view, WORDS
+from ocp_ros.util.kernels import njit
 
 f32, i32, u32, u64 = np.float32, np.int32, np.uint32, np.uint64
 #: Nothing here may come out as NaN, and the order of a sum does not matter.

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Clouds on a voxel grid, and how large its voxels have to be."""
 
-from numba import njit
 import numpy as np
 
 from ocp_ros.geometry.clouds import corners_of
+from ocp_ros.util.kernels import njit
 
 #: Metres: smallest and largest edge of a voxel.
 SMALLEST, LARGEST = 0.001, 1000.0

@@ -5,7 +5,6 @@
 from collections.abc import Sequence
 from functools import partial
 
-from numba import njit
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -17,6 +16,7 @@ from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.planners.annealing import between
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.simulation.simulator import View
+from ocp_ros.util.kernels import njit
 from ocp_ros.util.threads import mapped
 
 #: Proposals of a turn of annealing among candidates.

@@ -13,11 +13,11 @@ points. Customers that the same candidates serve are one.
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from numba import njit
 import numpy as np
 
 from ocp_ros.geometry.depth_error import Trees
 from ocp_ros.geometry.packed_bits import unpack
+from ocp_ros.util.kernels import njit
 
 #: Seed of the keys by which customers are compared.
 KEYS = 7

@@ -50,9 +50,7 @@ def sentence(count: dict[str, Any]) -> str:
 def draw_curve(path: Path, rows: Sequence[dict[str, Any]], count: dict[str, Any]) -> Path:
     """Draw shares and depth error against the number of cameras as PNG."""
     # What draws is slow to import, and most plans draw no curve.
-    from matplotlib.figure import Figure
-
-    from ocp_ros.report.drawing.figures import save_figure
+    from ocp_ros.report.drawing.figures import Figure, save_figure
     from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
     figure = Figure(figsize=(7.0, 4.5), dpi=100, facecolor='white')
     axes = figure.add_subplot()

@@ -11,12 +11,12 @@ and count as linked.
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from numba import njit
 import numpy as np
 
 from ocp_ros.geometry.packed_bits import unpack
 from ocp_ros.rig.rig_file import Calibratable
 from ocp_ros.simulation.simulator import View
+from ocp_ros.util.kernels import njit
 
 #: Points of a room that are compared, at most.
 COMPARED = 8192

@@ -60,11 +60,12 @@ def find_model(name: str) -> Path:
     :param name: a path, or a name such as ``map``.
     :raises FileNotFoundError: if there is none; the message lists the names there are.
     """
-    if Path(name).is_file():
-        return Path(name)
     known = {path.stem: path for path in (share_folder() / 'models').glob('*.safetensors')}
+    # A file of the current folder is not what a model of the package is called.
     if name in known:
         return known[name]
+    if Path(name).is_file():
+        return Path(name)
     raise FileNotFoundError(f'model: found no file {name!r} and no model of that name; expected a '
                             f'path to .safetensors or one of {sorted(known)}')
 

@@ -39,6 +39,8 @@ def stay_local() -> bool:
 
     :returns: whether nobody had.
     """
+    # Fast DDS would take a file of the current folder for the user's profile.
+    os.environ.setdefault('SKIP_DEFAULT_XML_FILE', '1')
     if any(os.environ.get(name) for name in ASKED):
         return False
     os.environ.update(local_transport())
