@@ -47,7 +47,7 @@ setup(
             'trainer_node = ocp_ros.ros.start:trainer_node',
             'demo = ocp_ros.demo.demo:main',
             'train_demo = ocp_ros.demo.train_demo:main',
-            'ocp = ocp_ros.cli.main:main',
+            'ocp = ocp_ros.cli.start:main',
         ],
     },
 )

@@ -186,3 +186,25 @@ def test_a_document_is_json_whatever_was_found(value):
     found = json.loads(document({'value': value, 'array': np.array([1.0, np.nan])}),
                        parse_constant=refuse)
     assert found['array'] == [1.0, None] and set(found) == {'value', 'array'}
+
+
+#: Ctrl-C at the moment at which a module is imported.
+IMPORTING = """
+import os, signal, sys
+class Finder:
+    def find_spec(self, name, *_):
+        if name == sys.argv[1]:
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+from ocp_ros.cli.start import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize('module', ['ocp_ros.cli.common', 'numba', 'ocp_ros.planners.rig_plan'])
+def test_an_early_ctrl_c_ends_a_command_without_a_traceback(tmp_path, module):
+    ended = subprocess.run(
+        [sys.executable, '-c', IMPORTING.replace('sys.argv[1]', repr(module)), 'plan', '8',
+         '--evaluations', '5'], cwd=tmp_path, text=True, capture_output=True,
+        env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    assert (ended.returncode, ended.stderr) == (130, '')

@@ -43,7 +43,7 @@ def files(tmp_path, monkeypatch):
     (tmp_path / 'placement.yaml').write_text(PLACEMENT)
     (tmp_path / 'config.yaml').write_text('interactions: 24  # few\n')
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr('ocp_ros.report.sheet.draw', blank_report)
+    monkeypatch.setattr('ocp_ros.report.drawing.sheet.draw', blank_report)
     return tmp_path
 
 
@@ -178,18 +178,21 @@ def test_a_full_disk_leaves_what_was_there(room, small_agent, tmp_path, name):
     assert path.stat().st_size > 2000
 
 
-def test_a_full_disk_leaves_the_pictures_of_an_earlier_run_and_says_so(files, capsys):
+def test_a_full_disk_leaves_no_files_of_two_placements(files, capsys):
     command = ['score', 'room.ply', 'placement.yaml', '--out', 'out']
     assert cli.main(command) == 0
-    before = (files / 'out/plan.png').read_bytes()
+    whole = contents(files / 'out')
+    with full_disk(100):
+        assert cli.main(command) == 2
+    assert contents(files / 'out') == whole
     capsys.readouterr()
     with full_disk(15000):
         assert cli.main(command) == 2
     out, err = capsys.readouterr()
     assert 'not all could be written (File too large)' in err and 'cameras:' in out
-    assert 'of an earlier run, not of this placement: plan.png, report.png, report.html' in err
-    assert (files / 'out/plan.png').read_bytes() == before
+    assert (files / 'out/installer.md').exists() and not (files / 'out/plan.png').exists()
     assert cli.main(command) == 0
+    assert contents(files / 'out').keys() == whole.keys()
 
 
 def test_a_full_disk_is_said_to_be_so(files, capsys):

@@ -19,7 +19,7 @@ from ocp_ros.registration.scan_surfaces import ScanSurfaces
 from ocp_ros.rig.placement_file import load_placement, Placement, save_placement
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.scene_files import load_cloud
-from ocp_ros.util.files import folder_to_write, write_atomically
+from ocp_ros.util.files import FileSet, folder_to_write, write_atomically
 from ocp_ros.util.settings import check_known, ConfigurationError
 from ocp_ros.util.shown_text import printable
 
@@ -80,7 +80,6 @@ def calibrated(arguments: argparse.Namespace, command: str) -> Found:
     :param command: the command line, for the record.
     :returns: what ``--json`` prints.
     """
-    paths = [arguments.out / name for name in WRITTEN]
     read = [arguments.bag] if arguments.bag else [
         text.partition('=')[2] or text for text in arguments.clouds]
     claim_folder(arguments, arguments.out, WRITTEN, WRITTEN[-1], read)
@@ -93,8 +92,10 @@ def calibrated(arguments: argparse.Namespace, command: str) -> Found:
     found, broken = calibrate(ScanSurfaces(scene), placement, clouds)
     built = as_built(placement, found, command)
     rows = [_row(placed, found, broken) for placed in placement.cameras]
-    answer: Found = {'cameras': rows, 'written': [str(path) for path in paths]}
-    _write(paths, built, answer, arguments.frame_prefix)
+    answer: Found = {'cameras': rows,
+                     'written': [str(arguments.out / name) for name in WRITTEN]}
+    with FileSet(arguments.out, WRITTEN, WRITTEN[-1]) as files:
+        _write([files.aside / name for name in WRITTEN], built, answer, arguments.frame_prefix)
     if all(row['refused'] for row in rows):
         answer['error'] = (
             f'{arguments.placement}: found no camera that could be calibrated ('

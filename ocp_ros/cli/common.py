@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 import warnings
 
 from ocp_ros.cli.arguments import joined
-from ocp_ros.util.files import file_to_write
+from ocp_ros.util.files import file_to_write, recover
 from ocp_ros.util.settings import ConfigurationError, UserError
 from ocp_ros.util.shown_text import printable
 
@@ -256,7 +256,10 @@ def claim_folder(arguments: argparse.Namespace, folder: Path, names: Iterable[st
     :param option: which names the folder.
     :raises ConfigurationError: if an input would be replaced, or other files are there.
     """
+    names = list(names)
     _check_inputs([folder / name for name in names], [*inputs_of(arguments), *read], option)
+    if folder.is_dir() and os.access(folder, os.W_OK):
+        recover(folder, names)
     if not folder.is_dir() or _may_replace(arguments, folder) or any(folder.glob(mark)):
         return
     others = sorted(path.name for path in folder.iterdir() if not path.name.startswith('.'))

@@ -19,7 +19,6 @@ from rich.progress import BarColumn, Progress, TextColumn
 from ocp_ros.cli.common import claim_folder
 from ocp_ros.cli.score_command import (
     CURVE,
-    earlier_files,
     MARK,
     room_asked,
     show_written,
@@ -33,7 +32,7 @@ from ocp_ros.report.rig_planning import CAMERAS, Counting, MOUNT, PlannedRig, Pl
 from ocp_ros.report.verdict_tables import show_plan, WIDTH
 from ocp_ros.rig.placement_file import Placement, save_placement
 from ocp_ros.rig.rig_file import load_rig, Rig, rig_of, with_count
-from ocp_ros.util.files import folder_to_write
+from ocp_ros.util.files import FileSet, folder_to_write
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
 
@@ -55,10 +54,11 @@ def plan(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     with _stopped_by_hand(budget), _progress() as progress:
         planned = PlannedRig(scene, rig, task, budget, proving, progress)
     placement = planned.placement(room, command)
-    with _kept(folder, placement):
+    with _kept(folder, placement) as files:
         judged = planned.judged(placement, arguments.frame)
-        return {**judged.found, **written_to(folder, judged, _curve(folder, judged.found),
-                                             arguments.frame_prefix)}
+        return {**judged.found,
+                **written_to(files, judged, lambda aside: _curve(aside, judged.found),
+                             arguments.frame_prefix)}
 
 
 def task_of(arguments: argparse.Namespace) -> PlanTask:
@@ -75,18 +75,18 @@ def _curve(folder: Path, found: Mapping[str, Any]) -> Iterator[Path]:
 
 
 @contextmanager
-def _kept(folder: Path, placement: Placement) -> Iterator[None]:
+def _kept(folder: Path, placement: Placement) -> Iterator[FileSet]:
     """Write a placement first of all: whoever has enough while it is judged and drawn has it."""
-    paths = [folder / name for name in PLACEMENTS]
-    # Where it cannot be written now, the end says so.
-    with suppress(OSError):
-        for path in paths:
-            save_placement(path, placement)
     try:
-        yield
+        with FileSet(folder, WRITTEN, MARK) as files:
+            # Where it cannot be written now, the end says so.
+            with suppress(OSError):
+                for name in PLACEMENTS:
+                    save_placement(files.aside / name, placement)
+            yield files
     except KeyboardInterrupt:
-        print(f'ocp: stopped; the placement is in {printable(str(paths[0]))}'
-              + earlier_files(folder, paths), file=sys.stderr)
+        print(f'ocp: stopped; the placement is in {printable(str(folder / PLACEMENTS[0]))}',
+              file=sys.stderr)
         raise
 
 

@@ -3,7 +3,7 @@
 """``ocp score``: how good is a placement of a rig in a room, and what would make it better."""
 
 import argparse
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from ocp_ros.rig.placement_file import load_placement, Placement
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_source import room_named
-from ocp_ros.util.files import folder_to_write
+from ocp_ros.util.files import FileSet, folder_to_write
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
 from ocp_ros.util.yaml_files import written
@@ -47,41 +47,32 @@ def score(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     judged = judge(scene, placement, room, command, arguments.frame)
     if folder is None:
         return dict(judged.found)
-    return {**judged.found, **written_to(folder, judged, prefix=arguments.frame_prefix)}
+    with FileSet(folder, WRITTEN, MARK) as files:
+        return {**judged.found,
+                **written_to(files, judged, lambda _: (), arguments.frame_prefix)}
 
 
-def written_to(folder: Path, judged: Assessment, more: Iterable[Path] = (), prefix: str = ''
-               ) -> dict[str, Any]:
+def written_to(files: FileSet, judged: Assessment, more: Callable[[Path], Iterable[Path]],
+               prefix: str = '') -> dict[str, Any]:
     """
-    Write a placement in all forms, and the reports; what an earlier run left beside them goes.
+    Write a placement in all forms, and the reports.
 
-    :param more: files that are written as they are asked for.
+    :param files: where to.
+    :param more: writes other files to a folder, and yields each.
     :param prefix: of the names of frames.
     :returns: ``written``; where not all could be, for want of space say, ``error`` as well.
     """
-    paths: list[Path] = []
+    paths: list[str] = []
     try:
-        for path in chain(export(folder, judged, prefix), reports(folder, judged), more):
-            paths.append(path)
-        for path in _earlier(folder, paths):
-            path.unlink(missing_ok=True)
+        for path in chain(export(files.aside, judged, prefix), reports(files.aside, judged),
+                          more(files.aside)):
+            paths.append(str(files.folder / path.name))
     except OSError as error:
-        return {'written': [str(path) for path in paths], 'error': (
-            f'--out: found {folder}, where not all could be written ({error.strerror or error}); '
-            'expected room for it; use what is printed, or make room and do it again'
-            + earlier_files(folder, paths))}
-    return {'written': [str(path) for path in paths]}
-
-
-def earlier_files(folder: Path, paths: Sequence[Path]) -> str:
-    """Say which files beside those of this run are of an earlier one, if any are."""
-    names = [path.name for path in _earlier(folder, paths) if path.exists()]
-    return f'; of an earlier run, not of this placement: {", ".join(names)}' if names else ''
-
-
-def _earlier(folder: Path, paths: Sequence[Path]) -> list[Path]:
-    """Return where files of an earlier run may be."""
-    return [path for name in WRITTEN if (path := folder / name) not in paths]
+        return {'written': paths, 'error': (
+            f'--out: found {files.folder}, where not all could be written '
+            f'({error.strerror or error}); expected room for it; use what is printed, or make '
+            'room and do it again')}
+    return {'written': paths}
 
 
 def reports(folder: Path, judged: Assessment) -> Iterator[Path]:
@@ -91,7 +82,7 @@ def reports(folder: Path, judged: Assessment) -> Iterator[Path]:
     :param folder: it is made where it is not there.
     """
     # What draws is slow to import, and most placements are judged without.
-    from ocp_ros.report import sheet
+    from ocp_ros.report.drawing import sheet
     from ocp_ros.report.viewer import write_view
     yield from sheet.draw(folder, judged)
     write_view(folder / 'report.html', judged.scene, judged)

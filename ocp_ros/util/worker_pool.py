@@ -40,8 +40,13 @@ class WorkerPool:
         if self._ray is not None:
             yield from self._on_ray(function, tasks)
             return
-        numbers = {self._processes.submit(function, task): number
-                   for number, task in enumerate(tasks)}
+        # Processes that start now are not interrupted before they can say how that shall be.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            numbers = {self._processes.submit(function, task): number
+                       for number, task in enumerate(tasks)}
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         for future in as_completed(numbers):
             try:
                 result = future.result()
