@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip('rclpy', reason='messages need ROS 2 (rclpy)')
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseArray, Quaternion
+from geometry_msgs.msg import Pose, PoseArray, Quaternion
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
 
@@ -275,6 +275,8 @@ def test_a_quaternion_that_says_nothing_is_refused(xyzw):
     message.poses[1].orientation = Quaternion(**dict(zip('xyzw', map(float, xyzw))))
     with pytest.raises(MessageError, match='poses: camera 1: found the quaternion .*; expected'):
         msg_to_poses(message)
+    with pytest.raises(MessageError, match='poses: found 65 cameras; expected .* at most 64'):
+        msg_to_positions(PoseArray(poses=[Pose()] * 65))
     with pytest.raises(MessageError, match='poses: found 0 cameras; expected at least 1'):
         msg_to_poses(PoseArray())
 

@@ -99,7 +99,7 @@ def test_a_placement_comes_back_with_the_same_scores(room, mixed, tmp_path, suff
 
 @pytest.mark.parametrize('suffix', ['yaml', 'json'])
 def test_a_placement_of_any_rig_is_read_again(tmp_path, suffix):
-    numbers = {'horizontal_fov': 91.123456789123, 'vertical_fov': 1.23456e-10, 'max_range': 5.1}
+    numbers = {'horizontal_fov': 91.123456789123, 'vertical_fov': 1.234567890123, 'max_range': 5.1}
     (tmp_path / 'rig.json').write_text(json.dumps({
         'cameras': [{**numbers, 'name': 'n' * 60, 'count': 2}],
         'fixed': [{**numbers, 'position': [1.0, 2.0, 2.2]}]}))

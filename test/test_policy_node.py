@@ -16,6 +16,7 @@ import torch
 pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
 
 from geometry_msgs.msg import PoseArray
+from rclpy.node import Node
 from sensor_msgs.msg import PointField
 from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
 
@@ -35,6 +36,7 @@ from ocp_ros.ros.interface.conversions import (
     positions_to_msg,
     stamp_to_ns,
 )
+from ocp_ros.ros.interface.news import has_news
 from ocp_ros.ros.policy.policy_config import PLANNERS, PolicyNodeConfig
 from ocp_ros.ros.policy.policy_planners import make_planner
 from ocp_ros.ros.policy.simulated_turns import REMEMBERED
@@ -252,6 +254,29 @@ def test_poses_with_nan_are_refused(robot):
     robot.send(1, positions=np.where(POSITIONS == 5.0, np.nan, POSITIONS))
     robot.graph.until(lambda: policy._counts['refused_messages'] >= 1)
     assert not robot.received[topics.CAMERA_COMMANDS]
+
+
+def test_a_thousand_poses_are_refused_and_the_next_turn_is_answered(robot):
+    policy = robot.start()
+    robot.send(1, positions=np.tile(POSITIONS, (334, 1)))
+    robot.graph.until(lambda: policy._counts['refused_messages'] >= 1)
+    robot.send(2)
+    assert len(robot.command(2).poses) == len(POSITIONS)
+
+
+def test_a_message_that_waits_is_noticed_and_not_taken(graph, probe):
+    heard = []
+    listener = Node('listener', context=graph.context)
+    listener.create_subscription(PoseArray, 'news', heard.append, qos.LOOP)
+    publisher = probe.publisher(PoseArray, 'news', qos.LOOP)
+    assert not has_news(listener)
+    publisher.publish(PoseArray())
+    graph.until(lambda: has_news(listener))
+    assert has_news(listener) and not heard
+    graph.executor.add_node(listener)
+    graph.until(lambda: heard)
+    assert not has_news(listener)
+    listener.destroy_node()
 
 
 def test_the_placement_is_final_when_the_turns_are_used_up(robot):

@@ -116,3 +116,30 @@ def test_a_planner_that_says_no_targets_is_thought_about_too(room, max_turn):
         step.reflect()
         assert np.array_equal(command.placement[:, :3], state.placement[:, :3])
         assert bool(command.rotated) == bool(max_turn)
+
+
+def test_thinking_ends_when_the_next_step_has_waited(room):
+    """What was found so far holds, and the step after is taken as ever."""
+    config = SimulationConfig(described(RIG), EngineConfig('fast', 32, 0.5))
+    episode = Episode(Problem.of(room, RIG, config), np.random.default_rng(3))
+    asked = []
+
+    def played(patience):
+        """Take two steps; whoever waits for the second interrupts after so many questions."""
+        step = OnlineStep(Lookahead(np.random.default_rng(0), 0.5, 4.0, 0.1),
+                          Limits(0.5, 0.5, 0.1), RIG)
+        asked.clear()
+
+        def interrupted():
+            asked.append(1)
+            return len(asked) > patience
+
+        state = state_of(episode)
+        for turn in (30, 31):
+            command = step(episode.observed_cloud, state, turn, 40)
+            step.reflect(interrupted)
+        return command.placement, len(asked)
+
+    patient, questions = played(10 ** 6)
+    hurried, fewer = played(0)
+    assert fewer < questions and hurried.shape == patient.shape and np.isfinite(hurried).all()

@@ -19,6 +19,7 @@ from ocp_ros.agent.agent_config import AgentConfig, CLOUD, PAPER
 from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.agent.policy import Policy
 from ocp_ros.rig.free_plane import CLEARANCE
+from ocp_ros.ros import trainer_node
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import (
     bytes_to_msg,
@@ -304,6 +305,22 @@ def test_many_policies_are_learned_from_counted_and_told(graph, probe, start):
         graph.until(lambda of=name, count=turns: any(
             msg_to_fields(message, topics.TRAINING_FIELDS)['turns'] == count
             for message in status[of]))
+
+
+def test_sources_that_are_silent_make_room_for_others(graph, probe, start, monkeypatch):
+    monkeypatch.setattr(trainer_node, 'MOST_SOURCES', 3)
+    trainer = start()
+    names = [f'/fake_{number}/experience' for number in range(4)]
+    fakes = [probe.node.create_publisher(UInt8MultiArray, name, qos.LOOP) for name in names]
+    graph.until(lambda: len(trainer.sources) == 3)
+    first, second = list(trainer.sources)[1:]
+    # Both go, and the others have their turn.
+    monkeypatch.setattr(trainer_node, 'SILENT', 0.0)
+    graph.until(lambda: {first, second}.isdisjoint(trainer.sources) and len(trainer.sources) == 3)
+    assert '/' in trainer.sources and trainer.totals()['transitions'] == 0
+    for fake in fakes:
+        probe.node.destroy_publisher(fake)
+    graph.until(lambda: list(trainer.sources) == ['/'])
 
 
 def test_only_the_sources_that_are_named_are_learned_from(graph, probe, start):

@@ -9,7 +9,7 @@ all cameras leave together, less a bonus for unseen air, which falls to nothing 
 positions are judged. So a rig that faces a wall looks around first.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +31,11 @@ YAWS, PITCHES = 12, 3
 FINER = np.deg2rad([15.0, 7.5])
 #: How often each camera is asked.
 ROUNDS = 2
+
+
+def never() -> bool:
+    """Tell that nobody waits."""
+    return False
 
 
 class Goal(NamedTuple):
@@ -95,11 +100,13 @@ class HeadingPlanner:
         return turned_towards(sight.placement[:, 3:], self._headings, max_turn)
 
     def think(self, cloud: np.ndarray, sight: RigState, targets: np.ndarray, max_turn: float,
-              turn: int, turns: int, hint: np.ndarray | None = None) -> None:
+              turn: int, turns: int, hint: np.ndarray | None = None,
+              interrupted: Callable[[], bool] = never) -> None:
         """
         Choose where the cameras will look; if that is done before the turn has come, it holds.
 
         :param sight: the cameras as they will be; see :meth:`__call__` for all else.
+        :param interrupted: tells whether what was found so far has to do.
         """
         now = sight.placement[:, 3:]
         try:
@@ -107,7 +114,7 @@ class HeadingPlanner:
         except SceneError:
             goals = self._swept(now, max_turn)
         else:
-            goals = self._goals(model, sight, targets, max_turn, turn, turns, hint)
+            goals = self._goals(model, sight, targets, max_turn, turn, turns, hint, interrupted)
         self._headings, self._ahead = goals, turn
 
     def _swept(self, now: np.ndarray, max_turn: float) -> np.ndarray:
@@ -118,7 +125,8 @@ class HeadingPlanner:
         return goals
 
     def _goals(self, model: PartialMap, sight: RigState, targets: np.ndarray, max_turn: float,
-               turn: int, turns: int, hint: np.ndarray | None) -> np.ndarray:
+               turn: int, turns: int, hint: np.ndarray | None,
+               interrupted: Callable[[], bool]) -> np.ndarray:
         """Choose where the cameras will look before the episode ends."""
         now, reach = sight.placement[:, 3:], max_turn * max(turns - turn, 1)
         sought = _Search(model, self._memory.unseen(model), targets, sight.lenses,
@@ -130,6 +138,8 @@ class HeadingPlanner:
                    for camera in self.aimed}
         for _ in range(ROUNDS):
             for camera in np.roll(self.aimed, turn):
+                if interrupted():
+                    break
                 sought.best(camera, choices[camera])
                 for step in FINER:
                     near = _around(sought.goals[camera].heading, step)

@@ -12,12 +12,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.rig.feasible_region import apart, FeasibleRegion
 from ocp_ros.rig.placement_file import as_written
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulator import Simulator, View
+from ocp_ros.util.settings import ConfigurationError
 
 #: Poses that are looked from at a time, and those that are in any case.
 CHUNK, LEAST = 64, 256
@@ -87,6 +89,18 @@ def _offered(allowed: FeasibleRegion, model: CameraModel, most: int) -> np.ndarr
     return np.random.default_rng(0).permutation(poses)
 
 
+def _sees_nothing(problem: Problem, camera: int, poses: int) -> ConfigurationError:
+    """Return the error that a camera sees no point of a room, with what may be the cause."""
+    model, scene = problem.rig.models[camera], problem.simulator.scene
+    across = float(np.linalg.norm(np.ptp(corners_of(scene.points), axis=0)))
+    return problem.rig.document.error(
+        ('cameras',), f'{problem.rig.cameras[camera].name}, which sees from '
+        f'{model.min_range:g} m to {model.max_range:g} m and {np.rad2deg(model.horizontal_fov):g}'
+        f' x {np.rad2deg(model.vertical_fov):g} degrees: no point of {scene.name}, a room '
+        f'{across:.3g} m across, from any of {poses:,} feasible poses',
+        'a camera that sees some', 'change its ranges, its field of view, the mount or keep_clear')
+
+
 class Pool:
     """
     Candidates for each model of a rig, and what they see.
@@ -97,7 +111,7 @@ class Pool:
     :param threads: how many to use.
     :param over: tells whether to stop looking; the first poses of each model are looked from
         in any case.
-    :raises ConfigurationError: if a camera may hang nowhere.
+    :raises ConfigurationError: if a camera may hang nowhere, or sees nothing from anywhere.
     """
 
     def __init__(self, problem: Problem, most: int, among: int = 0, threads: int = 1,
@@ -118,6 +132,8 @@ class Pool:
                         lambda pose, camera=camera: simulator.look(pose, camera), part)
                 self.complete &= len(views) == len(offered)
                 poses = poses[:len(views)]
+                if not any(view.seen.any() for view in views):
+                    raise _sees_nothing(problem, camera, len(views))
                 self._kinds[model] = PoseSet(poses, views, cKDTree(features_of(poses)))
 
     def __len__(self) -> int:

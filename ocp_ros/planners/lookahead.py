@@ -142,6 +142,8 @@ class Lookahead(ThinksAhead):
         fixed = fixed_views(model, self.sight)
         error = best_error = model.error(views + fixed)
         for step in range(0, steps, TOGETHER):
+            if self.interrupted():
+                break
             share = (turn - first + step / steps) / (turns - first)
             temperature = max(best_error, LEAST) * between(WARM, COOL, share)
             trials = [self._trial(placed, headings, reached, share) for _ in range(TOGETHER)]

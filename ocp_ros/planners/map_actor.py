@@ -106,6 +106,8 @@ class MapActor(ThinksAhead):
         """Let cameras choose again; see :meth:`ThinksAhead._think`."""
         known = self._read(cloud, positions, turn, turns)
         for camera in self.asked(len(positions), turn, turns):
+            if self.interrupted():
+                break
             self.choose(known, camera, turn / turns)
         self._settle(known)
 

@@ -8,11 +8,13 @@ What they know of the room is the observed cloud;
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import NamedTuple, TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from ocp_ros.agent.heading_planner import never
 from ocp_ros.agent.partial_map import LookHistory
 from ocp_ros.agent.rig_state import clearance_of, remember, RigState
 from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
@@ -65,8 +67,11 @@ class Online(ABC):
         say so, and before the first turn.
     :ivar headings: (K, 3) radians, how the cameras would best be turned there, where a plan says
         so.
+    :ivar interrupted: tells, while it thinks about the next turn, whether that has waited for too
+        long: then the plan so far has to do.
     """
 
+    interrupted: Callable[[], bool] = staticmethod(never)
     targets: np.ndarray | None = None
     headings: np.ndarray | None = None
 
@@ -322,4 +327,8 @@ class ThenLookahead(Online):
 
     def reflect(self) -> None:
         """Let the one that plays think; see :meth:`Online.reflect`."""
-        self._playing.reflect()
+        self._playing.interrupted = self.interrupted
+        try:
+            self._playing.reflect()
+        finally:
+            self._playing.interrupted = never

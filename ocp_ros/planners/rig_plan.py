@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+import logging
 import os
 
 import numpy as np
@@ -30,6 +31,8 @@ CANDIDATES, FEWEST, LOOKING = 2000, 64, 0.2
 RANDOM = 64
 #: Shares that fall short by less are reached.
 ROUNDING = 1e-9
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -182,7 +185,11 @@ class RigPlanner:
             return plan
         if (reason := not_covered(problem.objective)) is not None:
             return replace(plan, uncertain=reason)
-        certificate, sites = certify(problem, self.pool, plan.answer.sites, budget, self.seed)
+        try:
+            certificate, sites = certify(problem, self.pool, plan.answer.sites, budget, self.seed)
+        except Exception as error:  # Whatever it is, the plan is not to be lost.
+            _log.exception('the proof failed')
+            return replace(plan, uncertain=f'its proof failed ({type(error).__name__}: {error})')
         seconds = plan.seconds + budget.elapsed
         if not np.array_equal([site.pose for site in sites], plan.answer.poses):
             loss = problem.objective.loss(views_of(sites))

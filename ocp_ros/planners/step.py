@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ocp_ros.agent.constraint_filter import ConstraintFilter
-from ocp_ros.agent.heading_planner import HeadingPlanner
+from ocp_ros.agent.heading_planner import HeadingPlanner, never
 from ocp_ros.agent.rig_state import clearance_of, RigState
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.planners.online_planner import AHEAD, Online, PlannedTurn
@@ -131,14 +131,19 @@ class OnlineStep:
             return moves
         return np.zeros((state.movable, 2))
 
-    def reflect(self) -> None:
+    def reflect(self, interrupted: Callable[[], bool] = never) -> None:
         """
         Think about the next turn while the cameras move: its plan, where they may be, how to aim.
 
         Who does not call it gets the same answers: the next step makes up for it.
+
+        :param interrupted: tells whether the next turn has waited for too long; then what was
+            found so far has to do.
         """
+        self.planner.interrupted = interrupted
         with self._reported('planner', 'where they are'):
             self.planner.reflect()
+        self.planner.interrupted = never
         if self._next is None:
             return
         (cloud, positions, turn, turns, state), self._next = self._next, None
@@ -149,7 +154,7 @@ class OnlineStep:
         with self._reported('aiming', 'turned as they are'):
             targets[:state.movable, :2] = self.planner.goals(positions)
             self.aim.think(cloud, state, targets, self.limits.max_turn, turn, turns,
-                           self.planner.headings)
+                           self.planner.headings, interrupted)
 
     def _constrain(self, cloud: np.ndarray, state: RigState, moves: np.ndarray
                    ) -> tuple[np.ndarray, list[str]]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.rig.rig_config import KINDS, OMNIDIRECTIONAL, RigConfig
-from ocp_ros.rig.schemas import LONGEST_NAME, MODEL, RIG
+from ocp_ros.rig.schemas import LONGEST_NAME, MODEL, NARROWEST, RIG
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.rig.zones import Zone, zone_of
 from ocp_ros.util.settings import ConfigurationError, MOST_CAMERAS
@@ -294,8 +294,12 @@ def _lens(document: Document, way: Way, given: dict[str, Any]) -> dict[str, floa
         if key in given:
             raise document.error((*way, key), 'it beside focal_length', 'one of the two, which '
                                  'both say the field of view', f'leave {key} out')
-    return dict(zip(('horizontal_fov', 'vertical_fov'),
-                    (2.0 * float(np.arctan(edge / (2.0 * focal))) for edge in size)))
+    fields = [2.0 * float(np.arctan(edge / (2.0 * focal))) for edge in size]
+    if min(fields) < np.deg2rad(NARROWEST):
+        raise document.error((*way, 'focal_length'), f'{focal:g} mm with the sensor_size {size}, '
+                             f'a field of view of {np.rad2deg(min(fields)):.2g} degrees',
+                             f'one of {NARROWEST:g} degrees or more', 'correct the two')
+    return dict(zip(('horizontal_fov', 'vertical_fov'), fields))
 
 
 def pose_of(data: dict[str, Any]) -> np.ndarray:

@@ -21,6 +21,8 @@ MOUNTS = ('plane', 'ceiling', 'walls', 'free')
 FAR = 1000.0
 #: Letters of a name.
 LONGEST_NAME = 60
+#: Degrees: no depth camera sees less.
+NARROWEST = 1.0
 POINT = {'type': 'number', 'minimum': -FAR, 'maximum': FAR}
 
 
@@ -72,18 +74,18 @@ NAME = text(f'a name of letters, digits, _, - and blanks, at most {LONGEST_NAME}
             pattern=f'^[A-Za-z0-9_][A-Za-z0-9_ -]{{0,{LONGEST_NAME - 1}}}$')
 MODEL: dict[str, Schema] = {
     'sensor': one_of(KINDS, 'realsense_d455'),
-    'horizontal_fov': number('degrees above 0, at most 360', 90.0, exclusiveMinimum=0,
+    'horizontal_fov': number(f'degrees from {NARROWEST:g} to 360', 90.0, minimum=NARROWEST,
                              maximum=360),
-    'vertical_fov': number('degrees above 0, at most 180', 60.0, exclusiveMinimum=0, maximum=180),
-    'focal_length': number('millimetres above 0, with sensor_size', 4.0, exclusiveMinimum=0,
-                           maximum=FAR),
-    'sensor_size': many('width and height in millimetres, above 0, with focal_length',
-                        {'type': 'number', 'exclusiveMinimum': 0, 'maximum': FAR}, [5.4, 3.0], 2,
-                        2),
-    'min_range': number('metres, 0 or more', 0.3, minimum=0, maximum=FAR),
-    'max_range': number('metres above 0', 5.0, exclusiveMinimum=0, maximum=FAR),
-    'resolution': many('whole pixels across and down, both above 0',
-                       {'type': 'integer', 'minimum': 1}, [640, 480], 2, 2),
+    'vertical_fov': number(f'degrees from {NARROWEST:g} to 180', 60.0, minimum=NARROWEST,
+                           maximum=180),
+    'focal_length': number('millimetres from 0.1 to 1000, with sensor_size', 4.0, minimum=0.1,
+                           maximum=1000),
+    'sensor_size': many('width and height in millimetres from 0.1 to 1000, with focal_length',
+                        {'type': 'number', 'minimum': 0.1, 'maximum': 1000}, [5.4, 3.0], 2, 2),
+    'min_range': number('metres from 0 to 100', 0.3, minimum=0, maximum=100),
+    'max_range': number('metres from 0.05 to 1000', 5.0, minimum=0.05, maximum=FAR),
+    'resolution': many('whole pixels across and down, both from 1 to 20000',
+                       {'type': 'integer', 'minimum': 1, 'maximum': 20000}, [640, 480], 2, 2),
 }
 POSITION = many('x, y and z in metres, map frame', POINT, [1.0, 2.0, 2.2], 3, 3)
 ANGLES: dict[str, Schema] = {

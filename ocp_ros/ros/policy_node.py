@@ -13,6 +13,7 @@ its answers better, so it can be killed and restarted at any time.
 import os
 from pathlib import Path
 import sys
+import time
 from typing import TYPE_CHECKING
 
 from geometry_msgs.msg import PoseArray
@@ -31,6 +32,7 @@ from ocp_ros.ros.interface.conversions import (
     shortened,
     stamp_to_ns,
 )
+from ocp_ros.ros.interface.news import has_news
 from ocp_ros.ros.interface.qos import LATCHED
 from ocp_ros.ros.policy.commander import Commander
 from ocp_ros.ros.policy.convergence import Convergence
@@ -56,6 +58,10 @@ def load_checkpoint(path: Path) -> 'Checkpoint':
     """Read weights; only here is PyTorch needed, which takes long to import."""
     from ocp_ros.agent.checkpoint import Checkpoint
     return Checkpoint.load(path)
+
+
+#: Seconds that a planner may think about the next turn, whoever waits: it takes a tenth of that.
+UNDISTURBED = 2.0
 
 
 class PolicyNode(ManagedNode):
@@ -96,11 +102,11 @@ class PolicyNode(ManagedNode):
         if self.config.clouds:
             self._live = LiveTurns(
                 self, self.config, self._commands, self._play, lambda: self._settled,
-                self._refuse, self._waits, self._decider.expected, self._decider.reflect)
+                self._refuse, self._waits, self._decider.expected, self._reflect)
         else:
             self._turns = SimulatedTurns(
                 self, self._commands, self._play, self._tell, self._refuse, self._waits,
-                self._decider.reflect)
+                self._reflect)
         if self._live is not None and self.config.scan:
             from ocp_ros.ros.policy.calibrator import Calibrator
             self._calibrator = Calibrator(self, self.config, self._decider, self._live.sighted,
@@ -134,6 +140,11 @@ class PolicyNode(ManagedNode):
             self._calibrator.close()
         self._live = self._turns = self._experiences = self._calibrator = None
         self._paused = False
+
+    def _reflect(self) -> None:
+        """Let the planner think about the next turn, in the end until a message waits."""
+        alone = time.monotonic() + UNDISTURBED
+        self._decider.reflect(lambda: time.monotonic() > alone and has_news(self))
 
     @property
     def planner(self) -> Online:

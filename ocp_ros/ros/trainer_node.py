@@ -9,9 +9,11 @@ no message waits for a gradient step; where turns come faster than they can be l
 policies are asked to wait.
 """
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 import sys
+import time
 
 import numpy as np
 from rclpy.clock import Clock
@@ -35,8 +37,11 @@ from ocp_ros.util.settings import group, setting, to_nested
 
 #: Seconds between two looks for weights, and looks until the policies are told anew how it is.
 TICK, STATUS = 0.1, 10
-#: The most namespaces that are learned from.
-MOST_SOURCES = 256
+#: The most namespaces that are learned from, and seconds without a transition after which one
+#: makes room for others, or goes where nobody publishes there any more.
+MOST_SOURCES, SILENT = 256, 60.0
+#: The most namespaces of which it is known that they were silent.
+LET_GO = 10_000
 
 
 @dataclass(frozen=True)
@@ -67,6 +72,9 @@ class TrainerNode(Node):
         write_atomically(self.learner.folder / 'config.yaml',
                          yaml.safe_dump(to_nested(self.config), sort_keys=False))
         self.sources: dict[str, Source] = {}
+        #: Counts of the sources that were let go, and when each was.
+        self._gone: Counter[str] = Counter()
+        self._let_go: dict[str, float] = {}
         self._published = self._ticks = 0
         self._hold = self._told = False
         #: The latest weights, for namespaces that are found later.
@@ -88,16 +96,34 @@ class TrainerNode(Node):
             source.send_weights(self._blob)
 
     def _discover(self) -> None:
-        """Look for namespaces in which somebody explores."""
+        """Look for namespaces in which somebody explores, and leave those that are silent."""
         if self.config.sources:
             return
-        for name, kinds in self.get_topic_names_and_types():
-            namespace, _, topic = name.rpartition('/')
-            if (topic == topics.EXPERIENCE and kinds == ['std_msgs/msg/UInt8MultiArray']
-                    and (namespace or '/') not in self.sources
-                    and len(self.sources) < MOST_SOURCES and self.count_publishers(name)):
-                self._add(namespace or '/')
-                self.get_logger().info(f'learning from {namespace or "/"}')
+        found = [name.rpartition('/')[0] or '/' for name, kinds in self.get_topic_names_and_types()
+                 if name.rpartition('/')[2] == topics.EXPERIENCE
+                 and kinds == ['std_msgs/msg/UInt8MultiArray'] and self.count_publishers(name)]
+        # Those that were silent before come after all others.
+        new = sorted((name for name in found if name not in self.sources),
+                     key=lambda name: self._let_go.get(name, 0.0))
+        silent = time.monotonic() - SILENT
+        for name, source in list(self.sources.items())[1:]:
+            full = len(self.sources) + len(new) > MOST_SOURCES
+            if source.heard < silent and (full or name not in found):
+                self._leave(name)
+        for name in new[:MOST_SOURCES - len(self.sources)]:
+            self._add(name)
+            self.get_logger().info(f'learning from {name}')
+
+    def _leave(self, namespace: str) -> None:
+        """Learn from a namespace no more."""
+        source = self.sources.pop(namespace)
+        self._gone.update(source.status())
+        source.close()
+        if len(self._let_go) >= LET_GO:
+            del self._let_go[min(self._let_go, key=self._let_go.get)]
+        self._let_go[namespace] = time.monotonic()
+        self.get_logger().info(f'not learning from {namespace} any more: it was silent for '
+                               f'{SILENT:g} s')
 
     def _tick(self) -> None:
         """Publish new weights, and tell the policies whether to wait."""
@@ -128,8 +154,8 @@ class TrainerNode(Node):
 
     def totals(self) -> dict[str, int]:
         """Return the counts of all sources together."""
-        counts = [source.status() for source in self.sources.values()]
-        return {name: sum(one[name] for one in counts) for name in counts[0]}
+        counts = [self._gone, *(source.status() for source in self.sources.values())]
+        return {name: sum(one[name] for one in counts) for name in counts[-1]}
 
     def _status(self) -> diagnostics.Status:
         """Say how the training is."""

@@ -3,10 +3,12 @@
 """One rig and its policy, as a trainer hears them: a namespace, its topics and its counts."""
 
 from collections.abc import Callable
+import time
 
 from geometry_msgs.msg import PoseArray
 import numpy as np
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
 from ocp_ros.agent.agent_config import AgentConfig
@@ -83,6 +85,7 @@ class Source:
     :param agent: what the policies read.
     :param learn: takes a transition; returns whether there was room for it.
     :ivar counts: what was heard.
+    :ivar heard: when a transition came last, seconds of a steady clock.
     """
 
     def __init__(self, node: Node, namespace: str, agent: AgentConfig,
@@ -93,6 +96,7 @@ class Source:
         self.assembler = Assembler(last=agent.map)
         self.counts = {'transitions': 0, 'refused': 0, 'dropped': 0}
         self._newest = 0
+        self.heard = time.monotonic()
 
         def topic(name: str) -> str:
             return topic_of(namespace, name)
@@ -100,17 +104,20 @@ class Source:
         self._weights = node.create_publisher(
             UInt8MultiArray, topic(topics.POLICY_WEIGHTS), LATCHED)
         self._training = node.create_publisher(Float64MultiArray, topic(topics.TRAINING), LATCHED)
+        self._subscriptions: list[Subscription] = []
         for kind, name, callback in (
                 (Float64MultiArray, topics.REWARD, self._on_reward),
                 (PoseArray, topics.CAMERA_POSES, self._on_poses),
                 (UInt8MultiArray, topics.EXPERIENCE, self._on_experience)):
-            node.create_subscription(kind, topic(name), self._guarded(callback), RECORDER)
+            self._subscriptions.append(node.create_subscription(
+                kind, topic(name), self._guarded(callback), RECORDER))
 
     def _guarded(self, callback):
         """Let a callback refuse its message with a reason; the node lives on."""
         def guarded(message):
             try:
                 for transition in callback(message):
+                    self.heard = time.monotonic()
                     self.counts['transitions' if self._learn(transition) else 'dropped'] += 1
             except (MessageError, ExperienceError) as error:
                 self.counts['refused'] += 1
@@ -154,6 +161,13 @@ class Source:
         return self.assembler.add_reward(Reward(
             previous, stamp, int(fields['step']), fields['reward'], tuple(shares),
             bool(fields['terminated'])))
+
+    def close(self) -> None:
+        """Hear and say nothing any more."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        for publisher in (self._weights, self._training):
+            self._node.destroy_publisher(publisher)
 
     def send_weights(self, blob: bytes) -> None:
         """Publish weights."""

@@ -14,6 +14,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, UInt8MultiArray
 
 from ocp_ros.geometry.cameras import Pose as CameraPose
+from ocp_ros.util.settings import MOST_CAMERAS
 
 NUMPY_TYPES = {PointField.FLOAT32: 'f4', PointField.FLOAT64: 'f8'}
 #: Metres: no camera is farther from the origin, be it that of a country's survey.
@@ -178,14 +179,14 @@ def msg_to_positions(message: PoseArray, cameras: int | None = None) -> np.ndarr
     """
     Unpack camera positions.
 
-    :param cameras: how many are expected; None for at least one.
+    :param cameras: how many are expected; None for what a rig may have.
     :returns: (K, 3) float64, metres, in the message's frame.
     :raises MessageError: if the number differs or a coordinate is not finite, or no place.
     """
     count = len(message.poses)
-    if count == 0 or (cameras is not None and count != cameras):
-        raise MessageError(f'poses: found {count} cameras; expected '
-                           f'{cameras if cameras is not None else "at least 1"}')
+    if not 1 <= count <= MOST_CAMERAS or cameras not in (None, count):
+        expected = f'at least 1, at most {MOST_CAMERAS}' if cameras is None else cameras
+        raise MessageError(f'poses: found {count} cameras; expected {expected}')
     positions = np.array([[p.position.x, p.position.y, p.position.z] for p in message.poses])
     if not np.isfinite(positions).all():
         raise MessageError('poses: found NaN or inf; expected finite metres')
@@ -199,7 +200,7 @@ def msg_to_poses(message: PoseArray, cameras: int | None = None) -> list[CameraP
     """
     Unpack where cameras are and how they are turned.
 
-    :param cameras: how many are expected; None for at least one.
+    :param cameras: how many are expected; None for what a rig may have.
     :returns: a pose per camera, in the message's frame.
     :raises MessageError: as :func:`msg_to_positions` and :func:`rotation_of`.
     """

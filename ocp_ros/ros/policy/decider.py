@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What ``policy_node`` decides in a turn: messages to a rig state, one step, and back."""
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from geometry_msgs.msg import PoseArray
@@ -156,9 +157,13 @@ class Decider:
                            for camera, heading in headings.items()), default=0.0)
         return moved_to(poses, command.placement[:len(poses.poses), :3], headings)
 
-    def reflect(self) -> None:
-        """Let the planner think about the next turn while the cameras move."""
-        self.step.reflect()
+    def reflect(self, interrupted: Callable[[], bool]) -> None:
+        """
+        Let the planner think about the next turn while the cameras move.
+
+        :param interrupted: tells whether that has to end.
+        """
+        self.step.reflect(interrupted)
 
     def expected(self, cloud: np.ndarray, poses: PoseArray, command: PoseArray) -> str:
         """Say what a command is expected to bring; nothing where too little has been seen."""
