@@ -10,7 +10,7 @@ import re
 from conftest import ROOT
 import pytest
 
-README, RESULTS = 'README.md', 'docs/results.md'
+README, RESULTS, SECURITY = 'README.md', 'docs/results.md', 'docs/explanation/security.md'
 NUMBER = r'(?<![\w.])-?\d[\d,]*(?:\.\d+)?(?:e-?\d+)?'
 
 #: Tables: page, how the line with the columns begins, the name of each row in the file, and where
@@ -36,6 +36,8 @@ TABLES = [
      'real.azure', 'calibration/shares/{row}.30cm.{key}', 'within_1cm_05deg refused wrong'),
     (RESULTS, '| planner | median', 'learned_lookahead lookahead', 'nodes/value/{row}/{key}',
      'points_25000_ms/0 points_25000_ms/1 rig_of_four_d455_ms/0 rig_of_four_d455_ms/1'),
+    (SECURITY, '| format | read', 'E57 glTF OBJ PLY YAML text weights bag',
+     'hostile_files/classes/{row}/{key}', 'read refused wrong crashed hung leaked'),
     (RESULTS, '| network', 'paper cloud', 'training/{row}/value/{key}',
      'over_tdsa_100 over_bpso_1000 rooms_won')]
 #: Numbers in sentences: page, words around them, and where they are.
