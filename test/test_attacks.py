@@ -76,15 +76,18 @@ def test_a_mesh_may_have_its_numbers_in_a_file_beside_it(tmp_path):
 
 
 CONFINED = """
-import os, socket, sys
+import os, signal, socket, sys
 from ocp_ros.util.confinement import confine, limit
 limit(1 << 30, 10, 1000)
+handle = os.pidfd_open(os.getppid())
 confine([sys.argv[1]], sys.argv[3])
 assert open(sys.argv[1]).read() == 'mine'
 open(sys.argv[3] + '/made', 'w').write('new')
 for deed in (lambda: open(sys.argv[2]), lambda: os.listdir('/'), lambda: open('/etc/passwd'),
              lambda: socket.socket(), lambda: os.execv(sys.executable, ['python']),
-             lambda: os.symlink('a', 'b'), lambda: open(sys.argv[1], 'w')):
+             lambda: os.symlink('a', 'b'), lambda: open(sys.argv[1], 'w'),
+             lambda: os.kill(os.getppid(), 0), lambda: os.chmod(sys.argv[2], 0o777),
+             lambda: os.utime(sys.argv[2]), lambda: signal.pidfd_send_signal(handle, 0)):
     try:
         deed()
     except OSError:
@@ -183,7 +186,7 @@ def test_a_kill_leaves_one_set_of_files_or_the_other(tmp_path, monkeypatch):
         (folder / 'mine').write_text('stays')
         write_set(folder, 'old', ('a', 'b', 'mark'))
         killed = killed_at(moment, folder, monkeypatch)
-        recover(folder, ('a', 'b', 'c', 'mark'))
+        recover(folder, ('a', 'b', 'c', 'mark'), 'mark')
         texts = {path.name: path.read_text() for path in folder.iterdir()}
         assert texts.pop('mine') == 'stays'
         assert texts in ({'a': 'old', 'b': 'old', 'mark': 'old'},
@@ -192,6 +195,33 @@ def test_a_kill_leaves_one_set_of_files_or_the_other(tmp_path, monkeypatch):
         if not killed:
             break
     assert found == {(True, 'old'), (True, 'new'), (False, 'new')}
+
+
+@pytest.mark.parametrize('plant', ['pipe', 'file', 'link', 'empty', 'null', 'nested', 'others'])
+def test_what_somebody_has_left_in_a_folder_of_results_does_no_harm(tmp_path, plant):
+    folder, names = tmp_path / 'folder', ('a', 'b', 'c', 'mark')
+    folder.mkdir()
+    write_set(folder, 'old', ('a', 'b', 'mark'))
+    complete = folder / '.ocp_complete'
+    if plant == 'pipe':
+        os.mkfifo(complete)
+        os.mkfifo(folder / '.ocp_unfinished_x')
+    elif plant == 'file':
+        complete.write_text('')
+    elif plant == 'link':
+        complete.symlink_to(tmp_path)
+    else:
+        complete.mkdir()
+        (complete / '.names.json').write_text({
+            'empty': '[]', 'null': 'null', 'nested': '[' * 9000,
+            'others': '["mark", "../mine"]'}[plant])
+    (tmp_path / 'mine').write_text('stays')
+    recover(folder, names, 'mark')
+    assert {name: (folder / name).read_text() for name in ('a', 'b', 'mark')} == dict.fromkeys(
+        ('a', 'b', 'mark'), 'old')
+    write_set(folder, 'new', ('c', 'mark'))
+    assert not complete.exists() and (folder / 'c').read_text() == 'new'
+    assert not (folder / 'a').exists() and (tmp_path / 'mine').read_text() == 'stays'
 
 
 def test_files_are_as_open_as_the_user_says_and_copies_of_scans_are_private(
@@ -289,6 +319,9 @@ def test_lists_of_a_ply_file_are_skipped_or_read_with_care(tmp_path):
         path.write_bytes(ply_of(elements))
         np.testing.assert_array_equal(load_scene(path).points, points, name)
     text = '\n'.join(' '.join(map(repr, map(float, point))) for point in points).encode()
+    path.write_bytes(ply_of([('strip', ['list uchar int i'], 1, b'2 1 2\n'),
+                             ('vertex', axes, len(points), text + b'\n')], 'ascii'))
+    np.testing.assert_allclose(load_scene(path).points, points, atol=1e-6)
     path.write_bytes(ply_of([('vertex', axes, len(points), text + b'\n'),
                              ('strip', ['list uchar int i'], 1, b'2 a b\n')], 'ascii'))
     np.testing.assert_allclose(load_scene(path).points, points, atol=1e-6)

@@ -9,6 +9,8 @@ from ocp_ros.util.settings import ConfigurationError, MOST_CAMERAS, setting
 #: What a network reads: a map of what was observed (``map``), or the observed cloud, as one head
 #: for all cameras reads it in the paper (``paper``) or camera by camera (``cloud``).
 MAP, CLOUD, PAPER = INPUTS = 'map', 'cloud', 'paper'
+#: Numbers that a unit makes of a cloud at most.
+MOST = 1 << 23
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,12 @@ class AgentConfig:
     length_scale: float = setting(4.0, 'length that the network reads as 1, metres', 0.01, 100.0)
 
     def __post_init__(self) -> None:
-        """Refuse what is never read."""
+        """Refuse what is never read, and units that would fill the memory."""
+        for unit, count in enumerate((self.keys_1 * self.group_1, self.keys_2 * self.group_2), 1):
+            if count * self.channels > MOST:
+                raise ConfigurationError(
+                    f'agent.keys_{unit}: found keys_{unit} x group_{unit} x channels = '
+                    f'{count * self.channels:,}; expected up to {MOST:,}; lower one of the three')
         if self.headings and not self.map:
             raise ConfigurationError(f'agent.headings: found {self.headings} with agent.inputs '
                                      f'{self.inputs!r}; expected 0, or the inputs map')

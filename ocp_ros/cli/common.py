@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 import warnings
 
 from ocp_ros.cli.arguments import joined
-from ocp_ros.util.files import file_to_write, recover
+from ocp_ros.util.files import complete_set, file_to_write
 from ocp_ros.util.settings import ConfigurationError, UserError
 from ocp_ros.util.shown_text import printable
 
@@ -148,6 +148,9 @@ def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except (UserError, OSError) as error:
         return _refuse(_said_of(error), as_json)
+    except MemoryError:
+        return _refuse('memory: found less than this needs; expected enough; use fewer points, '
+                       'cameras or rows, or smaller networks and buffers', as_json)
     except KeyboardInterrupt:
         return STOPPED
     return 0
@@ -258,9 +261,12 @@ def claim_folder(arguments: argparse.Namespace, folder: Path, names: Iterable[st
     """
     names = list(names)
     _check_inputs([folder / name for name in names], [*inputs_of(arguments), *read], option)
-    if folder.is_dir() and os.access(folder, os.W_OK):
-        recover(folder, names)
-    if not folder.is_dir() or _may_replace(arguments, folder) or any(folder.glob(mark)):
+    if taken := [name for name in names if (folder / name).is_dir()]:
+        raise ConfigurationError(
+            f'{option}: found the folder {folder / taken[0]}; expected a file there, or nothing; '
+            'name another folder, or move that one')
+    if not folder.is_dir() or _may_replace(arguments, folder) or any(folder.glob(mark)) or (
+            complete_set(folder, names, mark)):
         return
     others = sorted(path.name for path in folder.iterdir() if not path.name.startswith('.'))
     if others:

@@ -12,6 +12,8 @@ from ocp_ros.scenes.text_tables import read_table, TableForm
 LONGEST, LINES = 1 << 16, 1000
 #: Bytes that LibLZF makes of one, at most: it copies up to 264 bytes for three.
 EXPANSION = 88
+#: Points that a byte may hold at most.
+PER_BYTE = 4
 
 
 def read_pcd_fields(path: Path) -> dict[str, np.ndarray]:
@@ -29,6 +31,11 @@ def read_pcd_fields(path: Path) -> dict[str, np.ndarray]:
         header, skip = _pcd_header(file)
         body = file.read()
     layout, count = _pcd_layout(header), int(header['POINTS'][0])
+    # Each number of a text takes two bytes; real files need one for each point, packed or not.
+    size = path.stat().st_size
+    if count > PER_BYTE * size or header['DATA'] == ['ascii'] and (
+            2 * count * len(layout.names) > size):
+        raise ValueError(f'{count:,} points in {size:,} bytes')
     if header['DATA'] == ['ascii']:
         fields = _pcd_ascii(path, layout, skip)
     elif header['DATA'] == ['binary']:
@@ -62,6 +69,8 @@ def _pcd_layout(header: dict[str, list[str]]) -> np.dtype:
     """Turn a PCD header into the record of one point."""
     names, kinds = header['FIELDS'], {'F': '<f', 'I': '<i', 'U': '<u'}
     repeats = header.get('COUNT', ['1'] * len(names))
+    if not all(repeat.isdecimal() and int(repeat) for repeat in repeats):
+        raise ValueError(f'COUNT {" ".join(repeats)[:60]}')
     # Padding fields may all have the same name.
     return np.dtype([
         (f'{name}{index}' if name == '_' else name, kinds[kind] + size, (int(repeat),))

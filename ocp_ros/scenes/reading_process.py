@@ -122,7 +122,7 @@ def named_files(path: str) -> list[str]:
 #: Of each kind, what reads it, and the packages that it needs before it gives up the others.
 READ = {'e57': (e57_rows, 'pye57'), 'las': (las_rows, 'laspy', 'lazrs', 'laszip'),
         'mesh': (mesh_rows, 'open3d', 'ocp_ros.scenes.mesh_files', 'numpy.random'),
-        'ply': (ply_rows, 'plyfile')}
+        'ply': (ply_rows, 'plyfile', 'encodings.ascii')}
 
 
 def main(arguments: list[str]) -> int:

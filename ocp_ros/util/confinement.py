@@ -30,14 +30,22 @@ USE_FOLDER = 1 << 1 | READ_FILE | 1 << 3 | 1 << 4 | 1 << 5 | 1 << 7 | 1 << 8
 TRUNCATE = 1 << 14
 #: How many rights each version of Landlock knows, from the first on.
 RIGHTS = (13, 14, 15, 15, 16)
+#: The version from which on Landlock keeps signals to the process itself, and that.
+SCOPED, SCOPE_SIGNALS = 6, 2
 #: Of seccomp(2): for all threads, and what a filter answers.
 FILTER, ALL_THREADS, ALLOW, REFUSE, KILL = 1, 1, 0x7FFF0000, 0x00050000 | 1, 0x80000000
-#: Of each kind of machine: its mark, the number of seccomp itself, and those of what is refused:
-#: socket, execve, execveat, ptrace, process_vm_readv, process_vm_writev, kill, pidfd_getfd and
-#: io_uring_setup, which could do what the others may not.
+#: Of each kind of machine: its mark, the numbers of seccomp and of tgkill, which is only allowed
+#: to end the process itself, and those of what is refused: socket, execve, execveat, ptrace,
+#: process_vm_readv, process_vm_writev, kill, tkill, rt_sigqueueinfo, rt_tgsigqueueinfo,
+#: pidfd_send_signal, pidfd_getfd, io_uring_setup, which could do what others may not, fchmod,
+#: fchmodat, fchmodat2, fchown, fchownat, utimensat, and what is older of these.
 MACHINES = {
-    'x86_64': (0xC000003E, 317, (41, 59, 322, 101, 310, 311, 62, 438, 425)),
-    'aarch64': (0xC00000B7, 277, (198, 221, 281, 117, 270, 271, 129, 438, 425))}
+    'x86_64': (0xC000003E, 317, 234,
+               (41, 59, 322, 101, 310, 311, 62, 200, 129, 297, 424, 438, 425, 91, 268, 452, 93,
+                260, 280, 90, 92, 94, 132, 235, 261)),
+    'aarch64': (0xC00000B7, 277, 131,
+                (198, 221, 281, 117, 270, 271, 129, 130, 138, 240, 424, 438, 425, 52, 53, 452, 55,
+                 54, 88))}
 #: System calls from here on are those of another ABI of x86_64.
 X32 = 0x40000000
 
@@ -86,6 +94,8 @@ def _allow_files(rights: dict[str | Path, int]) -> None:
         return
     known = (1 << RIGHTS[min(version, len(RIGHTS)) - 1]) - 1
     attribute = struct.pack('<Q', known)
+    if version >= SCOPED:
+        attribute = struct.pack('<QQQ', known, 0, SCOPE_SIGNALS)
     rules = _libc.syscall(CREATE_RULESET, attribute, len(attribute), 0)
     for path, right in rights.items():
         handle = os.open(path, O_PATH | os.O_CLOEXEC)
@@ -100,14 +110,16 @@ def _refuse_calls() -> None:
     """Have seccomp refuse sockets, programs and other processes."""
     if platform.machine() not in MACHINES:
         return
-    mark, seccomp, refused = MACHINES[platform.machine()]
+    mark, seccomp, signal_thread, refused = MACHINES[platform.machine()]
     # A filter of classic BPF: load a word, jump by its value, return.
     load, equal, at_least, answer = 0x20, 0x15, 0x35, 0x06
     rows = [(load, 0, 0, 4), (equal, 1, 0, mark), (answer, 0, 0, KILL), (load, 0, 0, 0),
             (at_least, 0, 1, X32), (answer, 0, 0, REFUSE)]
     for number in refused:
         rows += [(equal, 0, 1, number), (answer, 0, 0, REFUSE)]
-    rows.append((answer, 0, 0, ALLOW))
+    # The first argument stands behind number, machine and address.
+    rows += [(equal, 0, 3, signal_thread), (load, 0, 0, 16), (equal, 1, 0, os.getpid()),
+             (answer, 0, 0, REFUSE), (answer, 0, 0, ALLOW)]
     code = ctypes.create_string_buffer(b''.join(struct.pack('<HBBI', *row) for row in rows))
     program = struct.pack('<HxxxxxxQ', len(rows), ctypes.addressof(code))
     _libc.syscall(seccomp, FILTER, ALL_THREADS, program)

@@ -52,6 +52,8 @@ def check_regular(path: str | Path, most: int) -> None:
 @contextmanager
 def _regular(path: str | Path, most: float) -> Iterator[BinaryIO]:
     """Open a regular file of so many bytes at most; see :func:`read_regular`."""
+    if '\0' in str(path):
+        raise OSError(errno.EINVAL, 'its name has a zero byte')
     with open(path, 'rb', opener=_open_at_once) as file:
         state = os.fstat(file.fileno())
         if not stat.S_ISREG(state.st_mode):
@@ -168,7 +170,7 @@ class FileSet:
 
     def __enter__(self) -> 'FileSet':
         """Make the folder to write to."""
-        recover(self.folder, self._names)
+        recover(self.folder, self._names, self._mark)
         with _locked(self.folder):
             self.aside = Path(tempfile.mkdtemp(prefix=UNFINISHED, dir=self.folder))
             #: Shows that whoever writes there lives.
@@ -184,10 +186,12 @@ class FileSet:
             if self._mark in written:
                 write_atomically(self.aside / NAMES, json.dumps(written))
                 with _locked(self.folder):
+                    _swap_in(self.folder, self._names, self._mark)
                     self.aside.rename(self.folder / COMPLETE)
+                    _swap_in(self.folder, self._names, self._mark)
         finally:
             os.close(self._lock)
-            recover(self.folder, self._names)
+            recover(self.folder, self._names, self._mark)
 
 
 @contextmanager
@@ -202,32 +206,52 @@ def _locked(folder: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def recover(folder: Path, names: Collection[str]) -> None:
+def recover(folder: Path, names: Collection[str], mark: str) -> None:
     """
     Finish what a killed run has begun: swap in a set that is complete, remove one that is not.
 
     :param names: of all files that sets may have.
+    :param mark: see :class:`FileSet`.
+    :raises OSError: if a complete set cannot be swapped in; it stays where it is.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with _locked(folder):
-        complete = folder / COMPLETE
-        with suppress(OSError, ValueError):
-            kept = json.loads(read_regular(complete / NAMES, LONGEST_LIST))
-            for name in names:
-                if name not in kept:
-                    (folder / name).unlink(missing_ok=True)
-                elif (complete / name).exists():
-                    os.replace(complete / name, folder / name)
-        if complete.is_dir():
-            shutil.rmtree(complete, ignore_errors=True)
+        _swap_in(folder, names, mark)
         for aside in folder.glob(f'{UNFINISHED}*'):
             with suppress(OSError):
-                handle = os.open(aside, os.O_RDONLY | os.O_NOFOLLOW)
+                handle = os.open(aside, os.O_RDONLY | os.O_NOFOLLOW | os.O_DIRECTORY)
                 try:
                     fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
                     shutil.rmtree(aside, ignore_errors=True)
                 finally:
                     os.close(handle)
+
+
+def complete_set(folder: Path, names: Collection[str], mark: str) -> list[str]:
+    """Return the names of the files of a set that is to be swapped in; none without one."""
+    complete = folder / COMPLETE
+    try:
+        kept = json.loads(read_regular(complete / NAMES, LONGEST_LIST))
+        # Those that are not there any more are in the folder already.
+        whole = mark in kept and set(kept) <= set(names) and all(
+            (complete / name).is_file() or (folder / name).is_file() for name in kept)
+    except (OSError, ValueError, TypeError, RecursionError):
+        return []
+    return list(kept) if whole and isinstance(kept, list) else []
+
+
+def _swap_in(folder: Path, names: Collection[str], mark: str) -> None:
+    """Let a complete set take the place of the one before; what is none is removed."""
+    complete, kept = folder / COMPLETE, complete_set(folder, names, mark)
+    for name in names if kept else ():
+        if name not in kept:
+            (folder / name).unlink(missing_ok=True)
+        elif (complete / name).exists():
+            os.replace(complete / name, folder / name)
+    if complete.is_dir() and not complete.is_symlink():
+        shutil.rmtree(complete, ignore_errors=True)
+    else:
+        complete.unlink(missing_ok=True)
 
 
 def remove_unfinished(folder: Path) -> None:

@@ -23,10 +23,10 @@ from ocp_ros.util.settings import ConfigurationError
 #: Messages of a topic that are asked for their frame, and the longest name of one.
 ASKED, LONGEST = 20, 1000
 #: Bytes of metadata, which is text: a bag of hundreds of topics and files has a tenth of it.
-METADATA = 10_000_000
+METADATA = 2_000_000
 #: What a bag may take: of memory at once, and of seconds for all its messages.
 COST = ReadingCost(1_500_000_000, 0, 10)
-#: Bytes that a file which is compressed as a whole may have: so many, and for each of its own.
+#: Bytes that files which are compressed as a whole may have: so many, and for each of their own.
 UNPACKED, UNPACKED_PER_BYTE = 500_000_000, 50
 #: What may be an alias in YAML; whether it is one, only a parser knows.
 ALIAS = re.compile(rb'(^|[\s,\[{])\*\w')
@@ -108,11 +108,12 @@ class Bag:
     def _start(self) -> dict[str, Any]:
         """Start the process that reads, and return what it says of the bag."""
         size = sum(file.stat().st_size for file in self._files)
+        packed = max(sum(file.suffix == PACKED for file in self._files), 1)
         self._process = GuardedProcess(
             'ocp_ros.ros.bags.bag_process',
             ['1' if self._is_ros1 else '2', self._folder.name, str(self._bag.absolute()),
              *(str(file.absolute()) for file in self._files)],
-            COST, size, UNPACKED + UNPACKED_PER_BYTE * size,
+            COST, size, (UNPACKED + UNPACKED_PER_BYTE * size) // packed,
             {'TMPDIR': self._folder.name, 'SQLITE_TMPDIR': self._folder.name})
         return json.loads(self._answer()[-1])
 
@@ -224,12 +225,17 @@ def _parts_of(path: Path) -> tuple[bool, Path, list[Path]]:
         path = path.parent
     if path.is_dir():
         if (path / 'metadata.yaml').is_file():
-            _check_metadata(path / 'metadata.yaml')
             files = [file for file in path.iterdir() if file.suffix in (*ROS2_FILES, PACKED)]
+            files = [path / 'metadata.yaml', *files]
             if strange := [file.name for file in files if not file.is_file()]:
                 raise ConfigurationError(f'{path}: found {strange[0]}, which is no file; '
                                          f'{expected}; remove it')
-            return False, path, [path / 'metadata.yaml', *files]
+            around = path.resolve()
+            if links := [file.name for file in files if file.resolve().parent != around]:
+                raise ConfigurationError(f'{path}: found {links[0]}, a link to another folder; '
+                                         f'{expected}; copy the file here')
+            _check_metadata(path / 'metadata.yaml')
+            return False, path, files
         recorded = any(file.suffix in ROS2_FILES for file in path.iterdir())
         inside, remedy = ('recorded files without metadata.yaml', 'run ros2 bag reindex') if (
             recorded) else ('a folder that is no bag', 'name the folder that ros2 bag record made')
@@ -246,7 +252,9 @@ def _parts_of(path: Path) -> tuple[bool, Path, list[Path]]:
 def _check_metadata(path: Path) -> None:
     """Refuse metadata in which values stand for others: written out, they may fill the memory."""
     text = read_regular(path, METADATA)
-    if ALIAS.search(text) and any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):
+    loader = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
+    if ALIAS.search(text) and any(isinstance(event, yaml.AliasEvent)
+                                  for event in yaml.parse(text, loader)):
         raise ValueError('metadata.yaml has an alias, which ROS never writes')
 
 

@@ -26,6 +26,8 @@ TRANSFORMS = 'tf2_msgs/msg/TFMessage'
 KINDS = {CLOUD: CLOUD, POSES: POSES, TRANSFORMS: TRANSFORMS, 'tf/msg/tfMessage': TRANSFORMS}
 #: Bytes that a field of a cloud, a pose and a transform take at least in ROS 1.
 PARTS = {CLOUD: 13, POSES: 56, TRANSFORMS: 76}
+#: Bytes of the largest message: a cloud of five million points takes less.
+LARGEST = 200_000_000
 #: What an answer is, the number of its topic, when it was recorded, and bytes of its content.
 HEADER = struct.Struct('<BIqQ')
 TOPICS, MESSAGE, BROKEN, END = range(4)
@@ -122,10 +124,12 @@ class Answers:
                 if self._is_ros1:
                     check_count(raw, kind)
                     raw = self._store.ros1_to_cdr(raw, kind)
+                if len(raw) > LARGEST:
+                    raise ValueError(f'{len(raw):,} bytes, more than {LARGEST:,}')
             except Exception as error:
                 self._answer(BROKEN, topic, time, str(error).encode(errors='replace'))
             else:
-                self._answer(MESSAGE, topic, time, bytes(raw))
+                self._answer(MESSAGE, topic, time, raw)
         self._answer(END)
         self._out.flush()
 
