@@ -15,7 +15,7 @@ from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.synthetic.furniture import KINDS
 from ocp_ros.scenes.synthetic.generator import generate_room, plan_of
 from ocp_ros.scenes.synthetic.scanning import scan
-from ocp_ros.simulation.simulator import ERROR_CUBE
+from ocp_ros.simulation.viewpoints import viewpoints_of
 
 #: Points of S3DIS by class, in the order of ``KINDS``: the class weights of Open3D-ML.
 S3DIS_POINTS = (3370714, 2856755, 4919229, 318158, 375640, 478001, 974733, 650464, 791496, 88727,
@@ -55,7 +55,7 @@ def likeness(scene: Scene) -> Likeness:
     cells = np.floor((points - low) / CELL).astype(np.int64)
     occupied = len(np.unique(cells, axis=0)) / np.prod(cells.max(axis=0) + 1)
     share = np.histogram((points[:, 2] - low[2]) / (high[2] - low[2]), HEIGHTS)[0] / len(points)
-    error = DepthError(points, scene.spacing, scene.bounds, ROWS, ERROR_CUBE)
+    error = DepthError(points, scene.spacing, scene.diameter, viewpoints_of(scene), ROWS)
     hit = float((error.depth_map(0) < np.float32(error.far)).mean())
     floor = floor_of(points, low[2] + HEIGHT)
     area = 0.0 if floor is None else floor.area

@@ -10,14 +10,13 @@ import stat
 import subprocess
 import sys
 
-from conftest import made_room, ROOT
+from conftest import box_room, made_room, ROOT
 import numpy as np
 import pytest
 
 from benchmarks.drills.file_fuzz import read_one
 from benchmarks.drills.hostile_files import hostile_files, Listener, outcome_of, SECRET
 from benchmarks.drills.spoilt_files import gltf_of
-from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.planners import rig_plan
 from ocp_ros.planners.budget import Budget
 from ocp_ros.report.rig_planning import PlannedRig, PlanTask
@@ -278,12 +277,6 @@ def test_numbers_that_no_camera_has_are_refused(tmp_path, key, value):
         load_rig(tmp_path / 'rig.json')
 
 
-def test_depth_maps_that_would_fill_the_memory_are_refused():
-    EngineConfig(error_rows=1024, error_folds=2)
-    with pytest.raises(ConfigurationError, match='error_rows 2048'):
-        EngineConfig(error_rows=2048, error_folds=16)
-
-
 def test_a_proof_that_fails_does_not_lose_the_plan(monkeypatch):
     def fail(*_):
         raise ZeroDivisionError('float division by zero')
@@ -304,7 +297,7 @@ def ply_of(elements, form='binary_little_endian'):
 
 
 def test_lists_of_a_ply_file_are_skipped_or_read_with_care(tmp_path):
-    points = generate_room(3, 2000).points.astype('<f4')
+    points = box_room(4.0, 3.0).points.astype('<f4')
     axes = [f'float {axis}' for axis in 'xyz']
     vertices = ('vertex', axes, len(points), points.tobytes())
     lists = ('strip', ['list uchar int i'], 3, b'\1\0\0\0\7\0\1\0\0\0\7')

@@ -10,21 +10,24 @@ import pytest
 import twins
 
 from ocp_ros.geometry.cameras import rotation_matrix
-from ocp_ros.geometry.depth_error import DepthError, viewpoints
+from ocp_ros.geometry.depth_error import DepthError, five_viewpoints, LARGEST_CUBE
 from ocp_ros.geometry.packed_bits import no_bits, pack
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.simulation.viewpoints import paper_viewpoints
 
+#: Sides of cubes, in multiples of what they are in the engine.
+SHARE = 0.75
 #: Sums of single-precision depths, metres.
 ROUNDING = 1e-5
 seeds = st.integers(0, 2 ** 32 - 1)
 
 
 def test_viewpoints_are_where_the_paper_puts_them():
-    found = viewpoints(np.array([[0.0, 0.0, 0.0], [6.0, 12.0, 3.0]]))
+    found = five_viewpoints(np.array([[0, 0], [0, 12], [6, 0], [6, 12]]), 1.5)
     assert found.tolist() == [[3, 6, 1.5], [1, 2, 1.5], [1, 10, 1.5], [5, 2, 1.5], [5, 10, 1.5]]
 
 
@@ -32,7 +35,13 @@ def test_viewpoints_are_where_the_paper_puts_them():
 def small():
     """Return a small room and its depth error at a low resolution."""
     scene = generate_room(2, 1500)
-    return scene, DepthError(scene.points, scene.spacing, scene.bounds, 24, 0.75)
+    return scene, DepthError(scene.points, SHARE * scene.spacing, scene.diameter,
+                             paper_viewpoints(scene), 24)
+
+
+def half_sides(scene):
+    """Return half the sides of the points' cubes, metres."""
+    return SHARE * np.minimum(scene.spacing, LARGEST_CUBE * np.median(scene.spacing))
 
 
 @given(seed=seeds, share=st.floats(0.0, 1.0))
@@ -40,7 +49,7 @@ def small():
 def test_depth_error_agrees_with_its_twin(small, seed, share):
     scene, error = small
     seen = np.random.default_rng(seed).random(len(scene)) < share
-    expected = twins.depth_error(scene.points, 0.75 * scene.spacing, error.viewpoints, error.far,
+    expected = twins.depth_error(scene.points, half_sides(scene), error.viewpoints, error.far,
                                  24, seen)
     assert error(pack(seen)) == pytest.approx(expected, rel=2e-3, abs=2e-3)
 
@@ -48,7 +57,7 @@ def test_depth_error_agrees_with_its_twin(small, seed, share):
 def test_where_the_error_is_agrees_with_its_twin(small):
     scene, error = small
     seen = np.random.default_rng(1).random(len(scene)) < 0.4
-    expected = twins.depth_error_by_point(scene.points, 0.75 * scene.spacing, error.viewpoints,
+    expected = twins.depth_error_by_point(scene.points, half_sides(scene), error.viewpoints,
                                           error.far, 24, seen)
     found = error.by_point(pack(seen))
     assert np.abs(found - expected).sum() <= 2e-3 * expected.sum()
@@ -106,8 +115,8 @@ def test_depth_error_is_zero_when_all_is_seen(small):
 
 @pytest.mark.parametrize('quarters', [1, 2, 3])
 def test_a_room_that_turns_with_its_cameras_is_worth_the_same(quarters):
-    """By quarters, so that the bounding box turns as well: the viewpoints follow from it."""
-    scene = generate_room(5, 6000)
+    """By quarters, so that the bounding box and its cells turn as well."""
+    scene = generate_room(5, 20_000)
     turn = rotation_matrix(quarters * np.pi / 2)
     turned = Scene((scene.points @ turn.T).astype(np.float32),
                    normals=(scene.normals_or_estimate @ turn.T).astype(np.float32))

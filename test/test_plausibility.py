@@ -5,12 +5,15 @@
 from conftest import box_room, box_sides, made_room
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.rig.plausibility import room_notes
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_files import load_scene
+from ocp_ros.scenes.scene_files import scene_of as room_of
 from ocp_ros.scenes.stray_points import stray_points
+from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 
@@ -116,3 +119,16 @@ def test_a_field_is_no_room():
     field = np.column_stack([x, y, 0.1 * np.sin(x)])
     trees = box_sides(np.array([0.5, 0.5, 4.0]), np.array([20.0, 15.0, 2.0]))
     assert of_kind(room_notes(scene_of(field, trees)), 'outdoors')
+
+
+@pytest.mark.parametrize('share', [0.002, 0.01, 0.05])
+def test_points_that_hang_alone_in_the_air_are_left_out_and_counted(share):
+    room = generate_room(501, 20_000)
+    drawn = np.random.default_rng(0).uniform(*room.bounds, (round(share * len(room)), 3))
+    drawn = drawn[cKDTree(room.points).query(drawn)[0] > 0.3]
+    scene = room_of(np.concatenate([room.points, drawn]))
+    left = cKDTree(scene.points).query(drawn)[0] < 1e-4
+    assert left.mean() < 0.3
+    kept = cKDTree(scene.points).query(room.points)[0] < 1e-4
+    assert kept.mean() > 0.998
+    assert any('isolated points left out' in remark for remark in scene.remarks)

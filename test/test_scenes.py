@@ -187,7 +187,7 @@ def test_a_guess_is_named_and_recorded(tmp_path):
     path = tmp_path / 'room.npy'
     np.save(path, room(5).points.astype(np.float64) @ map_from_file('y'))
     scene = load_scene(path, up='auto')
-    assert scene.source.up == 'y' and scene.remarks == ('up: y, a guess (--up)',)
+    assert scene.source.up == 'y' and scene.remarks[0] == 'up: y, a guess (--up)'
     assert room_named(str(path), up='auto')[1]['up'] == 'y'
 
 

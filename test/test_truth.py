@@ -16,7 +16,7 @@ from ocp_ros.compare.judging import (
     SEED,
 )
 from ocp_ros.geometry.cameras import CameraModel, Pose
-from ocp_ros.geometry.depth_error import DepthError
+from ocp_ros.geometry.depth_error import DepthError, five_viewpoints
 from ocp_ros.geometry.engine_config import EngineConfig, PROMISING
 from ocp_ros.geometry.packed_bits import no_bits, pack, unpack
 from ocp_ros.rig.motion import mounted
@@ -116,9 +116,11 @@ def error_of(folds, points=None):
         points = np.vstack([box_sides([4.0, 3.0, 2.5], [2.0, 1.5, 1.25], 0.15),
                             box_sides([0.6, 0.5, 1.0], [1.2, 1.0, 0.5], 0.15)])
     points = points.astype(np.float32)
-    bounds = np.stack([points.min(axis=0), points.max(axis=0)])
-    return points, DepthError(points, np.full(len(points), 0.15, dtype=np.float32), bounds, 24,
-                              1.0, folds=folds)
+    low, high = points.min(axis=0), points.max(axis=0)
+    corners = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
+    return points, DepthError(points, np.full(len(points), 0.15, dtype=np.float32),
+                              float(np.linalg.norm(high - low)),
+                              five_viewpoints(corners, 0.5 * (low[2] + high[2])), 24, folds)
 
 
 @pytest.mark.parametrize('folds', [1, 2, 4])

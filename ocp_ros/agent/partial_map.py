@@ -13,14 +13,14 @@ from scipy.spatial import ConvexHull, QhullError
 
 from ocp_ros.geometry.cameras import CameraModel, Frustum, OMNIDIRECTIONAL, Pose
 from ocp_ros.geometry.clouds import cell_numbers, cells_numbered, fixed_size
-from ocp_ros.geometry.depth_error import DepthError
+from ocp_ros.geometry.depth_error import DepthError, five_viewpoints
 from ocp_ros.geometry.packed_bits import count_bits, no_bits, pack, unpack
 from ocp_ros.geometry.surfels import SurfelSettings
 from ocp_ros.geometry.visibility import FAST, SurfelVisibility
 from ocp_ros.geometry.voxels import thinned_to
 from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
 from ocp_ros.scenes.scene import Scene, SceneError
-from ocp_ros.simulation.simulator import ERROR_CUBE, View
+from ocp_ros.simulation.simulator import View
 
 #: Metres: edge of the cells of the air. They are anchored to the map frame's origin, so that they
 #: stay the same while the observed bounding box grows.
@@ -52,10 +52,10 @@ class PartialMap:
     """
     The engine on what has been seen, and the cells of the air within its bounding box.
 
-    The box decides where the viewpoints of the depth error are, so a corner that nobody has looked
-    into yet matters: see :func:`smallest_rectangle`. A corner of the rectangle counts if nothing
-    that has been seen hides it from the cameras next to it; the corner that an L-shaped room
-    lacks is behind walls.
+    The viewpoints of the depth error are the paper's five in the :func:`smallest_rectangle` around
+    the points. A corner of the rectangle that nobody has looked into yet is air that may be
+    covered if nothing that has been seen hides it from the cameras next to it; the corner that an
+    L-shaped room lacks is behind walls.
 
     :param cloud: (M, 3) float32, metres, map frame: the points seen so far.
     :param positions: (K, 3) metres: where the cameras are.
@@ -95,8 +95,9 @@ class PartialMap:
         self.points = scene.points[order]
         self.cells = np.append(np.where(inside, numbers, NO_CELL), [NO_CELL] * 4)[places]
         self._views: dict[tuple[bytes, Frustum | None], View] = {}
-        self.depth_error = DepthError(self.points, scene.spacing[order], bounds,
-                                      rows, ERROR_CUBE)
+        self.depth_error = DepthError(
+            self.points, scene.spacing[order], scene.diameter,
+            five_viewpoints(corners, float(scene.bounds[:, 2].mean())), rows)
 
     def _open(self, tests: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """Tell of four places that are listed last whether cameras near them see them."""

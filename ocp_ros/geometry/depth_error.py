@@ -22,25 +22,27 @@ from ocp_ros.geometry.shadow_maps import footprint, projected
 from ocp_ros.util.kernels import njit
 from ocp_ros.util.threads import mapped
 
-#: Viewpoints of the paper, and rows that a map has at least.
-FIVE, FEWEST_ROWS = 5, 16
+#: Viewpoints of the paper.
+FIVE = 5
+#: Half the side of a point's cube in the depth maps, in multiples of its spacing: the paper's.
+#: With less, the maps of a whole room have holes. And the most, in multiples of the median
+#: spacing: a stray point is a speck, not a wall.
+CUBE, LARGEST_CUBE = 1.0, 3.0
 #: Pixels are sorted by this many of their nearest points, so that those with the same meet.
 SORTED_BY = 6
 
 
-def viewpoints(bounds: np.ndarray) -> np.ndarray:
+def five_viewpoints(corners: np.ndarray, height: float) -> np.ndarray:
     """
-    Place the viewpoints: the centre, and 2/3 of the way from it to the corners, at half height.
+    Place the viewpoints of the paper: the centre, and 2/3 of the way from it to the corners.
 
-    :param bounds: (2, 3), lowest and highest corner, metres.
+    :param corners: (4, 2) of the rectangle that the room fills, metres.
+    :param height: z of the viewpoints, half the room's, metres.
     :returns: (5, 3) float64, metres.
     """
-    centre = bounds.mean(axis=0)
-    half = 0.5 * (bounds[1] - bounds[0])
-    signs = np.array([[0, 0], [-1, -1], [-1, 1], [1, -1], [1, 1]], dtype=np.float64)
-    offsets = np.zeros((5, 3))
-    offsets[:, :2] = signs * half[:2] * 2.0 / 3.0
-    return centre + offsets
+    centre = corners.mean(axis=0)
+    flat = np.vstack([centre, centre + (corners - centre) * 2.0 / 3.0])
+    return np.column_stack([flat, np.full(5, height)])
 
 
 @njit(cache=True, nogil=True)
@@ -196,45 +198,38 @@ class DepthError:
 
     :param points: (N, 3) float32, metres, map frame.
     :param spacing: (N,) float32, metres.
-    :param bounds: (2, 3), lowest and highest corner, metres.
+    :param far: metres that an empty pixel reads: the diameter of the room.
+    :param places: (V, 3) metres, the viewpoints. However many there are, the error is that of
+        five.
     :param rows: rows of the depth maps; they have twice as many columns.
-    :param cube_scale: half the side of a point's cube in multiples of its spacing.
-    :param places: (V, 3) metres, the viewpoints; the five of the paper unless given. With more of
-        them maps are coarser, so that there are as many pixels, and the error is that of five.
     :param folds: 1 for the error of all points. From 2 on each point belongs to one of so many
-        folds, and the error is the mean over the folds of the error of the room without the
-        points of one of them, in units in which seeing nothing costs what it costs with all
-        points. A placement that owes its error to single points of this scan does not keep it on
-        another scan.
+        folds, and each viewpoint in turn looks at the room without the points of one of them, in
+        units in which seeing nothing costs what it costs with all points. A placement that owes
+        its error to single points of this scan does not keep it on another scan.
     :ivar trees: for kernels that ask :func:`lost_depth` many times.
-    :ivar pixels: what the sum over all pixels is divided by: those of one map of five, times the
-        folds.
+    :ivar pixels: what the sum over all pixels is divided by: a fifth of all.
     """
 
-    def __init__(self, points: np.ndarray, spacing: np.ndarray, bounds: np.ndarray, rows: int,
-                 cube_scale: float, places: np.ndarray | None = None, folds: int = 1) -> None:
-        self.far = float(np.linalg.norm(bounds[1] - bounds[0]))
-        self._count = len(points)
-        self.viewpoints = viewpoints(bounds) if places is None else places
-        more = len(self.viewpoints) / FIVE
-        rows = max(min(rows, FEWEST_ROWS), round(rows / np.sqrt(more)))
+    def __init__(self, points: np.ndarray, spacing: np.ndarray, far: float, places: np.ndarray,
+                 rows: int, folds: int = 1) -> None:
+        self.far, self._count, self.viewpoints = far, len(points), places
         self.shape = (rows, 2 * rows)
-        self.pixels = rows * 2 * rows * more
-        half_sides = (cube_scale * spacing).astype(np.float32)
-        fold = np.random.default_rng(0).integers(folds, size=len(points))
-        wanted = [(position, fold != left_out if folds > 1 else None)
-                  for position in self.viewpoints for left_out in range(folds)]
-        maps, grown = [], []
+        self.pixels = rows * 2 * rows * len(places) / FIVE
+        half_sides = (CUBE * np.minimum(spacing, LARGEST_CUBE * np.median(spacing))).astype(
+            np.float32)
+        # Dealt out by what does not change when the scan is turned.
+        order = np.argsort(np.linalg.norm(points - places[0], axis=1), kind='stable')
+        fold = np.empty(len(points), dtype=np.int64)
+        fold[order] = np.random.default_rng(0).integers(folds, size=len(points))
+        wanted = [(position, fold != number % folds if folds > 1 else None)
+                  for number, position in enumerate(self.viewpoints)]
+        self._maps, grown = [], []
         for trees, depth_map in mapped(
                 lambda one: self._viewpoint(points, half_sides, *one), wanted):
             end = trees.end + np.uint32(sum(len(before.end) for before in grown))
             grown.append(trees._replace(end=end))
-            maps.append(depth_map)
-        # Every point is in all folds but one, so the nearest is in one of any two.
-        self._maps = [np.minimum.reduce(maps[first:first + folds])
-                      for first in range(0, len(maps), folds)]
-        for depth_map in self._maps:
             depth_map.setflags(write=False)
+            self._maps.append(depth_map)
         self.trees = Trees(*(np.concatenate(field) for field in zip(*grown)))
         #: The error of seeing nothing, metres.
         self.worst = self(no_bits(len(points)))
@@ -247,13 +242,11 @@ class DepthError:
     def _viewpoint(self, points: np.ndarray, half_sides: np.ndarray,
                    position: np.ndarray, kept: np.ndarray | None
                    ) -> tuple[Trees, np.ndarray]:
-        """List the candidates of every pixel of one viewpoint, and draw its depth map."""
+        """List the candidates of every pixel of one viewpoint, and draw the map of all points."""
         rows, columns = self.shape
         # Far enough that a room's own far corner is never cut off by rounding.
         lens = CameraModel(max_range=2.0 * self.far).lens
         projection = projected(points, Pose(position, LEVEL), lens)
-        if kept is not None:
-            projection.distance[~kept] = np.inf
         order = np.argsort(projection.distance, kind='stable')
         order = order[np.isfinite(projection.distance[order])]
         counts = np.zeros(rows * columns, dtype=np.int64)
@@ -262,13 +255,17 @@ class DepthError:
         starts = np.concatenate([[0], np.cumsum(counts)])
         indices = np.empty(starts[-1], dtype=np.int32)
         _list_candidates(projection, order, half_sides, rows, columns, starts[:-1].copy(), indices)
+        depth, pixels = np.full(rows * columns, self.far, dtype=np.float32), counts > 0
+        depth[pixels] = projection.distance[indices[starts[:-1][pixels]]]
+        if kept is not None:
+            left = kept[indices]
+            counts = np.diff(np.concatenate([[0], np.cumsum(left)])[starts])
+            indices, starts = indices[left], np.concatenate([[0], np.cumsum(counts)])
         depths, pixels = projection.distance[indices], np.flatnonzero(counts)
         padded = np.append(indices, np.zeros(SORTED_BY, dtype=np.int32))
         keys = [np.where(counts[pixels] > k, padded[starts[pixels] + k], -1)
                 for k in range(SORTED_BY)]
         pixels = pixels[np.lexsort(keys[::-1])]
-        depth = np.full(rows * columns, self.far, dtype=np.float32)
-        depth[pixels] = depths[starts[pixels]]
         trees = Trees(*_grow(pixels, starts, indices, depths, self.far, int(counts.max())))
         return trees, depth.reshape(self.shape)
 
@@ -277,7 +274,7 @@ class DepthError:
         Return the depth map of the whole scene.
 
         :param viewpoint: its number, from 0.
-        :returns: (H, W) float32, metres; an empty pixel reads the bounding box's diagonal.
+        :returns: (H, W) float32, metres; an empty pixel reads ``far``.
         """
         return self._maps[viewpoint]
 

@@ -14,10 +14,11 @@ from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.plausibility import room_notes
 from ocp_ros.rig.structure import Air, ceiling_of, floor_height
 from ocp_ros.scenes.scene import Scene
+from ocp_ros.simulation.viewpoints import viewpoints_of
 
-#: Positions that openings are looked for from; rows of their depth maps; half the side of a
+#: Rows of the depth maps that openings are looked for in; half the side of a
 #: point's cube in multiples of the square that it stands for.
-PLACES, ROWS, CUBE = 9, 64, 0.75
+ROWS, CUBE = 64, 0.75
 #: Degrees of elevation from which on a direction is above or below.
 STEEP = 30.0
 #: The directions that openings are told apart by.
@@ -61,10 +62,10 @@ def openings_of(scene: Scene, air: Air) -> dict[str, float]:
     :returns: shares of the solid angle: ``all``, and those of each of the six ``SIDES``; empty
         where the room has no inside.
     """
-    places = air.places(float(scene.bounds[:, 2].mean()), PLACES)
-    if len(places) == 0:
+    if len(air.cells(float(scene.bounds[:, 2].mean()))) == 0:
         return {}
-    maps = DepthError(scene.points, scene.pitch, scene.bounds, ROWS, CUBE, places)
+    places = viewpoints_of(scene)
+    maps = DepthError(scene.points, CUBE * scene.pitch, scene.diameter, places, ROWS)
     rows, columns = maps.shape
     # Row 0 is straight down, column 0 begins at the direction opposite to x: as cell_of has it.
     elevation = (np.arange(rows) + 0.5) * 180.0 / rows - 90.0

@@ -32,7 +32,6 @@ from ocp_ros.rig.schemas import MODEL, PLACEMENT
 from ocp_ros.rig.structure import floor_height
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.files import write_atomically
-from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.yaml_files import Document, read_document, timestamp, Way, written
 
 VERSION, FRAME, FIXED = 1, 'map', 'fixed'
@@ -213,18 +212,10 @@ def placement_from(document: Document, rig: Rig | None = None) -> Placement:
         placed = [_placed(document, way, camera, rig.mount.on)
                   for way, camera in zip(moved, rig.cameras)]
         placed += [_rounded(one.camera, one.pose, FIXED) for one in rig.fixed]
-    return Placement(tuple(placed), rig, data.get('room', {}), _engine(document),
+    return Placement(tuple(placed), rig, data.get('room', {}),
+                     EngineConfig(**data['engine']) if 'engine' in data else PROMISING,
                      data.get('scores', {}), data.get('created', {}),
                      data.get('frame', FRAME), document, tuple(ways))
-
-
-def _engine(document: Document) -> EngineConfig:
-    """Return the settings that the scores of a file were found with."""
-    try:
-        return EngineConfig(**document.data['engine']) if 'engine' in document.data else PROMISING
-    except ConfigurationError as error:
-        reason = str(error).removeprefix('engine: ')
-        raise ConfigurationError(f'{document.where("engine")}: {reason}') from error
 
 
 def _placed(document: Document, way: Way, camera: Camera, mount: str) -> Placed:

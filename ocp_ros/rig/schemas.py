@@ -172,8 +172,8 @@ ROOM = mapping(
         'examples': [[[1, 0, 0, 500], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]]})
 ENGINE = mapping(
     'settings of the engine', {'preset': 'fine'}, (),
-    preset=one_of(PRESETS, 'fine'),
-    error_rows=whole('a whole number from 16 to 2048', 128, minimum=16, maximum=2048),
+    preset=one_of(PRESETS, 'fine'), viewpoints=one_of(('air', 'paper'), 'air'),
+    error_rows=whole('a whole number from 16 to 1024', 128, minimum=16, maximum=1024),
     error_folds=whole('a whole number from 1 to 16', 4, minimum=1, maximum=16),
     coverage_cell=number('metres from 0.02 to 5', 0.25, minimum=0.02, maximum=5))
 PLACEMENT = mapping(

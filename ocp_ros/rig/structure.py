@@ -213,12 +213,16 @@ class Air:
 
     :param scene: the room.
     :param space: where its floor is.
+    :param centred: whether its cells lie about the middle of the room, so that those of a mirrored
+        room are mirrored.
     """
 
-    def __init__(self, scene: Scene, space: FreePlane) -> None:
+    def __init__(self, scene: Scene, space: FreePlane, centred: bool = False) -> None:
         self.edge = max(CELL, float((scene.size.prod() / MOST_CELLS) ** (1.0 / 3.0)))
-        self.low = scene.bounds[0]
         shape = np.floor(scene.size / self.edge).astype(int) + 1
+        self.low = scene.bounds[0]
+        if centred:
+            self.low = scene.bounds.mean(axis=0) - 0.5 * self.edge * shape
         taken = np.zeros(shape, dtype=bool)
         taken[tuple(self._cells(scene.points, shape))] = True
         # A ball that does not fit through the gaps between the points of a surface.
@@ -228,6 +232,8 @@ class Air:
         columns = np.stack(np.meshgrid(*middles, indexing='ij'), axis=-1)
         free &= space.contains(columns)[..., None]
         parts, count = ndimage.label(free)
+        #: Whether there is any.
+        self._found = count > 0
         largest = int(np.argmax(np.bincount(parts.ravel())[1:])) + 1 if count else 0
         self._away = self.edge * ndimage.distance_transform_edt(
             parts != largest) if count else np.zeros(shape)
@@ -237,21 +243,17 @@ class Air:
         cells = np.floor((positions - self.low) / self.edge).astype(int)
         return np.clip(cells, 0, np.array(shape) - 1).T
 
-    def places(self, height: float, most: int) -> np.ndarray:
+    def cells(self, height: float | None = None) -> np.ndarray:
         """
-        Return a square lattice of at most so many places in the air: (M, 3), metres.
+        Return the middles of the cells of the air: (M, 3) metres.
 
-        :param height: z of all of them.
+        :param height: z of all of them, metres; None for the cells of all heights.
         """
-        if self._away.shape[2] == 0:
-            return np.empty((0, 3))
-        level = int(np.clip((height - self.low[2]) / self.edge, 0, self._away.shape[2] - 1))
-        cells = np.argwhere(self._away[:, :, level] == 0.0)
-        step, lattice = 1, cells
-        while len(lattice) > most:
-            step += 1
-            lattice = cells[(cells % step == 0).all(axis=1)]
-        flat = self.low[:2] + self.edge * (lattice + 0.5)
+        free = self._away == 0.0 if self._found else np.zeros(self._away.shape, dtype=bool)
+        if height is None:
+            return self.low + self.edge * (np.argwhere(free) + 0.5)
+        level = int(np.clip((height - self.low[2]) / self.edge, 0, free.shape[2] - 1))
+        flat = self.low[:2] + self.edge * (np.argwhere(free[:, :, level]) + 0.5)
         return np.column_stack([flat, np.full(len(flat), height)])
 
     def closed(self, positions: np.ndarray) -> np.ndarray:

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.distance import pdist
 
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.clouds import corners_of
@@ -94,6 +96,16 @@ class Scene:
         return self.bounds[1] - self.bounds[0]
 
     @cached_property
+    def diameter(self) -> float:
+        """Return the largest distance between two points, metres."""
+        try:
+            ends = self.points[ConvexHull(self.points).vertices]
+        except QhullError:
+            # They nearly lie in a plane: their box is all that is known of them.
+            return float(np.linalg.norm(self.size))
+        return float(pdist(ends.astype(np.float64)).max())
+
+    @cached_property
     def _neighbours(self) -> tuple[np.ndarray, np.ndarray]:
         """Return distances and indices of the nearest points, the point itself first."""
         return nearest(self.points, NEIGHBOURS)
@@ -134,8 +146,12 @@ def turned(scene: Scene, degrees: float) -> Scene:
     if mesh is not None:
         mesh = Mesh((mesh.vertices @ rotation.T).astype(np.float32), mesh.triangles)
     normals = None if scene.normals is None else scene.normals @ rotation.T
-    return Scene(scene.points @ rotation.T, f'{scene.name}@{degrees:g}', normals, mesh,
+    made = Scene(scene.points @ rotation.T, f'{scene.name}@{degrees:g}', normals, mesh,
                  scene.source.rotated(rotation), scene.notes, scene.remarks)
+    # What is near stays near.
+    made.__dict__.update((name, value) for name, value in scene.__dict__.items()
+                         if name in ('_neighbours', 'spacing', 'pitch', 'diameter'))
+    return made
 
 
 def check_points(points: np.ndarray, name: str, up: str = 'z') -> None:

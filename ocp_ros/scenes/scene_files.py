@@ -23,7 +23,7 @@ from ocp_ros.scenes.scene import (
     SceneError,
 )
 from ocp_ros.scenes.source_frame import SourceFrame
-from ocp_ros.scenes.stray_points import stray_points
+from ocp_ros.scenes.stray_points import isolated_points, stray_points
 from ocp_ros.scenes.up_axis import (
     AUTO,
     axis_of,
@@ -134,7 +134,13 @@ def _scene_from(rows: np.ndarray, name: str, called: str, *, voxel_size: float, 
     merged = _merge(points, voxel_size, max_points, name)
     if len(merged) < len(points):
         remarks += (f'{len(merged):,} of {len(points):,} points kept (--points)',)
-    return Scene(merged, called, normals if merged is points else None,
+        normals = None
+    if (lone := isolated_points(merged)).any():
+        count = int(np.count_nonzero(lone))
+        remarks += (f'{count:,} isolated point{"s" * (count > 1)} left out',)
+        _log.warning('%s: %s', printable(name), remarks[-1])
+        merged, normals = merged[~lone], None if normals is None else normals[~lone]
+    return Scene(merged, called, normals,
                  source=SourceFrame(scale, rotation, shift), notes=tuple(notes),
                  remarks=remarks)
 

@@ -14,6 +14,7 @@ from ocp_ros.geometry.clouds import (
     corners_of,
     REACH,
 )
+from ocp_ros.scenes.neighbours import nearest
 
 #: Edge of the cells that hang together: metres at least, and in multiples of the points' spacing.
 EDGE, SPACINGS = 0.25, 4.0
@@ -22,6 +23,46 @@ ENDS = 2.0
 #: Metres that a stray group is away from the bounds of the room, and its largest share of the
 #: points: the second where it is farther from the room than the room is large.
 AWAY, SHARE, FAR_SHARE = 1.0, 0.002, 0.05
+#: Nearest points that tell whether a point is isolated, in how many lists of these it has to be,
+#: and which of them has to be near: so many times as far as usual.
+AROUND, LISTED, NEIGHBOUR, FARTHER = 12, 3, 8, 3.0
+#: Least share of the second eigenvalue that the least one has where points lie on no plane, and
+#: most of the first that the second one has where they lie on a line, as the far rings of a laser
+#: scanner do.
+PLANE, LINE = 0.1, 0.05
+#: How often the others are looked at anew, and the largest share that may be isolated: more of
+#: them are how this scanner sees the room.
+TIMES, MOST = 2, 0.05
+
+
+def isolated_points(points: np.ndarray) -> np.ndarray:
+    """
+    Find points that hang alone in the air of a room: dust, rain, edges seen by two pixels.
+
+    A point is isolated that hardly any other has among its neighbours, or whose neighbours are far
+    and lie on no plane.
+
+    :param points: (N, 3) float32, metres.
+    :returns: (N,) bool; none where there would be too many.
+    """
+    left = np.ones(len(points), dtype=bool)
+    for _ in range(TIMES):
+        rest = points[left]
+        if len(rest) <= 10 * AROUND:
+            break
+        distances, indices = nearest(rest, AROUND + 1)
+        listed = np.bincount(indices[:, 1:].ravel(), minlength=len(rest))
+        far = distances[:, NEIGHBOUR] > FARTHER * np.median(distances[:, NEIGHBOUR])
+        lone = listed < LISTED
+        asked = np.flatnonzero(far | lone)
+        around = rest[indices[asked]].astype(np.float64)
+        around -= around.mean(axis=1, keepdims=True)
+        values = np.linalg.eigvalsh(np.einsum('mpi,mpj->mij', around, around))
+        on_line = values[:, 1] <= LINE * values[:, 2]
+        lone[asked] = ~on_line & (lone[asked] | (values[:, 0] >= PLANE * values[:, 1]))
+        left[np.flatnonzero(left)[lone]] = False
+    isolated = ~left
+    return isolated if isolated.mean() <= MOST else np.zeros(len(points), dtype=bool)
 
 
 def stray_points(points: np.ndarray) -> np.ndarray:

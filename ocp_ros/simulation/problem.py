@@ -175,7 +175,7 @@ class Problem:
         :raises ConfigurationError: if the rig does not go with the room.
         """
         region = FeasibleRegion(scene, rig)
-        simulator = engine(scene, config or SimulationConfig(), rig.models, region.air)
+        simulator = engine(scene, config or SimulationConfig(), rig.models)
         return cls(Objective(simulator, rig), region)
 
     def nothing(self) -> Subset:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The engine for one scene: what a placement sees, covers and misses."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 import logging
 from typing import Any, NamedTuple
@@ -11,24 +11,15 @@ import numpy as np
 
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, OMNIDIRECTIONAL, Pose
 from ocp_ros.geometry.coverage import coverable_cell, coverage_grid, space_coverage
-from ocp_ros.geometry.depth_error import DepthError, viewpoints
-from ocp_ros.geometry.packed_bits import count_bits, no_bits, Subset
+from ocp_ros.geometry.depth_error import DepthError
+from ocp_ros.geometry.packed_bits import no_bits, Subset
 from ocp_ros.geometry.visibility import CubeVisibility, PRESETS, SurfelVisibility
-from ocp_ros.rig.structure import Air
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.viewpoints import viewpoints_of
 from ocp_ros.util.settings import ConfigurationError
 
 _log = logging.getLogger(__name__)
-#: Half the side of a point's cube in the depth maps of the error, in multiples of its spacing:
-#: the paper's. With less, the maps of a whole room have holes.
-ERROR_CUBE = 1.0
-#: Share of the points in sight from the air that the five may miss: they miss up to 0.21 of
-#: generated rooms, niches and partitions included, and 0.6 of a floor of ten offices.
-MISSED = 0.25
-#: Places in the air that are looked at, share of the points that may be left out, and the most
-#: viewpoints.
-PLACES, LEFT, MOST = 160, 0.01, 48
 
 
 class View(NamedTuple):
@@ -64,38 +55,6 @@ class Evaluation(NamedTuple):
         return self.seen.mask
 
 
-def viewpoints_in(scene: Scene, air: Air, look: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """
-    Place the viewpoints of the depth error in a room, or in several.
-
-    The five of the paper are placed by the bounding box. In a floor of many rooms they see few of
-    them, and what they do not see does not count. Where they miss much of what can be seen from
-    the air of the rooms at all, viewpoints are taken from that air instead: greedily, each time
-    the place from which most is seen that no place before it sees.
-
-    :param scene: the room.
-    :param air: where a ball can be carried to in it.
-    :param look: returns the packed bits (W,) of the points seen from a position (3,), metres.
-    :returns: (V, 3) metres: the five of the paper where they see most of what can be seen.
-    """
-    five = viewpoints(scene.bounds)
-    seen = np.bitwise_or.reduce([look(place) for place in five])
-    # Of what nobody sees there is no more than this.
-    if len(scene) - count_bits(seen) <= MISSED * len(scene):
-        return five
-    places = air.places(float(scene.bounds[:, 2].mean()), PLACES)
-    views = [look(place) for place in places]
-    whole = np.bitwise_or.reduce([seen, *views])
-    if count_bits(whole & ~seen) <= MISSED * count_bits(whole):
-        return five
-    left, chosen, points = np.bitwise_or.reduce(views), [], count_bits(whole)
-    while count_bits(left) > LEFT * points and len(chosen) < MOST:
-        best = int(np.argmax([count_bits(view & left) for view in views]))
-        chosen.append(best)
-        left = left & ~views[best]
-    return places[chosen]
-
-
 class Simulator:
     """
     Judge placements in one scene; threads may share it, and the kernels run without the GIL.
@@ -108,14 +67,12 @@ class Simulator:
     :param config: the rig and the engine's settings.
     :param models: what each camera of a rig file sees, in place of what ``config.rig`` says: then
         nothing of that counts.
-    :param air: of the room, where several rooms are to have viewpoints of their own; see
-        :func:`viewpoints_in`.
     :ivar height: z of the plane of ``config.rig``, metres, map frame.
     :raises SceneError: if that plane is not inside the room.
     """
 
     def __init__(self, scene: Scene, config: SimulationConfig,
-                 models: Sequence[CameraModel] | None = None, air: Air | None = None) -> None:
+                 models: Sequence[CameraModel] | None = None) -> None:
         if not isinstance(scene, Scene) or not isinstance(config, SimulationConfig):
             raise ConfigurationError(
                 f'simulator: found {type(scene).__name__} and {type(config).__name__}; expected a '
@@ -136,9 +93,7 @@ class Simulator:
                          'of %g m; going on with %g m', scene.name, *scene.size, wanted, cell)
         self.grid, self.cell_volume = coverage_grid(scene.bounds, cell)
         self.visibility = self._make_visibility()
-        self.depth_error = self._error(
-            config.engine.error_rows,
-            None if air is None else viewpoints_in(scene, air, self._seen_from))
+        self.depth_error = self._error(config.engine.error_rows)
 
     def _make_visibility(self) -> SurfelVisibility | CubeVisibility:
         """Build what the preset asks for."""
@@ -148,24 +103,17 @@ class Simulator:
         return SurfelVisibility(scene.points, scene.normals_or_estimate, scene.pitch, self.grid,
                                 PRESETS[preset])
 
-    def _error(self, rows: int, places: np.ndarray | None) -> DepthError:
+    def _error(self, rows: int) -> DepthError:
         """Build the depth error of maps with so many rows."""
-        scene, order = self.scene, self.visibility.order
-        return DepthError(scene.points[order], scene.spacing[order], scene.bounds, rows,
-                          ERROR_CUBE, places, self.config.engine.error_folds)
+        scene, order, engine = self.scene, self.visibility.order, self.config.engine
+        return DepthError(scene.points[order], scene.spacing[order], scene.diameter,
+                          viewpoints_of(scene, engine.viewpoints), rows, engine.error_folds)
 
     def error_at(self, rows: int) -> DepthError:
         """Return the depth error of maps with so many rows, of the same viewpoints."""
         if rows == self.config.engine.error_rows:
             return self.depth_error
-        return self._error(rows, self.depth_error.viewpoints)
-
-    def _seen_from(self, position: np.ndarray) -> np.ndarray:
-        """Return the packed bits (W,) of all points in sight of a position, however far."""
-        view = View(no_bits(len(self.scene)), no_bits(len(self.grid)))
-        lens = CameraModel(max_range=2.0 * float(np.linalg.norm(self.scene.size))).lens
-        self.visibility.look(Pose.of(position), lens, view.seen, view.covered)
-        return view.seen
+        return self._error(rows)
 
     @property
     def volume(self) -> float:

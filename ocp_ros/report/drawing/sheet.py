@@ -35,7 +35,7 @@ WIDE, WIDE_PLAN, WIDE_MAP = 1.6, 6.0, 2.85
 #: The pages; the second one where the table has more rows than the first one has room for.
 PAGES = ('report.png', 'report_2.png')
 DEPTH_ERROR = ('Depth error: how much deeper the room looks when only the points that the cameras '
-               'see are left; the sum over five viewpoints of the mean over all directions. '
+               'see are left; five times the mean over viewpoints and directions. '
                '0 m is perfect.')
 GOOD, BAD = '#00664d', '#b04a00'
 #: Doubts about the room that there is space for.
