@@ -159,9 +159,9 @@ def measured(seeds: list[int]) -> dict:
         for kind, found in kinds.items():
             for name, values in compared(room, judge, kind).items():
                 found.setdefault(name, []).extend(values)
-        for name, delivered, promise in searches(room, judge):
-            plans.setdefault(name, []).append((delivered, promise))
-            print(f'{seed} {name}: delivered {delivered:.2f} m, promised {promise:.2f} m',
+        for name, error, promise in searches(room, judge):
+            plans.setdefault(name, []).append((error, promise))
+            print(f'{seed} {name}: delivered {error:.2f} m, promised {promise:.2f} m',
                   flush=True)
     delivered = {name: np.array(found)[:, 0] for name, found in plans.items()}
     promised = {name: geometric(list(np.array(found)[:, 1] / np.array(found)[:, 0]))
@@ -178,7 +178,7 @@ def measured(seeds: list[int]) -> dict:
             'over_judge': round(float(np.mean(found['over_judge'])), 3)}
             for kind, found in kinds.items()},
         'turned_delivered_ratio': geometric(turned_ratios),
-        'turned_delivered_ratio_worst': round(max(turned_ratios), 3),
+        'turned_delivered_ratio_worst': round(float(max(turned_ratios)), 3),
         'stray_delivered_ratio': {f'{share:g}': geometric(list(
             delivered[f'strays_{share:g}'] / delivered['strays_0'])) for share in STRAYS},
         'promise_over_delivered': promised}

@@ -36,6 +36,9 @@ TABLES = [
      'real.azure', 'calibration/shares/{row}.30cm.{key}', 'within_1cm_05deg refused wrong'),
     (RESULTS, '| planner | median', 'learned_lookahead lookahead', 'nodes/value/{row}/{key}',
      'points_25000_ms/0 points_25000_ms/1 rig_of_four_d455_ms/0 rig_of_four_d455_ms/1'),
+    (RESULTS, '| viewpoints |', 'air paper', 'measure/viewpoints/{row}/{key}',
+     'turned_objective_change turned_objective_change_worst rank_correlation '
+     'rank_correlation_good over_judge'),
     (SECURITY, '| format | read', 'E57 glTF OBJ PLY YAML text weights bag',
      'hostile_files/classes/{row}/{key}', 'read refused wrong crashed hung leaked'),
     (RESULTS, '| network', 'paper cloud', 'training/{row}/value/{key}',
@@ -46,6 +49,12 @@ SENTENCES = [
     (README, 'F1 score of {} in {} ms', 'engine/{key}/fine.40000', 'f1 ms'),
     (RESULTS, 'F1 is {} for `fine`, {} for `paper` and {} for rays',
      'engine/fused_f1/{key}.100000', 'fine paper mesh'),
+    (RESULTS, 'delivers {} times the error of a plan in the scan as it was (geometric mean; {} at '
+     'worst)', 'measure/{key}', 'turned_delivered_ratio turned_delivered_ratio_worst'),
+    (RESULTS, 'it delivers {}, {} and {} times', 'measure/stray_delivered_ratio/{key}',
+     '0.002 0.01 0.05'),
+    (RESULTS, 'is {} of the delivered one, and {} and {} in scans',
+     'measure/promise_over_delivered/{key}', 'turned_0 turned_17 turned_45'),
     (RESULTS, 'evaluates {} placements', 'engine/{key}', 'evaluations_per_s'),
     (RESULTS, '{} m in {} s, `tdsa` {} m in {} s. `lookahead` without a scan delivers {} m',
      'benchmark_four_d455/planners/{key}', 'rig_search/300/sum rig_search/300/seconds '
