@@ -135,7 +135,7 @@ def _scene_from(rows: np.ndarray, name: str, called: str, *, voxel_size: float, 
     if len(merged) < len(points):
         remarks += (f'{len(merged):,} of {len(points):,} points kept (--points)',)
         normals = None
-    if (lone := isolated_points(merged)).any():
+    if (lone := isolated_points(merged)).any() and _is_room(merged[~lone], name):
         count = int(np.count_nonzero(lone))
         remarks += (f'{count:,} isolated point{"s" * (count > 1)} left out',)
         _log.warning('%s: %s', printable(name), remarks[-1])
@@ -294,6 +294,15 @@ def _without_strays(rows: np.ndarray, name: str) -> tuple[np.ndarray, tuple[str,
               f'{away.max():.3g} m outside of the rest')
     _log.warning('%s: %s', printable(name), remark)
     return rows[~stray], (remark,)
+
+
+def _is_room(points: np.ndarray, name: str) -> bool:
+    """Tell whether points alone would be taken for a room."""
+    try:
+        check_points(points, name)
+    except SceneError:
+        return False
+    return True
 
 
 def _near_origin(points: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]:

@@ -33,6 +33,15 @@ def set_threads(count: int) -> None:
         _helpers, _count = ThreadPoolExecutor(count - 1) if count > 1 else None, count
 
 
+def _forked() -> None:
+    """Go on with one thread: those of the parent are not in a copy of it."""
+    global _helpers, _count
+    _helpers, _count = None, 1
+
+
+os.register_at_fork(after_in_child=_forked)
+
+
 def mapped(function: Callable[[T], U], items: Sequence[T]) -> list[U]:
     """Apply a function that calls no other of this kind to all items, and keep their order."""
     helpers, count = _helpers, min(_count, len(items))
