@@ -17,6 +17,7 @@ from typing import Any, NoReturn
 import warnings
 
 from ocp_ros.cli.arguments import joined
+from ocp_ros.cli.start import STOPPED
 from ocp_ros.util.files import complete_set, file_to_write
 from ocp_ros.util.settings import ConfigurationError, UserError
 from ocp_ros.util.shown_text import printable
@@ -34,8 +35,8 @@ READ = ('room', 'rooms', 'placement', 'rig', 'config')
 RESULTS = Path('out')
 #: Errors of a disk that is full, or on which one may not write more.
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-#: Wrong use, and stopped by hand.
-WRONG, STOPPED = 2, 130
+#: Exit code of wrong use.
+WRONG = 2
 
 
 class UsageError(Exception):

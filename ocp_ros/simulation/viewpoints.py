@@ -65,7 +65,7 @@ def air_viewpoints(scene: Scene) -> np.ndarray:
         cells = air.cells()
     if len(cells) < COUNT:
         return paper_viewpoints(scene)
-    parts = [cells[_order(cells, aligned)]]
+    parts = [cells]
     while len(parts) < COUNT:
         parts = [half for part in parts for half in _halves(part, aligned)]
     nearest = np.argmin(distance.cdist([part.mean(axis=0) for part in parts], cells), axis=1)
@@ -85,24 +85,24 @@ def _long(scene: Scene) -> int:
     return int(scene.size[1] > scene.size[0])
 
 
-def _order(cells: np.ndarray, scene: Scene, first: int | None = None) -> np.ndarray:
+def _order(cells: np.ndarray, scene: Scene, first: int) -> np.ndarray:
     """
     Order cells (M, 3) as they are in a mirrored room: on each axis from the emptier end on.
 
-    :param first: the axis by which they are ordered first; the longer one unless given.
+    :param first: the axis by which they are ordered first; then it is the longer one.
     """
     middle = scene.bounds.mean(axis=0)
     ends = np.where(scene.points.mean(axis=0) < middle, -1.0, 1.0)
     keys = ((cells - middle) * ends).round(ROUNDED)
     long = _long(scene)
-    axes = [long if first is None else first, long, 1 - long, 2]
+    axes = [first, long, 1 - long, 2]
     return np.lexsort(keys.T[axes[::-1]])
 
 
 def paper_viewpoints(scene: Scene) -> np.ndarray:
     """Place the five of the paper in the rectangle along the walls; in a box it is the room's."""
     angle = wall_direction(scene)
-    axes = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    axes = rotation_matrix(-angle)[:2, :2]
     low, high = corners_of(scene.points[:, :2] @ axes.T)
     corners = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
     return five_viewpoints(corners @ axes, float(scene.bounds[:, 2].mean()))

@@ -188,7 +188,6 @@ class FileSet:
                 with _locked(self.folder):
                     _swap_in(self.folder, self._names, self._mark)
                     self.aside.rename(self.folder / COMPLETE)
-                    _swap_in(self.folder, self._names, self._mark)
         finally:
             os.close(self._lock)
             recover(self.folder, self._names, self._mark)
