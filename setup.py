@@ -33,7 +33,7 @@ setup(
         share('config/train', '*.yaml'),
         share('models', '*.*'),
     ],
-    package_data={NAME: ['report/*.html']},
+    package_data={NAME: ['report/*.html', 'report/*.json']},
     zip_safe=True,
     install_requires=[
         'setuptools', 'numpy>=1.26', 'numba', 'scipy', 'torch', 'safetensors', 'gymnasium', 'cma',

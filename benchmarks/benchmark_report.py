@@ -243,7 +243,7 @@ def page(summary: dict[str, Any]) -> str:
         '| promised / delivered | mean of this ratio over the rooms |',
         '| worst promise | this ratio in the room where it is farthest from 1 |',
         '| promised / bound | ratio of the sums over the rooms. The bound is the smallest depth '
-        'error that is possible on the candidates of the planner `exact`, by proof |',
+        'error that is possible on a grid of places and near the best of them, by a proof |',
         '| regret | delivered / delivered error of the *reference*. Several searches evaluate '
         'placements with ray casting; the reference is the best placement in each room that they '
         'find |',
@@ -318,8 +318,8 @@ def _table(summary: dict[str, Any], budget: str) -> list[str]:
 def _yardsticks(summary: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Yield what planners are compared with: its title, what it knows and its figures."""
     if 'exact' in summary:
-        yield (f'`exact` with {summary["exact"]["candidates"]} candidates, then with nearby '
-               'poses', 'scores and visible points', summary['exact'])
+        yield (f'pricing of {summary["exact"]["candidates"]} places, then of nearby places',
+               'scores and visible points', summary['exact'])
     yield 'reference searches, mean', 'the mesh, if there is one', summary['truth']
 
 

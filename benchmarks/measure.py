@@ -26,7 +26,7 @@ from ocp_ros.planners.candidate_pool import Pool, random_sites
 from ocp_ros.report.rig_planning import PlannedRig, PlanTask
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.motion import mounted
-from ocp_ros.rig.rig_file import rig_of
+from ocp_ros.rig.rig_file import Rig, rig_of
 from ocp_ros.rig.structure import Air
 from ocp_ros.scenes.mesh_files import sampled
 from ocp_ros.scenes.scene import Scene, turned
@@ -54,13 +54,14 @@ class Judge:
     The integral over a generated room.
 
     :param room: with its mesh.
+    :param rig: that it judges placements of.
     """
 
-    def __init__(self, room: Scene) -> None:
+    def __init__(self, room: Scene, rig: Rig = RIG) -> None:
         points = sampled(room.mesh.vertices, room.mesh.triangles, JUDGED)[:, :3]
         scene = Scene(points.astype(np.float32), 'judge', mesh=room.mesh)
         self._simulator = TrueSimulator(
-            scene, SimulationConfig(engine=EngineConfig(error_rows=16)), RIG.models)
+            scene, SimulationConfig(engine=EngineConfig(error_rows=16)), rig.models)
         height = float(room.bounds[:, 2].mean())
         air = Air(room, FreePlane.of(room.points, height, 1, 0.0, clearance=0.0)).cells()
         places = air[np.random.default_rng(1).choice(len(air), PLACES, replace=False)]

@@ -17,7 +17,7 @@ import pytest
 from benchmarks.drills.file_fuzz import read_one
 from benchmarks.drills.hostile_files import hostile_files, Listener, outcome_of, SECRET
 from benchmarks.drills.spoilt_files import gltf_of
-from ocp_ros.planners import rig_plan
+from ocp_ros.planners import priced_search
 from ocp_ros.planners.budget import Budget
 from ocp_ros.report.rig_planning import PlannedRig, PlanTask
 from ocp_ros.rig.rig_file import load_rig, rig_of
@@ -281,7 +281,7 @@ def test_a_proof_that_fails_does_not_lose_the_plan(monkeypatch):
     def fail(*_):
         raise ZeroDivisionError('float division by zero')
 
-    monkeypatch.setattr(rig_plan, 'certify', fail)
+    monkeypatch.setattr(priced_search, 'Certificate', fail)
     planned = PlannedRig(made_room(8, 1500), rig_of(2, 'd455', mount={'on': 'walls'}),
                          PlanTask(evaluations=20), Budget(None, 20), 1.0)
     assert len(planned.best.answer.poses) == 2 and planned.best.certificate is None

@@ -74,7 +74,7 @@ def test_every_example_can_be_read_and_stands_in_the_help_of_its_command(example
 
 @pytest.mark.parametrize(('arguments', 'keys'), [
     (['score', 'room.ply', 'placement.yaml'], {'room', 'cameras', 'scores', 'broken', 'missed',
-                                               'one_more', 'notes', 'remarks'}),
+                                               'one_more', 'expected', 'notes', 'remarks'}),
     (['view', 'room.ply'], {'room', 'written'}),
     (['view', 'holes.ply', '--drop-nonfinite'], {'room', 'written'}),
     (['rooms', 'preview', 'holes.ply', '--drop-nonfinite', '--scale', '1.1', '--points', '1000',

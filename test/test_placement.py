@@ -403,12 +403,14 @@ def test_cameras_are_measured_from_what_a_level_laser_meets(height, words):
 def test_the_installers_page_says_how_good_the_plan_is_and_how_to_hold_a_camera(mixed):
     room = Scene(box_room().points, 'hall')
     found = {'scores': {'seen': 0.77, 'seen_by': 1},
+             'expected': {'depth_error': 2.3, 'low': 1.9, 'high': 3.1},
              'search': {'certificate': {'sentence': 'No placement is better.'}}}
     problem = Problem.of(room, mixed, SimulationConfig(
         engine=EngineConfig(preset='fast', error_rows=32)))
     placement = replace(placement_of(mixed, POSES), created={'date': '2026-11-24T10:00:00'})
     page = instructions(Assessment(problem.objective, placement, found), 'plan.png')
-    assert 'a camera sees 77 %. No placement is better.' in page
+    assert 'a camera sees 77 %.' in page and 'No placement is better.' in page
+    assert '2.30 m (1.90 m to 3.10 m in nine of ten rooms)' in page
     assert 'long side of the camera level' in page and 'Plan of 2026-11-24.' in page
     alone = placement_of(rig_of(1), np.array([[3.0, 2.0, 1.9]]))
     assert 'long side' not in page_of(room, alone)

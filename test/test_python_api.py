@@ -158,7 +158,8 @@ def test_a_planner_of_another_package_is_in_every_command(files, plugin):
 
 
 @pytest.mark.parametrize(('name', 'planner', 'message'), [
-    ('cma_es', Planner, 'which another planner has'), ('exact', Planner, 'another planner has'),
+    ('cma_es', Planner, 'which another planner has'),
+    ('priced_plane', Planner, 'another planner has'),
     ('a,b', Planner, 'expected letters'), ('mine', 3, 'found 3; expected a class'),
     ('mine', Planner, 'expected a class that is derived'), ('mine', dict, 'expected a class')])
 def test_what_is_no_planner_is_not_registered(name, planner, message):

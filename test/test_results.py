@@ -30,8 +30,6 @@ TABLES = [
     (RESULTS, '| rooms', 'fresh test_two test_six d455 scans_two scans_four scans_rotated',
      'few_turns_{row}/summary/{key}/ratio_to_best',
      '8x2/learned_lookahead 8x2/lookahead 30x0.5/learned_lookahead 30x0.5/lookahead'),
-    (RESULTS, '| cameras', 'four thousand d455 six', 'certificates/cases/{row}/{key}',
-     'proved seconds worst_gap'),
     (RESULTS, '| scan |', 'tripod.realsense tripod.azure hand.realsense hand.azure real.realsense '
      'real.azure', 'calibration/shares/{row}.30cm.{key}', 'within_1cm_05deg refused wrong'),
     (RESULTS, '| planner | median', 'learned_lookahead lookahead', 'nodes/value/{row}/{key}',

@@ -23,9 +23,11 @@ from ocp_ros.compare.judging import JUDGED_POINTS, judged_room, JudgedRoom, POIN
 from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.candidate_pool import Pool, random_sites
-from ocp_ros.planners.exact import exact_plane
+from ocp_ros.planners.column_generation import ColumnGeneration
 from ocp_ros.planners.finishing import search_and_finish
 from ocp_ros.planners.greedy import GreedySwap
+from ocp_ros.planners.loss_trees import LossTrees
+from ocp_ros.planners.pose_grid import PoseGrid
 from ocp_ros.planners.registry import OFFLINE, ONLINE
 from ocp_ros.planners.rig_methods import planner_names, RIG_SEARCH
 from ocp_ros.planners.rig_plan import RigPlanner
@@ -33,7 +35,7 @@ from ocp_ros.planners.rollout import play
 from ocp_ros.planners.scorer import Scorer
 from ocp_ros.planners.solve import Result, solve
 from ocp_ros.rig.rig_config import RigConfig
-from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.rig.rig_file import load_rig, rig_of
 from ocp_ros.scenes.s3dis import chosen_rooms, s3dis_folder, TEST_AREAS
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_files import READERS, scans_in
@@ -41,6 +43,7 @@ from ocp_ros.scenes.scene_source import make_room
 from ocp_ros.scenes.splits import TEST
 from ocp_ros.scenes.up_axis import UP_CHOICES
 from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import PlaneProblem, Problem, space_of
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
@@ -53,8 +56,12 @@ CONTROL, CONTROLS = 'random_placement', 16
 #: The best known: searches that see the truth. With a rig file, whose candidates all have to be
 #: looked from, there is one with this share of the evaluations.
 TRUTH, RIG_SHARE = 'truth_search', 0.2
-#: The placement that is proved best on a grid, and then improved near it.
-PROVED = 'exact_plane'
+#: The best placement that pricing finds on a grid and near it, with a bound.
+PROVED = 'priced_plane'
+#: Metres: how far from it places join the grid, time after time; directions, and choices.
+NEARER, DIRECTIONS, CHOICES = (0.2, 0.1, 0.05, 0.02), 8, 8
+#: A bound this near to the placement proves it.
+EQUAL = 1e-3
 #: What no planner is: its rows are for comparison.
 YARDSTICKS = (CONTROL, TRUTH, PROVED)
 #: One run of a planner.
@@ -123,7 +130,7 @@ class Protocol:
     :ivar judged_points: of the scan that judges.
     :ivar truths: searches with the truth, of which the best is the best known.
     :ivar truth_budget: their evaluations.
-    :ivar candidates: on which a placement on a plane is proved best.
+    :ivar candidates: of the grid on the plane.
     :ivar proving: seconds that the proof may take.
     """
 
@@ -197,7 +204,7 @@ class Protocol:
 
     @property
     def yardsticks(self) -> tuple[str, ...]:
-        """Return what planners are compared with; for rig files, ``exact`` is a planner."""
+        """Return what planners are compared with; for rig files, the default planner prices."""
         return (CONTROL, TRUTH) if self.simulation.rig_file else YARDSTICKS
 
     @property
@@ -272,14 +279,35 @@ def _true_searches(protocol: Protocol, truth: Simulator) -> Iterator[Row]:
 
 
 def _proofs(protocol: Protocol, fine: Simulator) -> Iterator[Row]:
-    """Prove a placement best on a grid, and improve it."""
+    """Price places of a grid, then places near the best of them as well."""
     space, began = space_of(fine), time.process_time()
-    answer = exact_plane(fine, space, protocol.candidates, protocol.proving,
-                         fine.config.engine.error_rows)
-    proof = answer.certificate
+    rng, grid, still = np.random.default_rng(0), PoseGrid(fine), np.zeros((1, 3))
+
+    def over() -> bool:
+        return time.process_time() - began >= protocol.proving
+
+    def add(places: np.ndarray) -> None:
+        grid.add(space.placement(space.inside(places)), [still] * len(places))
+
+    add(space.grid(protocol.candidates))
+    objective = Objective(fine, rig_of(space.cameras, 'omnidirectional'))
+    relaxation = ColumnGeneration(LossTrees.of(objective), [grid], [space.cameras], 0.0,
+                                  len(fine.scene))
+    relaxation.close(over)
+    best = relaxation.choices(CHOICES, rng, over)[0]
+    angles = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
+    ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    for step in NEARER:
+        places = grid.places[[column.place for column in best.columns], :2]
+        add((places[:, None] + step * np.concatenate([ring, 0.5 * ring])).reshape(-1, 2))
+        relaxation.join(best.columns)
+        relaxation.close(over)
+        best = min([best, *relaxation.choices(CHOICES, rng, over)])
+    unit, bound = fine.depth_error.worst, min(relaxation.bound, best.loss)
     yield {'evaluations': 0, 'seconds': time.process_time() - began,
-           'placement': answer.placement, 'trace': [], 'found': proof.found, 'bound': proof.bound,
-           'proved': proof.proved}
+           'placement': grid.places[[column.place for column in best.columns]], 'trace': [],
+           'found': unit * best.loss, 'bound': unit * bound,
+           'proved': bool(bound >= best.loss * (1.0 - EQUAL))}
 
 
 def _found(result: Result) -> Row:

@@ -185,3 +185,23 @@ def in_cone(dx: float, dy: float, dz: float, pose: Pose, lens: Frustum) -> bool:
     y = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
     z = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
     return in_view(x, y, z, lens)
+
+
+@njit(cache=True, nogil=True)
+def mark_headings(points, position, rotations, lens, bits):
+    """
+    Mark which of many headings of a camera at one place have each point in their viewing cone.
+
+    :param points: (n, 3) float32, metres, map frame.
+    :param position: (3,) float64, of the camera, metres.
+    :param rotations: (H, 3, 3) float64, body frame to map frame.
+    :param lens: the camera model's :class:`Frustum`.
+    :param bits: (n, W) uint64, in and out: bit k of word w for heading 64 w + k.
+    """
+    ways = points.astype(np.float64) - position
+    for heading in range(rotations.shape[0]):
+        pose = Pose(position, rotations[heading])
+        word, flag = heading >> 6, np.uint64(1) << np.uint64(heading & 63)
+        for i in range(ways.shape[0]):
+            if in_cone(ways[i, 0], ways[i, 1], ways[i, 2], pose, lens):
+                bits[i, word] |= flag

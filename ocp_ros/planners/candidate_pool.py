@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.clouds import corners_of
+from ocp_ros.planners.pose_grid import MOST, PoseGrid
 from ocp_ros.rig.feasible_region import apart, FeasibleRegion
 from ocp_ros.rig.placement_file import as_written
 from ocp_ros.rig.rig_file import Rig
@@ -111,13 +112,16 @@ class Pool:
     :param threads: how many to use.
     :param over: tells whether to stop looking; the first poses of each model are looked from
         in any case.
+    :param dense: how many poses :meth:`grid` has at most.
     :raises ConfigurationError: if a camera may hang nowhere, or sees nothing from anywhere.
     """
 
     def __init__(self, problem: Problem, most: int, among: int = 0, threads: int = 1,
-                 over: Callable[[], bool] = lambda: False) -> None:
+                 over: Callable[[], bool] = lambda: False, dense: int = MOST) -> None:
         rig, simulator, self._kinds = problem.rig, problem.simulator, {}
         self._found: dict[CameraModel, list[View]] = defaultdict(list)
+        self._grids: dict[CameraModel, PoseGrid] = {}
+        self._dense = dense
         models = list(dict.fromkeys(camera.model for camera in rig.cameras))
         #: Whether all that are spread over the room were looked from.
         self.complete = True
@@ -143,6 +147,13 @@ class Pool:
     def kind(self, model: CameraModel) -> PoseSet:
         """Return the candidates of a model."""
         return self._kinds[model]
+
+    def grid(self, problem: Problem, model: CameraModel, over: Callable[[], bool]) -> PoseGrid:
+        """Return the dense grid of a model, which is looked from at the first call."""
+        if model not in self._grids:
+            self._grids[model] = PoseGrid.of(problem.region, problem.simulator, model,
+                                             problem.rig.models.index(model), self._dense, over)
+        return self._grids[model]
 
     def left(self, rig: Rig, sites: Sequence[Site]) -> np.ndarray:
         """

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 GROUP = 'ocp_ros.planners'
 #: Environment variable with the names of those that cannot be used, once somebody was told so.
 TOLD = 'OCP_ROS_BROKEN_PLANNERS'
-TAKEN = ('rig_search', 'exact', 'random_placement', 'truth_search', 'exact_plane')
+TAKEN = ('rig_search', 'random_placement', 'truth_search', 'priced_plane')
 
 _log = logging.getLogger(__name__)
 

@@ -3,7 +3,7 @@
 """
 Every planner as a method that finds a placement of a rig under all its constraints.
 
-``rig_search`` and ``exact`` choose full poses themselves. Offline planners know places on a plane:
+``rig_search`` chooses full poses itself. Offline planners know places on a plane:
 what they propose is decoded first, so they are told what cameras are worth where these may hang.
 Online planners know only what has been seen, and play an episode.
 """
@@ -17,11 +17,12 @@ import numpy as np
 
 from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.candidate_pool import check_room, Pool, Site
-from ocp_ros.planners.exact import search_exact
+from ocp_ros.planners.certificate import not_covered
 from ocp_ros.planners.planner import Scores
 from ocp_ros.planners.pose_decoder import Decoder
+from ocp_ros.planners.priced_search import search
 from ocp_ros.planners.registry import OFFLINE, ONLINE
-from ocp_ros.planners.rig_search import Answer, answered, Progress, search, views_of
+from ocp_ros.planners.rig_search import anneal, Answer, answered, Progress, views_of
 from ocp_ros.planners.rollout import play
 from ocp_ros.planners.solve import solve
 from ocp_ros.simulation.episode import Episode
@@ -30,8 +31,8 @@ from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.yaml_files import nearest
 
-#: The planner that is used unless another is named, and the one that proves its answer.
-RIG_SEARCH, EXACT = 'rig_search', 'exact'
+#: The planner that is used unless another is named.
+RIG_SEARCH = 'rig_search'
 #: Placements by which it is found out how many there is time for, and the most that are planned
 #: for: some methods lay out a grid of as many places.
 PILOTS, MOST = 4, 100_000
@@ -39,7 +40,7 @@ PILOTS, MOST = 4, 100_000
 
 def planner_names() -> tuple[str, ...]:
     """Return the names of all planners, those of plug-ins included."""
-    return (RIG_SEARCH, *OFFLINE, EXACT, *ONLINE)
+    return (RIG_SEARCH, *OFFLINE, *ONLINE)
 
 
 def check_planner(name: str, counting: bool = False) -> None:
@@ -79,16 +80,15 @@ def find(name: str, problem: Problem, pool: Pool, budget: Budget, seed: int,
     :param model: weights of online planners that have learned: path or name.
     :raises ConfigurationError: if there is no placement.
     """
+    check_room(problem.objective, pool)
     if name == RIG_SEARCH:
-        return search(problem, pool, budget, seed, start, progress)
-    if name == EXACT:
-        found = search_exact(problem, pool, budget, seed, progress)
+        # Where no bound is known, there is nothing to price by.
+        method = anneal if not_covered(problem.objective) else search
+        return method(problem, pool, budget, seed, start, progress)
+    if name in ONLINE:
+        found = _played(name, problem, pool, budget, seed, progress, model)
     else:
-        check_room(problem.objective, pool)
-        if name in ONLINE:
-            found = _played(name, problem, pool, budget, seed, progress, model)
-        else:
-            found = _searched(name, problem, pool, budget, seed, progress)
+        found = _searched(name, problem, pool, budget, seed, progress)
     if not start:
         return found
     before = answered(problem.objective, start, found.evaluations)

@@ -4,7 +4,6 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-import logging
 import os
 
 import numpy as np
@@ -12,10 +11,12 @@ import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.candidate_pool import best_addition, Pool, random_sites
-from ocp_ros.planners.candidate_proof import Certificate
-from ocp_ros.planners.exact import certify, not_covered
+from ocp_ros.planners.certificate import Certificate, not_covered
+from ocp_ros.planners.column_generation import ColumnGeneration
+from ocp_ros.planners.pose_grid import MOST
+from ocp_ros.planners.priced_search import certified, relaxation_of
 from ocp_ros.planners.rig_methods import check_planner, find, RIG_SEARCH
-from ocp_ros.planners.rig_search import Answer, Progress, views_of
+from ocp_ros.planners.rig_search import Answer, Progress
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.objective import Objective, RigEvaluation
@@ -27,12 +28,14 @@ from ocp_ros.util.settings import ConfigurationError
 
 #: Candidates, the fewest where evaluations are counted, and the share of the time that they get.
 CANDIDATES, FEWEST, LOOKING = 2000, 64, 0.2
+#: Poses of a dense grid, at least and for each evaluation where these are counted.
+DENSE, DENSE_EACH = 500, 10
+#: Share of the time of a proof for looking from the poses of the grid.
+LOOKED = 0.5
 #: Random placements that an answer is compared with.
 RANDOM = 64
 #: Shares that fall short by less are reached.
 ROUNDING = 1e-9
-
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -114,10 +117,11 @@ class RigPlanner:
         self.scene, self.engine, self.budget, self.seed = scene, engine, budget, seed
         self._progress, self._problems = progress, {}
         problem = self.problem(rig)
-        most = CANDIDATES
+        most, dense = CANDIDATES, MOST
         if budget.evaluations is not None:
             most = int(np.clip(budget.evaluations // 2, FEWEST, CANDIDATES))
-        self.pool = Pool(problem, most, CANDIDATES, os.cpu_count() or 1, self._looked)
+            dense = int(np.clip(budget.evaluations * DENSE_EACH, DENSE, MOST))
+        self.pool = Pool(problem, most, CANDIDATES, os.cpu_count() or 1, self._looked, dense)
         self._check_regions(problem.objective)
 
     def problem(self, rig: Rig) -> Problem:
@@ -170,35 +174,28 @@ class RigPlanner:
             rig, answer, objective.evaluate(answer.poses),
             objective.judge(self.pool.everywhere(rig)), objective.simulator.depth_error.worst,
             np.array([objective.loss([site.view for site in sites]) for sites in drawn if sites]),
-            len(self.pool), self.budget.elapsed, self.planner, answer.certificate)
+            len(self.pool), self.budget.elapsed, self.planner, answer.certificate,
+            answer.uncertain)
 
     def certified(self, plan: RigPlan, budget: Budget) -> RigPlan:
         """
         Prove how much better than a plan others may be, where that is not known yet.
 
         :param budget: of the proof.
-        :returns: the plan with a certificate, or with the reason why there is none; of a better
-            placement if one was found on the way.
+        :returns: the plan with a certificate, or with the reason why there is none.
         """
         problem = self.problem(plan.rig)
         if plan.certificate is not None:
             return plan
         if (reason := not_covered(problem.objective)) is not None:
             return replace(plan, uncertain=reason)
-        try:
-            certificate, sites = certify(problem, self.pool, plan.answer.sites, budget, self.seed)
-        except Exception as error:  # Whatever it is, the plan is not to be lost.
-            _log.exception('the proof failed')
-            return replace(plan, uncertain=f'its proof failed ({type(error).__name__}: {error})')
-        seconds = plan.seconds + budget.elapsed
-        if not np.array_equal([site.pose for site in sites], plan.answer.poses):
-            loss = problem.objective.loss(views_of(sites))
-            losses = (loss, *sorted(plan.answer.losses)[1:])
-            plan = self._compared(plan.rig, replace(plan.answer, sites=sites, loss=loss,
-                                                    losses=losses))
-        if certificate.nodes == 0 and not certificate.proved:
-            return replace(plan, seconds=seconds, uncertain='there was no time to prove one')
-        return replace(plan, certificate=certificate, seconds=seconds)
+
+        def relax() -> ColumnGeneration:
+            return relaxation_of(problem, self.pool, lambda: budget.share(0, None) >= LOOKED)
+
+        known, reason = certified(problem, relax, plan.worth.loss, plan.worth.loss, budget)
+        return replace(plan, certificate=known, uncertain=reason,
+                       seconds=plan.seconds + budget.elapsed)
 
     def count_up(self, rig_of_count: Callable[[int], Rig], first: int, most: int
                  ) -> Iterator[RigPlan]:

@@ -11,6 +11,7 @@ the rig's constraints before it is judged, so the answer is judged as it will be
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,7 +20,6 @@ from ocp_ros.planners.annealing import annealed, between
 from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.candidate_pool import (
     best_addition,
-    check_room,
     clear,
     packed,
     Pool,
@@ -27,7 +27,7 @@ from ocp_ros.planners.candidate_pool import (
     random_site,
     Site,
 )
-from ocp_ros.planners.candidate_proof import Certificate
+from ocp_ros.planners.certificate import Certificate
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import as_written
 from ocp_ros.simulation.objective import Objective
@@ -56,6 +56,7 @@ DRAWN = 4
 LEAST = 1e-3
 #: Seconds between two reports of progress.
 REPORTED = 0.2
+T = TypeVar('T')
 #: Gets the share of the budget that is used up and the least loss so far.
 Progress = Callable[[float, float], None]
 
@@ -70,6 +71,7 @@ class Answer:
     :ivar losses: what the answer of each search is worth.
     :ivar evaluations: how many placements were judged, or refused for where a camera hung.
     :ivar certificate: how much better others may be, where that was proved on the way.
+    :ivar uncertain: why it was not.
     """
 
     sites: tuple[Site, ...]
@@ -77,6 +79,7 @@ class Answer:
     losses: tuple[float, ...]
     evaluations: int
     certificate: Certificate | None = None
+    uncertain: str = 'no bound was asked for'
 
     @property
     def poses(self) -> np.ndarray:
@@ -89,11 +92,10 @@ def views_of(sites: Sequence[Site]) -> list[View]:
     return [site.view for site in sites]
 
 
-def answered(objective: Objective, sites: Sequence[Site], evaluations: int,
-             certificate: Certificate | None = None) -> Answer:
+def answered(objective: Objective, sites: Sequence[Site], evaluations: int) -> Answer:
     """Return a placement as the answer of a single search."""
     loss = objective.loss(views_of(sites))
-    return Answer(tuple(sites), loss, (loss,), evaluations, certificate)
+    return Answer(tuple(sites), loss, (loss,), evaluations)
 
 
 class Search:
@@ -110,7 +112,7 @@ class Search:
 
     def __init__(self, problem: Problem, quick: Objective, pool: Pool, budget: Budget,
                  rng: np.random.Generator, start: Sequence[Site] = ()) -> None:
-        self.objective, self.quick, self.region = problem.objective, quick, problem.region
+        self.problem, self.objective, self.quick = problem, problem.objective, quick
         self.rig, self.pool, self.budget = problem.rig, pool, budget
         self.rng, self.start = rng, tuple(start)
         self.most = budget.evaluations and max(budget.evaluations // SEARCHES, 1)
@@ -198,17 +200,28 @@ class Search:
         """Move and turn a camera a little, or exchange its pose now and then."""
         if self.rng.random() < EXCHANGED:
             return self._exchanged(sites)
-        camera = int(self.rng.integers(len(sites)))
-        others = (*sites[:camera], *sites[camera + 1:])
-        model = self.rig.cameras[camera].model
         far, turn = between(FAR, NEAR, self.share)
-        poses = poses_around(self.region, sites[camera].pose, model, far, turn, DRAWN, self.rng)
-        good = self.region.allowed(poses, model) & clear(poses, others, self.rig.spacing)
-        if not good.any():
-            return None
-        pose = poses[int(np.argmax(good))]
-        site = Site(pose, self.objective.simulator.look(pose, camera))
-        return (*sites[:camera], site, *sites[camera + 1:])
+        return moved(self.problem, sites, far, turn, self.rng)
+
+
+def moved(problem: Problem, sites: tuple[Site, ...], far: float, turn: float,
+          rng: np.random.Generator) -> tuple[Site, ...] | None:
+    """
+    Move and turn one camera of a placement by chance; None where none of some draws is allowed.
+
+    :param far: standard deviation of the move along each axis, metres.
+    :param turn: that of yaw and pitch, radians.
+    """
+    camera = int(rng.integers(len(sites)))
+    others = (*sites[:camera], *sites[camera + 1:])
+    model = problem.rig.cameras[camera].model
+    poses = poses_around(problem.region, sites[camera].pose, model, far, turn, DRAWN, rng)
+    good = problem.region.allowed(poses, model) & clear(poses, others, problem.rig.spacing)
+    if not good.any():
+        return None
+    pose = poses[int(np.argmax(good))]
+    site = Site(pose, problem.simulator.look(pose, camera))
+    return (*sites[:camera], site, *sites[camera + 1:])
 
 
 def poses_around(region: FeasibleRegion, pose: np.ndarray, model: CameraModel, far: float,
@@ -233,35 +246,38 @@ def poses_around(region: FeasibleRegion, pose: np.ndarray, model: CameraModel, f
     return as_written(poses)
 
 
-def search(problem: Problem, pool: Pool, budget: Budget, seed: int, start: Sequence[Site] = (),
+def anneal(problem: Problem, pool: Pool, budget: Budget, seed: int, start: Sequence[Site] = (),
            progress: Progress | None = None) -> Answer:
     """
-    Find the best placement of a rig's cameras.
+    Find the best placement of a rig's cameras by annealing; see :func:`in_background`.
 
-    :param problem: the rig in the room.
-    :param pool: candidates of all its models.
-    :param budget: how long to go on.
-    :param seed: random seed.
     :param start: a placement that the answer is to be no worse than, where there is one.
-    :param progress: called several times a second.
-    :raises ConfigurationError: if there is no placement.
     """
-    check_room(problem.objective, pool)
     quick = quick_of(problem.objective)
     searches = [Search(problem, quick, pool, budget, np.random.default_rng([seed, k]),
                        start if k == 0 else ()) for k in range(SEARCHES)]
-    with ThreadPoolExecutor(SEARCHES) as workers:
-        runs = [workers.submit(one.run) for one in searches]
-        try:
-            while wait(runs, REPORTED).not_done:
-                if progress is not None:
-                    progress(min(one.used() for one in searches),
-                             min(one.least for one in searches))
-        except BaseException:
-            budget.stop()
-            raise
-    found = [run.result() for run in runs]
+    found = in_background([one.run for one in searches], budget, progress and (lambda: progress(
+        min(one.used() for one in searches), min(one.least for one in searches))))
     losses = [one.judge(sites) for one, sites in zip(searches, found)]
     best = int(np.argmin(losses))
     return Answer(found[best], losses[best], tuple(losses),
                   sum(one.evaluations for one in searches))
+
+
+def in_background(tasks: Sequence[Callable[[], T]], budget: Budget,
+                  report: Callable[[], None] | None) -> list[T]:
+    """
+    Run tasks, each in a thread, and report several times a second.
+
+    :param budget: that the tasks obey; it is stopped where reporting fails or is interrupted.
+    """
+    with ThreadPoolExecutor(len(tasks)) as workers:
+        runs = [workers.submit(task) for task in tasks]
+        try:
+            while wait(runs, REPORTED).not_done:
+                if report is not None:
+                    report()
+        except BaseException:
+            budget.stop()
+            raise
+    return [run.result() for run in runs]

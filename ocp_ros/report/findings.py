@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from ocp_ros.geometry.packed_bits import Subset
+from ocp_ros.report.promise import expected, notes_on
 from ocp_ros.rig.feasible_region import apart, FeasibleRegion
-from ocp_ros.rig.plausibility import room_notes
+from ocp_ros.rig.plausibility import missing_surfaces, room_notes
 from ocp_ros.rig.rig_file import Camera
 from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import Problem
@@ -30,15 +31,19 @@ def verdict(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
 
     :param problem: the rig in the room.
     :param poses: (K, 6) metres, map frame, and radians.
-    :returns: ``scores``, ``broken``, ``missed`` and ``one_more``; ``notes``: what makes the room
-        or the answer doubtful; and ``remarks``: what was mended.
+    :returns: ``scores``, ``broken``, ``missed`` and ``one_more``; ``expected``: the depth error
+        in the room itself, see :func:`~ocp_ros.report.promise.expected`; ``notes``: what makes
+        the room or the answer doubtful; and ``remarks``: what was mended.
     """
     views = problem.look(poses)
     scores = scores_of(problem.objective, views)
     better = improvements(problem, poses, views)
     scene = problem.objective.simulator.scene
+    missing = missing_surfaces(scene)
     return {'scores': scores, 'broken': broken_by(problem.region, poses, scores), **better,
-            'notes': [*room_notes(scene), *scene.notes, *_share_notes(better['missed'])],
+            'expected': expected(scores['depth_error'], scores['depth_error_of_nothing'], missing),
+            'notes': [*room_notes(scene), *notes_on(missing), *scene.notes,
+                      *_share_notes(better['missed'])],
             'remarks': list(scene.remarks)}
 
 

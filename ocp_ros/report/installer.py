@@ -6,6 +6,7 @@ from html import escape
 import re
 
 from ocp_ros.report.assessment import Assessment
+from ocp_ros.report.key_figures import expectation
 from ocp_ros.util.shown_text import printable
 
 #: How a camera is rolled, unless its row says otherwise.
@@ -83,7 +84,8 @@ def _how_good(judged: Assessment) -> str:
     scores = judged.found['scores']
     whose = 'a camera sees' if scores['seen_by'] == 1 else f'{scores["seen_by"]} cameras see'
     sentence = (f'**How good it is.** Of the points of the scan, {whose} '
-                f'{100.0 * scores["seen"]:.0f} %.')
+                f'{100.0 * scores["seen"]:.0f} %. The depth error in the room is expected to be '
+                f'{expectation(judged.found["expected"])}.')
     if 'search' in judged.found:
         sentence += f' {in_markdown(judged.found["search"]["certificate"]["sentence"])}'
     return sentence

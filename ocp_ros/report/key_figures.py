@@ -3,6 +3,7 @@
 """The key figures of a judged placement in words, for the sheet and the page."""
 
 from collections import Counter
+from collections.abc import Mapping
 from math import ceil
 import re
 import shlex
@@ -78,9 +79,12 @@ def _cards(judged: Assessment) -> list[tuple[str, str, str]]:
     scores, missed = judged.found['scores'], judged.found['missed']
     points, least = scores['points'], scores['seen_by']
     error, nothing = scores['depth_error'], scores['depth_error_of_nothing']
+    hoped = judged.found['expected']
     twice = sum(count for number, count in scores['overlap'].items() if number not in '01')
     cards = [
         ('depth error', metres(error), f'{metres(nothing)} without cameras'),
+        ('expected', metres(hoped['depth_error']),
+         f'{metres(hoped["low"])} to {metres(hoped["high"])} in nine of ten rooms'),
         ('seen', percent(scores['seen']),
          'of the points, by a camera' if least == 1 else f'of the points, by {least} cameras'),
         ('seen twice', percent(twice / points), 'by two cameras or more'),
@@ -112,6 +116,12 @@ def _cards(judged: Assessment) -> list[tuple[str, str, str]]:
 def metres(length: float) -> str:
     """Return a length with as many digits as matter."""
     return f'{length:.{3 if length < 1.0 else 2 if length < 10.0 else 1}f} m'
+
+
+def expectation(expected: Mapping[str, float]) -> str:
+    """Say what depth error is expected in the room itself, and within which interval."""
+    return (f'{metres(expected["depth_error"])} ({metres(expected["low"])} to '
+            f'{metres(expected["high"])} in nine of ten rooms)')
 
 
 def gap_percent(gap: float) -> float:

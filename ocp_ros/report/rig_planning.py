@@ -10,7 +10,7 @@ import numpy as np
 
 from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.planners.budget import Budget
-from ocp_ros.planners.rig_methods import check_planner, EXACT, RIG_SEARCH
+from ocp_ros.planners.rig_methods import check_planner, RIG_SEARCH
 from ocp_ros.planners.rig_plan import RigPlan, RigPlanner
 from ocp_ros.planners.rig_search import Progress
 from ocp_ros.report.assessment import Assessment
@@ -29,6 +29,8 @@ CAMERAS, SECONDS, SECONDS_EACH = 4, 60.0, 15.0
 MOUNT = 'walls'
 #: Share of the seconds for proving how good an answer is.
 PROVING = 0.25
+#: Per cent: no bound is closer to a proof than this.
+LEAST_PERCENT = 0.1
 
 
 class Counting(NamedTuple):
@@ -74,7 +76,8 @@ class PlanTask:
         seconds = self.seconds
         if seconds is None and self.evaluations is None:
             seconds = SECONDS if self.counting is None else SECONDS_EACH
-        if seconds is None or self.planner == EXACT:
+        if seconds is None or self.planner == RIG_SEARCH:
+            # It proves its answer itself.
             return Budget(seconds, self.evaluations), seconds
         return Budget((1.0 - PROVING) * seconds, self.evaluations), PROVING * seconds
 
@@ -172,10 +175,11 @@ def certificate_data(plan: RigPlan) -> dict[str, Any]:
     known = plan.certificate
     if known is None:
         return {'sentence': f'The optimality gap is unknown: {plan.uncertain}.', 'gap': None}
-    percent = gap_percent(known.gap)
-    more = f' by more than {percent:.1f} %' if percent > 0.0 else ''
-    without = ', without what regions must see' if any(
-        region.must_see for region in plan.rig.regions) else ''
-    return {'sentence': f'No placement on the {known.candidates:,} compared candidate poses is '
-                        f'better{more} (computed on depth maps of {known.rows} rows{without}).',
-            'gap': known.gap, **asdict(known)}
+    apart = f'{known.step:.1g} m' + (f' and {known.turn:g} degrees' if known.turn else '')
+    gained = (f'; moving off this grid gained {100.0 * known.moved:.1f} %'
+              if known.moved >= LEAST_PERCENT / 100.0 else '')
+    return {'sentence': f'No placement on {known.candidates:,} candidate poses ({apart} apart, '
+                        f'closer around the cameras) is better by more than '
+                        f'{max(gap_percent(known.gap), LEAST_PERCENT):.1f} %{gained} (computed on '
+                        f'depth maps of {known.rows} rows).',
+            'gap': known.gap, 'moved': known.moved, **asdict(known)}

@@ -12,7 +12,7 @@ from rich.table import Table
 from ocp_ros.planners.registry import ONLINE
 from ocp_ros.report.count_report import show_curve
 from ocp_ros.report.installer import COLUMNS
-from ocp_ros.report.key_figures import percent
+from ocp_ros.report.key_figures import expectation, percent
 from ocp_ros.report.room_facts import show_notes
 from ocp_ros.rig.placement_file import ANGLES, FIXED
 
@@ -45,6 +45,7 @@ def show_verdict(console: Console, found: Mapping[str, Any]) -> None:
                   f'{scores["space_coverage"]:.1f} of {scores["volume"]:.1f} m³; '
                   f'{percent(scores["seen"])} of the points seen by {by}; objective value '
                   f'{scores["loss"]:.4f}')
+    console.print(f'expected in the room itself: {expectation(found["expected"])}')
     if 'planned' in found:
         before = found['planned']
         console.print(f'as planned: depth error {before["depth_error"]:.3f} m, space coverage '

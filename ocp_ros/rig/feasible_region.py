@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.rig.free_plane import EDGE, FreePlane
-from ocp_ros.rig.mounts import headings_of, places_in, spread
+from ocp_ros.rig.mounts import ALIKE, headings_of, places_in, spread
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.rig.structure import (
     Air,
@@ -30,6 +30,10 @@ from ocp_ros.util.settings import ConfigurationError
 LEEWAY, SHORT, ROUNDING = 0.01, 0.001, 1e-5
 #: Radians that a camera may be off the rolls of its mount: brackets are turned by hand.
 ROLL_LEEWAY = np.deg2rad(10.0)
+#: Fewer places leave no room for several cameras.
+FEW_PLACES = 48
+#: Radians: steps of yaw and pitch of few poses, and of a dense grid of them.
+COARSE, DENSE = np.deg2rad((30.0, 19.0)), np.deg2rad((15.0, 9.5))
 #: What messages call the constraint that a ball can be carried to a camera.
 FREE_SPACE = 'free space'
 #: Metres from a camera on a wall into the room, where there has to be floor.
@@ -114,12 +118,38 @@ class FeasibleRegion:
         Return poses that a search may choose from, all of them allowed.
 
         :param model: the camera.
-        :param most: how many at most, above 0; places are spread evenly, each with all headings.
+        :param most: how many at most, above 0; places are spread evenly, each with all headings,
+            or, where these would be few places, with some.
         :returns: (M, 6) metres, map frame, and radians.
         :raises ConfigurationError: if there is no place where the camera may hang.
         """
+        headings = headings_of(self.rig, model, *COARSE)
+        places, headings, _ = self._poses(
+            model, headings, max(most, min(FEW_PLACES, most) * len(headings)))
+        poses = np.concatenate([np.repeat(places[:, None], headings.shape[1], axis=1), headings],
+                               axis=2).reshape(-1, 6)
+        count = min(most, len(poses))
+        return poses[np.arange(count) * len(poses) // count]
+
+    def pose_grid(self, model: CameraModel, step: float, most: int
+                  ) -> tuple[np.ndarray, np.ndarray, float]:
+        """
+        Return a dense grid of poses, all of them allowed.
+
+        :param model: the camera.
+        :param step: metres between places, less where all its headings are one.
+        :param most: poses at most; places are farther apart where there would be more.
+        :returns: places (P, 3), metres, map frame, headings (P, H, 3), radians, and how far
+            feasible places are from the nearest of these at most, metres.
+        :raises ConfigurationError: if there is no place where the camera may hang.
+        """
+        headings = headings_of(self.rig, model, *DENSE)
+        return self._poses(model, headings, most, step if len(headings) > 1 else 0.5 * step)
+
+    def _poses(self, model: CameraModel, headings: np.ndarray, most: int, apart: float = ALIKE
+               ) -> tuple[np.ndarray, np.ndarray, float]:
+        """Spread places, with headings (H, 3); see :meth:`pose_grid`."""
         offered = places_in(self.rig, self.scene, self.space, self.surface)
-        headings = headings_of(self.rig, model)
         # A pitch and a roll that are allowed, so that only the place is judged.
         level = np.zeros((len(offered.positions), 6))
         level[:, :3], level[:, 4:] = offered.positions, headings[0, 1:]
@@ -130,11 +160,10 @@ class FeasibleRegion:
                 f'{self._bites(level, model)}', 'one at least', 'change that, or the mount or '
                 'its height')
         positions, inwards = offered.positions[good], offered.inwards[good]
-        chosen = spread(positions, max(most // len(headings), 1))
-        poses = np.zeros((len(chosen), len(headings), 6))
-        poses[..., :3], poses[..., 3:] = positions[chosen, None], headings
-        poses[..., 3] += inwards[chosen, None]
-        return poses.reshape(-1, 6)[:most]
+        chosen, away = spread(positions, max(most // len(headings), 1), apart)
+        turned = np.repeat(headings[None], len(chosen), axis=0)
+        turned[..., 0] += inwards[chosen, None]
+        return positions[chosen], turned, away
 
     def _bites(self, poses: np.ndarray, model: CameraModel) -> str:
         """Name the constraint without which most of some poses, all broken, would be allowed."""

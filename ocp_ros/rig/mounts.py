@@ -17,9 +17,9 @@ from ocp_ros.scenes.scene import Scene
 DENSE, LEVELS = 4000, 0.3
 #: Points of a wall as far as this above or below a height stand for it, metres.
 BAND = 0.2
-#: Degrees: step of yaw; cameras with a wider view than the second take the wider step; how far
-#: to either side a camera on a wall looks; how much of a range each pitch stands for.
-NARROW_STEP, WIDE_STEP, WIDE, SIDEWAYS, PITCHES = 30.0, 45.0, 75.0, 60.0, 30.0
+#: Radians: how far to either side a camera on a wall looks, and how far down one looks at most
+#: unless the rig says so.
+SIDEWAYS, STEEPEST = np.deg2rad(60.0), np.deg2rad(38.0)
 #: Metres: places this near to each other are one.
 ALIKE = 0.02
 FULL_TURN = 2.0 * np.pi
@@ -80,25 +80,35 @@ def _along_walls(heights: np.ndarray, space: FreePlane, walls: MountSurface) -> 
     return MountPlaces(np.concatenate(positions), np.concatenate(inwards))
 
 
-def headings_of(rig: Rig, model: CameraModel) -> np.ndarray:
+def pitches_of(rig: Rig, step: float) -> np.ndarray:
+    """
+    Return the pitches that are worth a look, about so many radians apart.
+
+    Steeper ones than 38 degrees show little of a room; they count where the rig asks for them.
+    """
+    low, high = rig.pitch
+    if 'pitch' not in rig.document.data:
+        high = float(np.clip(STEEPEST, low, high))
+    return np.linspace(low, high, int(np.ceil((high - low) / step - 1e-9)) + 1)
+
+
+def headings_of(rig: Rig, model: CameraModel, step: float, tilt: float) -> np.ndarray:
     """
     Return the ways a camera may be turned, relative to looking into the room.
 
+    :param step: of yaw, radians.
+    :param tilt: of pitch, radians.
     :returns: (H, 3) yaw, pitch, roll in radians; one for an omnidirectional camera.
     """
     if model.omnidirectional:
         return np.zeros((1, 3))
-    low, high = rig.pitch
-    count = int(np.clip(np.ceil(np.rad2deg(high - low) / PITCHES), 1, 3))
-    pitches = low + (high - low) * (np.arange(count) + 0.5) / count
     if model.horizontal_fov >= FULL_TURN - 1e-9:
         # As level as may be.
-        return np.array([[0.0, np.clip(0.0, low, high), rig.rolls[0]]])
-    step = np.deg2rad(WIDE_STEP if model.horizontal_fov >= np.deg2rad(WIDE) else NARROW_STEP)
+        return np.array([[0.0, np.clip(0.0, *rig.pitch), rig.rolls[0]]])
     yaws = np.arange(0.0, FULL_TURN - 1e-9, step)
     if rig.mount.on == 'walls':
-        yaws = np.deg2rad(np.arange(-SIDEWAYS, SIDEWAYS + 1.0, NARROW_STEP))
-    return np.array([(yaw, pitch, roll) for roll in rig.rolls for pitch in pitches
+        yaws = np.arange(-SIDEWAYS, SIDEWAYS + 1e-9, step)
+    return np.array([(yaw, pitch, roll) for roll in rig.rolls for pitch in pitches_of(rig, tilt)
                      for yaw in yaws])
 
 
@@ -118,18 +128,21 @@ def first_headings(rig: Rig, positions: np.ndarray, middle: np.ndarray) -> np.nd
     return headings
 
 
-def spread(positions: np.ndarray, count: int) -> np.ndarray:
+def spread(positions: np.ndarray, count: int, apart: float = ALIKE) -> tuple[np.ndarray, float]:
     """
     Choose some of many places, each time the one farthest from those before.
 
     :param positions: (P, 3) metres, P >= 1.
-    :returns: at most so many indices, the place nearest to the middle first.
+    :param count: the most to choose.
+    :param apart: metres; places that are nearer to a chosen one are not chosen.
+    :returns: indices, the place nearest to the middle first, and how far the farthest place is
+        from the nearest chosen one, metres.
     """
     nearest = np.linalg.norm(positions - positions.mean(axis=0), axis=1)
     chosen = [int(np.argmin(nearest))]
     nearest = np.linalg.norm(positions - positions[chosen[0]], axis=1)
-    while len(chosen) < count and nearest.max() > ALIKE:
+    while len(chosen) < count and nearest.max() > apart:
         chosen.append(int(np.argmax(nearest)))
         away = np.linalg.norm(positions - positions[chosen[-1]], axis=1)
         nearest = np.minimum(nearest, away)
-    return np.array(chosen)
+    return np.array(chosen), float(nearest.max())

@@ -48,6 +48,19 @@ class _Layers(NamedTuple):
         return float(self.areas[(self.z >= low) & (self.z <= high)].sum())
 
 
+def missing_surfaces(scene: Scene) -> tuple[str, ...]:
+    """Return which of ``ceiling`` and ``floor`` a scan does not show."""
+    return _missing(scene, _layers_of(scene), ceiling_of(scene).points)
+
+
+def _missing(scene: Scene, layers: _Layers, ceiling: np.ndarray) -> tuple[str, ...]:
+    """Return the same for the level surfaces and the points of the ceiling."""
+    floor, least = floor_height(scene), LAYER_SHARE * layers.plan
+    lacking = {'ceiling': _area(scene, ceiling) < least,
+               'floor': layers.within(floor - LAYER, floor + LAYER) < least}
+    return tuple(surface for surface, lacks in lacking.items() if lacks)
+
+
 def room_notes(scene: Scene) -> list[str]:
     """
     Say what makes a scan unlike a room, or unlike one that was read as it is meant.
@@ -57,9 +70,9 @@ def room_notes(scene: Scene) -> list[str]:
     """
     layers, floor = _layers_of(scene), floor_height(scene)
     top = float(np.percentile(scene.points[:, 2], 99.5))
-    bare = layers.within(floor - LAYER, floor + LAYER) < LAYER_SHARE * layers.plan
     ceiling = ceiling_of(scene).points
-    lidless = _area(scene, ceiling) < LAYER_SHARE * layers.plan
+    missing = _missing(scene, layers, ceiling)
+    bare, lidless = 'floor' in missing, 'ceiling' in missing
     tilt = _tilt(scene)
     notes = [*tilt, *_height(top - floor), *_storeys(layers)]
     # What is tilted has neither a floor nor a ceiling at one height.

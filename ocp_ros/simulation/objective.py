@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a placement of a rig is worth: the depth error, and what the rig's regions ask for."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -94,13 +94,20 @@ class Objective:
         """Return the points of the room in the engine's order: (N, 3) metres."""
         return self.simulator.scene.points[self._order]
 
-    @property
-    def costs(self) -> np.ndarray:
-        """Return what each point that is not seen costs by the regions it is in: (N,) loss."""
-        points, costs = len(self.simulator.scene), np.zeros(len(self.simulator.scene))
-        for bits, weight, size in zip(self._regions, self._weights, self._sizes):
-            costs[unpack(bits, points)] += weight / size
-        return costs
+    def point_costs(self) -> Iterator[tuple[np.ndarray, float]]:
+        """
+        Yield what points cost that are not seen, beside the depth error.
+
+        :returns: (N,) loss of each point in the engine's order, and how much of their sum is
+            free: first for the weights of all regions, then for each that must be seen.
+        """
+        shares = [unpack(bits, len(self.simulator.scene)) / size
+                  for bits, size in zip(self._regions, self._sizes)]
+        if self._weights.any():
+            yield self._weights @ shares, 0.0
+        for share, must in zip(shares, self._must):
+            if must > 0.0:
+                yield MUST * share, MUST * (1.0 - must)
 
     def look(self, poses: np.ndarray) -> list[View]:
         """

@@ -29,8 +29,8 @@ from ocp_ros.simulation.simulator import Evaluation, Simulator, View
 FARTHEST = 100.0
 #: Metres: who ends this near to where it was sent was not stopped.
 NEAR = 0.01
-#: Poses of each model that starts are drawn of.
-STARTS = 4000
+#: Metres between the places that starts are drawn of, and the most poses at these.
+STARTS, MOST_POSES = 0.1, 100_000
 
 
 def settings_for(config: SimulationConfig) -> SimulationConfig:
@@ -189,8 +189,7 @@ class Problem:
     def _starts(self) -> dict[CameraModel, np.ndarray]:
         """Return places where a camera of each model may be: (M, 3) metres."""
         models = dict.fromkeys(camera.model for camera in self.rig.cameras)
-        return {model: np.unique(self.region.candidates(model, STARTS)[:, :3], axis=0)
-                for model in models}
+        return {model: self.region.pose_grid(model, STARTS, MOST_POSES)[0] for model in models}
 
     @cached_property
     def _middle(self) -> np.ndarray:

@@ -9,10 +9,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ocp_ros.geometry.cameras import CameraModel, LEVEL, OMNIDIRECTIONAL, Pose
+from ocp_ros.geometry.cameras import (
+    CameraModel,
+    LEVEL,
+    mark_headings,
+    OMNIDIRECTIONAL,
+    Pose,
+    rotation_matrix,
+)
 from ocp_ros.geometry.coverage import coverable_cell, coverage_grid, space_coverage
 from ocp_ros.geometry.depth_error import DepthError
-from ocp_ros.geometry.packed_bits import no_bits, Subset
+from ocp_ros.geometry.packed_bits import no_bits, Subset, unpack
 from ocp_ros.geometry.visibility import CubeVisibility, PRESETS, SurfelVisibility
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.simulation_config import SimulationConfig
@@ -93,7 +100,7 @@ class Simulator:
                          'of %g m; going on with %g m', scene.name, *scene.size, wanted, cell)
         self.grid, self.cell_volume = coverage_grid(scene.bounds, cell)
         self.visibility = self._make_visibility()
-        self.depth_error = self._error(config.engine.error_rows)
+        self.depth_error = self._make_error()
 
     def _make_visibility(self) -> SurfelVisibility | CubeVisibility:
         """Build what the preset asks for."""
@@ -103,17 +110,12 @@ class Simulator:
         return SurfelVisibility(scene.points, scene.normals_or_estimate, scene.pitch, self.grid,
                                 PRESETS[preset])
 
-    def _error(self, rows: int) -> DepthError:
-        """Build the depth error of maps with so many rows."""
+    def _make_error(self) -> DepthError:
+        """Build the depth error."""
         scene, order, engine = self.scene, self.visibility.order, self.config.engine
         return DepthError(scene.points[order], scene.spacing[order], scene.diameter,
-                          viewpoints_of(scene, engine.viewpoints), rows, engine.error_folds)
-
-    def error_at(self, rows: int) -> DepthError:
-        """Return the depth error of maps with so many rows, of the same viewpoints."""
-        if rows == self.config.engine.error_rows:
-            return self.depth_error
-        return self._error(rows)
+                          viewpoints_of(scene, engine.viewpoints), engine.error_rows,
+                          engine.error_folds)
 
     @property
     def volume(self) -> float:
@@ -144,6 +146,28 @@ class Simulator:
         view = View(no_bits(len(self.scene)), no_bits(len(self.grid)), pose.position)
         self.visibility.look(pose, lens, view.seen, view.covered)
         return view
+
+    def look_around(self, position: np.ndarray, headings: np.ndarray, camera: int = 0
+                    ) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Compute what one camera sees from one place by many headings, with a single look.
+
+        :param position: (3,) metres, map frame.
+        :param headings: (H, 3) yaw, pitch and roll in radians.
+        :param camera: which camera of the rig.
+        :returns: the points (n,) int32, in the engine's order, that it sees by some heading, and
+            by which: (n, W) uint64, bit k of word w for heading 64 w + k.
+        """
+        lens = self._lenses[self.kind(camera)]
+        seen = no_bits(len(self.scene))
+        around = lens._replace(kind=OMNIDIRECTIONAL)
+        self.visibility.look(Pose(position, LEVEL), around, seen)
+        found = np.flatnonzero(unpack(seen, len(self.scene))).astype(np.int32)
+        bits = np.zeros((len(found), -(-len(headings) // 64)), dtype=np.uint64)
+        mark_headings(self.scene.points[self.visibility.order[found]], position,
+                      np.array([rotation_matrix(*heading) for heading in headings]), lens, bits)
+        held = bits.any(axis=1)
+        return found[held], bits[held]
 
     def judge(self, views: Sequence[View]) -> Evaluation:
         """

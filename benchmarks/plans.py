@@ -1,0 +1,142 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What plans deliver in the test rooms, beside the online planner and a search that sees the truth.
+
+The judge is the integral of :mod:`benchmarks.measure`. The truth is the same search with rays cast
+at the mesh in place of the engine's visibility, on fewer points. A hill climb from each answer
+tells what the proof has left. The figures join docs/results/measure.json as ``plans``.
+
+    python -m benchmarks.plans --record
+"""
+
+import argparse
+from concurrent.futures import ProcessPoolExecutor
+from itertools import product
+import json
+from pathlib import Path
+import time
+
+import numpy as np
+
+from benchmarks import results
+from benchmarks.measure import geometric, Judge
+from benchmarks.promise import DENSE, rig_named
+from ocp_ros.geometry.engine_config import PROMISING
+from ocp_ros.planners.annealing import annealed, between
+from ocp_ros.planners.budget import Budget
+from ocp_ros.planners.rig_plan import RigPlanner
+from ocp_ros.planners.rig_search import moved, views_of
+from ocp_ros.report.promise import expected
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.splits import SETS
+from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.simulation.truth import TrueSimulator
+
+#: Rigs of :mod:`benchmarks.promise`; those that the online planner is compared with turn.
+RIGS = ('d455_walls', 'd455_stands', 'all_round_stands')
+#: Evaluations of a plan, and points of the scan that is searched with the truth.
+EVALUATIONS, TRUE_POINTS = 2000, 15_000
+#: Evaluations of a hill climb, its first and last step in metres, and radians for each metre.
+CLIMBED, FAR, NEAR, TURN = 5000, 0.1, 0.005, 0.5
+
+
+def planned(scene: Scene, rig_name: str) -> dict:
+    """Plan, climb on from the answer, and let the online planner play."""
+    rig, began = rig_named(rig_name), time.monotonic()
+    planner = RigPlanner(scene, rig, PROMISING, Budget(evaluations=EVALUATIONS))
+    plan = planner.plan(rig)
+    seconds, known = time.monotonic() - began, plan.certificate
+    problem, rng, step = planner.problem(rig), np.random.default_rng(0), [0.0]
+
+    def steps():
+        for number in range(CLIMBED):
+            step[0] = between(FAR, NEAR, number / CLIMBED)
+            yield 1e-12
+
+    climbed = annealed(plan.answer.sites, lambda sites: problem.objective.loss(views_of(sites)),
+                       lambda sites: moved(problem, sites, step[0], TURN * step[0], rng),
+                       steps(), rng)
+    online = RigPlanner(scene, rig, PROMISING, Budget(evaluations=EVALUATIONS),
+                        planner='lookahead').plan(rig)
+    # Where nearly all can be seen, no bound is above 0.
+    proof = {'gap': 1.0, 'moved': 0.0, 'priced': 0} if known is None else {
+        'gap': known.gap, 'moved': known.moved, 'priced': known.candidates}
+    return {'poses': plan.answer.poses.tolist(), 'promised': plan.worth.depth_error,
+            'worst': plan.worst, 'seconds': seconds, **proof,
+            'climbed': 1.0 - problem.objective.loss(views_of(climbed)) / plan.answer.loss,
+            'online': online.answer.poses.tolist()}
+
+
+def judged(seed: int, rig_name: str, known: dict | None) -> dict:
+    """Plan unless that is done, search with the truth, and judge all."""
+    room, rig = generate_room(seed, DENSE), rig_named(rig_name)
+    found = known or planned(Scene(room.points, room.name), rig_name)
+    few = Scene(room.points[::len(room) // TRUE_POINTS], room.name, mesh=room.mesh)
+    truth = RigPlanner(few, rig, PROMISING, Budget(evaluations=EVALUATIONS),
+                       simulator=TrueSimulator).plan(rig)
+    judge = Judge(room, rig)
+    return {'room': seed, 'rig': rig_name, **found,
+            'delivered': judge.delivered(np.array(found['poses'])),
+            'online_delivered': judge.delivered(np.array(found['online'])),
+            'truth_delivered': judge.delivered(truth.answer.poses)}
+
+
+def summary_of(rows: list[dict]) -> dict:
+    """Sum the rows up, by rig."""
+    found: dict = {'rooms': len({row['room'] for row in rows}), 'evaluations': EVALUATIONS,
+                   'rigs': {}}
+    for rig in dict.fromkeys(row['rig'] for row in rows):
+        some = [row for row in rows if row['rig'] == rig]
+        online = [row['delivered'] / row['online_delivered'] for row in some]
+        truth = [row['delivered'] / row['truth_delivered'] for row in some]
+        hoped = [expected(row['promised'], row['worst']) for row in some]
+        found['rigs'][rig] = {
+            'delivered': round(sum(row['delivered'] for row in some), 2),
+            'plan_over_lookahead': geometric(online),
+            'plan_over_lookahead_worst': round(max(online), 3),
+            'plan_over_truth': geometric(truth), 'plan_over_truth_worst': round(max(truth), 3),
+            'promise_mean': geometric([row['promised'] / row['delivered'] for row in some]),
+            'expected_mean': geometric([hope['depth_error'] / row['delivered']
+                                        for hope, row in zip(hoped, some)]),
+            'promise_coverage': float(np.mean([hope['low'] <= row['delivered'] <= hope['high']
+                                               for hope, row in zip(hoped, some)])),
+            'priced_poses': int(np.median([row['priced'] for row in some])),
+            'certificate_gap': round(float(np.median([row['gap'] for row in some])), 4),
+            'certificate_gap_worst': round(max(row['gap'] for row in some), 4),
+            'moved_off_grid': round(float(np.median([row['moved'] for row in some])), 4),
+            'better_after_proof': round(max(row['climbed'] for row in some), 4)}
+    return found
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Run."""
+    parser = argparse.ArgumentParser(prog='plans', description=__doc__)
+    parser.add_argument('--set', choices=tuple(SETS), default='test', help='of rooms')
+    parser.add_argument('--rooms', type=int, default=10, help='how many of them')
+    parser.add_argument('--workers', type=int, default=2, help='processes')
+    parser.add_argument('--out', type=Path, default=Path('out/plans.jsonl'),
+                        help='rows that were found, with which it goes on')
+    results.add_record(parser, 'measure')
+    options = parser.parse_args(argv)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    lines = options.out.read_text().splitlines() if options.out.exists() else []
+    known = {(row['room'], row['rig']): row for row in map(json.loads, lines)}
+    wanted = list(product(list(SETS[options.set])[:options.rooms], RIGS))
+    rows = [known[task] for task in wanted if 'delivered' in known.get(task, ())]
+    left = [(*task, known.get(task)) for task in wanted if 'delivered' not in known.get(task, ())]
+    with ProcessPoolExecutor(options.workers) as pool, options.out.open('a') as file:
+        for row in pool.map(judged, *zip(*left)) if left else ():
+            rows.append(row)
+            print(json.dumps(row), file=file, flush=True)
+    found = summary_of(rows)
+    print(json.dumps(found, indent=1))
+    if options.record:
+        path = results.FOLDER / 'measure.json'
+        whole = json.loads(path.read_text()) | {
+            'plans': results.stamped(found, results.command_of('plans', argv))}
+        results.write('measure', whole, whole['command'])
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,167 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+How far what a plan delivers is from what the engine promises: the table behind the promise.
+
+Plans are made in validation rooms, scanned densely and thinly and with a surface missing, and are
+judged by the integral of :mod:`benchmarks.measure`. The table holds, by how much of the error of
+seeing nothing is promised, the ratios of what is delivered to what is promised, both with an
+offset, that one plan in twenty is below, that half are below, and that one in twenty is above
+(split conformal prediction: ranks of n + 1).
+
+    python -m benchmarks.promise --record
+"""
+
+import argparse
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks import results
+from benchmarks.measure import EVALUATIONS, Judge
+from ocp_ros.geometry.engine_config import PROMISING
+from ocp_ros.planners.budget import Budget
+from ocp_ros.planners.rig_plan import RigPlanner
+from ocp_ros.rig.rig_file import Rig, rig_of
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.splits import SETS
+from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.util.files import write_atomically
+
+#: The table that the package reads.
+TABLE = results.ROOT / 'ocp_ros' / 'report' / 'promise.json'
+#: Rigs: sensor and mount.
+RIGS = {'d455_walls': ('realsense_d455', {'on': 'walls'}),
+        'd455_stands': ('realsense_d455', {'on': 'plane', 'height': 1.6}),
+        'all_round_stands': ('omnidirectional', {'on': 'plane', 'height': 1.6}),
+        'all_round_ceiling': ('omnidirectional', {'on': 'ceiling'})}
+#: Points of dense and thin scans, and metres of a missing surface's layer.
+DENSE, THIN, LAYER = 60_000, 15_000, 0.15
+#: Where levels of what is promised begin, as shares of the error of seeing nothing.
+LEVELS = (0.0, 0.08, 0.2)
+#: Share of the error of seeing nothing that is added to both: ratios of small errors say little.
+OFFSET = 0.05
+#: Chance that what is delivered is below or above the interval.
+OUTSIDE = 0.05
+
+
+class Case(NamedTuple):
+    """
+    A plan.
+
+    :ivar rig: a name of :data:`RIGS`.
+    :ivar points: of the scan.
+    :ivar missing: ``ceiling``, ``floor`` or nothing.
+    """
+
+    rig: str
+    points: int = DENSE
+    missing: str = ''
+
+
+CASES = (*(Case(rig) for rig in RIGS), Case('d455_walls', THIN), Case('all_round_stands', THIN),
+         Case('d455_walls', DENSE, 'ceiling'), Case('d455_walls', DENSE, 'floor'))
+
+
+def rig_named(name: str) -> Rig:
+    """Return a rig of four cameras."""
+    sensor, mount = RIGS[name]
+    return rig_of(4, sensor, mount=mount)
+
+
+def scanned(room: Scene, missing: str) -> Scene:
+    """Return what a scan shows of a room without a surface."""
+    low, high = room.bounds[:, 2]
+    z = room.points[:, 2]
+    kept = (z < high - LAYER if missing == 'ceiling' else
+            z > low + LAYER if missing == 'floor' else np.ones(len(z), dtype=bool))
+    return Scene(room.points[kept], room.name)
+
+
+def planned(scene: Scene, case: Case) -> dict:
+    """Plan in a scan: poses, the error that is promised and that of seeing nothing, metres."""
+    rig, budget = rig_named(case.rig), Budget(evaluations=EVALUATIONS)
+    planner = RigPlanner(scene, rig, PROMISING, budget)
+    plan = planner.plan(rig)
+    return {'poses': plan.answer.poses.tolist(), 'promised': plan.worth.depth_error,
+            'worst': plan.worst}
+
+
+def row_of(seed: int, case: Case, known: dict | None) -> dict:
+    """Plan unless that is done, and judge."""
+    room = generate_room(seed, case.points)
+    found = known or planned(scanned(room, case.missing), case)
+    judge = Judge(generate_room(seed, DENSE), rig_named(case.rig))
+    return {'room': seed, **case._asdict(), **found,
+            'delivered': judge.delivered(np.array(found['poses']))}
+
+
+def quantiles(ratios: np.ndarray) -> list[float]:
+    """Return the ratios that 5 % are below, half are below and 5 % are above, of n + 1."""
+    ratios, count = np.sort(ratios), len(ratios)
+    low = max(int(np.floor(OUTSIDE * (count + 1))) - 1, 0)
+    high = min(int(np.ceil((1.0 - OUTSIDE) * (count + 1))) - 1, count - 1)
+    return [round(float(value), 3) for value in (ratios[low], np.median(ratios), ratios[high])]
+
+
+def table_of(rows: list[dict]) -> dict:
+    """Return the ratios by level, and for each missing surface."""
+    def ratio(some: list[dict]) -> np.ndarray:
+        return np.array([(row['delivered'] + OFFSET * row['worst'])
+                         / (row['promised'] + OFFSET * row['worst']) for row in some])
+
+    whole = [row for row in rows if not row['missing']]
+    level = np.searchsorted(LEVELS, [row['promised'] / row['worst'] for row in whole],
+                            side='right') - 1
+    found = {'offset': OFFSET, 'levels': [
+        {'from': least, 'plans': int((level == k).sum()),
+         'ratios': quantiles(ratio(whole)[level == k])} for k, least in enumerate(LEVELS)]}
+    for surface in ('ceiling', 'floor'):
+        some = [row for row in rows if row['missing'] == surface]
+        times = [row['delivered'] / row['promised'] for row in some]
+        found[surface] = {'plans': len(some), 'ratios': quantiles(ratio(some)),
+                          'times': [round(min(times), 2), round(max(times), 2)]}
+    return found
+
+
+def tasks(seeds: list[int]) -> Iterator[tuple[int, Case]]:
+    """Yield rooms and what is planned in them."""
+    for seed in seeds:
+        for case in CASES:
+            yield seed, case
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Run."""
+    parser = argparse.ArgumentParser(prog='promise', description=__doc__)
+    parser.add_argument('--rooms', type=int, default=18, help='how many validation rooms')
+    parser.add_argument('--workers', type=int, default=2, help='processes')
+    parser.add_argument('--out', type=Path, default=Path('out/promise.jsonl'),
+                        help='rows that were found, with which it goes on')
+    parser.add_argument('--record', action='store_true', help=f'write {TABLE.name}')
+    options = parser.parse_args(argv)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    rows = [json.loads(line) for line in options.out.read_text().splitlines()
+            ] if options.out.exists() else []
+    known = {(row['room'], row['rig'], row['points'], row['missing']): row for row in rows}
+    left = [(seed, case, known.get((seed, *case))) for seed, case in tasks(
+        list(SETS['validation'])[:2 * options.rooms:2])]
+    rows = [row for _, _, row in left if row and 'delivered' in row]
+    left = [task for task in left if task[2] is None or 'delivered' not in task[2]]
+    with ProcessPoolExecutor(options.workers) as pool, options.out.open('a') as file:
+        for row in pool.map(row_of, *zip(*left)) if left else ():
+            rows.append(row)
+            print(json.dumps(row), file=file, flush=True)
+    found = table_of(rows)
+    print(json.dumps(found, indent=1))
+    if options.record:
+        write_atomically(TABLE, json.dumps(
+            results.stamped(found, results.command_of('promise', argv)), indent=1) + '\n')
+
+
+if __name__ == '__main__':
+    main()

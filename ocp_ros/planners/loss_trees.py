@@ -1,0 +1,289 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The loss of a rig as a maximal covering problem on trees of points.
+
+A pixel of the depth maps reads its first visible point. With its points in order of distance, it
+loses the sum over j of (g_{j+1} - g_j) u_j, where g_j is its loss if point j is the first visible
+one, and u_j tells that none of the points 1..j is seen. The differences are not negative, so each
+beginning of a list (a prefix) is a customer with a weight, served by the poses that see any of its
+points. In the trees of :class:`~ocp_ros.geometry.depth_error.DepthError` a prefix is a node. What
+a region asks for is a tree of one node for each of its points.
+
+Whatever multipliers u from 0 to the weights the customers have, no choice of poses loses less than
+the sum of u minus, for each chosen pose, the sum of u over the prefixes that it serves alone: its
+gain. Gains of all headings of a place are computed in one walk over the trees.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ocp_ros.geometry.packed_bits import no_bits, unpack
+from ocp_ros.simulation.objective import Objective
+from ocp_ros.util.kernels import njit
+from ocp_ros.util.threads import mapped
+
+#: Parts of the depth error with cuts of their own.
+PARTS = 16
+#: Customers whose poses add up to at least this are served.
+SERVED = 1.0 - 1e-9
+#: Shares that differ by less from 0 are 0.
+NOTHING = 1e-9
+
+
+class LossTrees(NamedTuple):
+    """
+    Customers as nodes of trees, parents before children, each field (T,) unless said otherwise.
+
+    :ivar point: uint32, the point of a node.
+    :ivar end: uint32, the first node after those below this one.
+    :ivar parent: int32; -1 at a root.
+    :ivar weight: float64, what is lost where no point from the root to the node is seen, in units
+        of the loss.
+    :ivar depth: the most nodes from a root to a leaf.
+    :ivar parts: (B + 1,) int64, where each part begins; each has cuts of its own.
+    :ivar slack: (B,) how much of a part may be lost for nothing: the share of a region that need
+        not be seen.
+    :ivar rounding: by how much rounded weights may have raised the loss.
+    """
+
+    point: np.ndarray
+    end: np.ndarray
+    parent: np.ndarray
+    weight: np.ndarray
+    depth: int
+    parts: np.ndarray
+    slack: np.ndarray
+    rounding: float
+
+    @classmethod
+    def of(cls, objective: Objective) -> 'LossTrees':
+        """Build the trees of a rig's objective; what cameras in place serve weighs nothing."""
+        error = objective.simulator.depth_error
+        point, end = [error.trees.point], [error.trees.end]
+        weights = [_prefix_weights(error.trees) / (error.pixels * error.worst)]
+        roots = np.flatnonzero(_parents(end[0])[0] < 0)
+        wanted = np.arange(1, PARTS) * len(point[0]) // PARTS
+        later = roots[np.minimum(np.searchsorted(roots, wanted), len(roots) - 1)]
+        starts = sorted({0, *later.tolist()})
+        slack = [0.0] * len(starts)
+        for costs, free in objective.point_costs():
+            some = np.flatnonzero(costs)
+            starts.append(sum(map(len, weights)))
+            slack.append(free)
+            point.append(some.astype(np.uint32))
+            end.append(starts[-1] + 1 + np.arange(len(some)))
+            weights.append(costs[some])
+        weight = np.concatenate(weights)
+        rounding = -float(weight[weight < 0.0].sum())
+        end = np.concatenate(end).astype(np.uint32)
+        parent, depth = _parents(end)
+        trees = cls(np.concatenate(point), end, parent, np.maximum(weight, 0.0), depth,
+                    np.array([*starts, len(weight)]), np.array(slack), rounding)
+        fixed = np.bitwise_or.reduce([no_bits(len(objective.simulator.scene)),
+                                      *(view.seen for view in objective.fixed)])
+        seers = unpack(fixed, len(objective.simulator.scene)).astype(np.uint64)[:, None]
+        return trees._replace(weight=trees.weight * trees.unserved(seers, np.ones(1)))
+
+    def unserved(self, seers: np.ndarray, share: np.ndarray) -> np.ndarray:
+        """
+        Tell which customers are served by less than 1.
+
+        :param seers: (N, W) uint64, bits of the poses that see each point.
+        :param share: (n,) from 0 to 1, how much of each pose is chosen.
+        :returns: (T,) bool.
+        """
+        shares = np.zeros(64 * seers.shape[1])
+        shares[:len(share)] = share
+        chosen = np.packbits(shares > NOTHING, bitorder='little').view(np.uint64)
+        found = np.zeros(len(self.weight), dtype=bool)
+
+        def part(number: int) -> None:
+            _mark_unserved(self.point, self.end, seers, chosen, shares, self.depth,
+                           self.parts[number], self.parts[number + 1], found)
+
+        mapped(part, range(len(self.slack)))
+        return found
+
+    def cut(self, seers: np.ndarray, count: int, unserved: np.ndarray
+            ) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Linearise the loss of each part where some customers are served by less than 1.
+
+        Benders cuts (Cordeau, Furini, Ljubic 2019): for every choice z (n,) part b loses
+        ``consts[b] - gains[b] @ z`` at least.
+
+        :param seers: (N, W) uint64, bits of the poses that see each point.
+        :param count: n, of poses.
+        :param unserved: (T,) bool, from :meth:`unserved`.
+        :returns: consts (B,) and gains (B, n).
+        """
+        weight = np.where(unserved, self.weight, 0.0)
+        below = _sums_below(self.parent, weight)
+        gains = np.zeros((len(self.slack), 64 * seers.shape[1]))
+
+        def part(number: int) -> float:
+            first, last = self.parts[number], self.parts[number + 1]
+            _add_gains(self.point, self.end, below, seers, self.depth, first, last, gains[number])
+            return weight[first:last].sum() - self.slack[number]
+
+        return np.array(mapped(part, range(len(self.slack)))), gains[:, :count]
+
+    def priced(self, multipliers: np.ndarray) -> 'PricedTrees':
+        """Return the trees for the gains of poses: multipliers (T,), at most the weights."""
+        points, ends, sums = _kept(self.point, self.end, _sums_below(self.parent, multipliers))
+        return PricedTrees(points, ends, sums, self.depth)
+
+
+class PricedTrees(NamedTuple):
+    """
+    The nodes that still count; see :class:`LossTrees`.
+
+    :ivar point: (T,) uint32.
+    :ivar end: (T,) uint32.
+    :ivar below: (T,) float64, the sum of the multipliers of a node and of all below it.
+    :ivar depth: the most nodes from a root to a leaf.
+    """
+
+    point: np.ndarray
+    end: np.ndarray
+    below: np.ndarray
+    depth: int
+
+    def gains(self, seers: np.ndarray) -> np.ndarray:
+        """Return what each of 64 W poses gains: (64 W,), by the bits (N, W) of who sees what."""
+        gains = np.zeros(64 * seers.shape[1])
+        _add_gains(self.point, self.end, self.below, seers, self.depth, 0, len(self.point), gains)
+        return gains
+
+
+def seers_of(sees: Sequence[np.ndarray], points: int) -> np.ndarray:
+    """
+    Return who sees each point.
+
+    :param sees: n arrays of points that each pose sees.
+    :returns: (points, W) uint64, bit k of word w for pose 64 w + k.
+    """
+    seers = np.zeros((points, max(-(-len(sees) // 64), 1)), dtype=np.uint64)
+    for number, some in enumerate(sees):
+        seers[some, number // 64] |= np.uint64(1 << number % 64)
+    return seers
+
+
+@njit(cache=True, nogil=True)
+def _prefix_weights(trees):
+    """Return what is lost where no point from a tree's root to a node is seen: (T,) metres."""
+    nodes = trees.point.shape[0]
+    weights, path = np.zeros(nodes), np.empty(nodes, dtype=np.uint32)
+    depth = 0
+    for node in range(nodes):
+        while depth and trees.end[path[depth - 1]] <= node:
+            depth -= 1
+        weights[node] += np.float64(trees.rest[node]) - np.float64(trees.gap[node])
+        if depth:
+            weights[path[depth - 1]] += np.float64(trees.gap[node])
+        path[depth] = node
+        depth += 1
+    return weights
+
+
+@njit(cache=True, nogil=True)
+def _parents(end):
+    """Return the parent of each node, -1 at a root: (T,) int32, and how deep the trees are."""
+    nodes = end.shape[0]
+    parent, path = np.empty(nodes, dtype=np.int32), np.empty(nodes, dtype=np.int32)
+    depth = deepest = 0
+    for node in range(nodes):
+        while depth and end[path[depth - 1]] <= node:
+            depth -= 1
+        parent[node] = path[depth - 1] if depth else -1
+        path[depth] = node
+        depth += 1
+        deepest = max(deepest, depth)
+    return parent, deepest
+
+
+@njit(nogil=True, inline='always')
+def _lowest(word):
+    """Return the number of the lowest bit of a word that is set."""
+    bits = (word & (~word + np.uint64(1))) - np.uint64(1)
+    bits -= (bits >> np.uint64(1)) & np.uint64(0x5555555555555555)
+    bits = ((bits & np.uint64(0x3333333333333333))
+            + ((bits >> np.uint64(2)) & np.uint64(0x3333333333333333)))
+    bits = (bits + (bits >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return np.int64((bits * np.uint64(0x0101010101010101)) >> np.uint64(56))
+
+
+@njit(cache=True, nogil=True)
+def _mark_unserved(points, ends, seers, chosen, shares, deepest, first, last, found):
+    """Write :meth:`LossTrees.unserved` of the nodes from ``first`` to ``last``: (T,) bool."""
+    words, sums = seers.shape[1], np.zeros(deepest + 1)
+    path, until = np.zeros((deepest + 1, words), dtype=np.uint64), np.empty(deepest + 1, np.int64)
+    depth, node = 0, first
+    while node < last:
+        while depth and until[depth - 1] <= node:
+            depth -= 1
+        total = sums[depth]
+        for word in range(words):
+            before = path[depth, word]
+            new = seers[points[node], word] & chosen[word] & ~before
+            path[depth + 1, word] = before | new
+            while new:
+                total += shares[word * 64 + _lowest(new)]
+                new &= new - np.uint64(1)
+        end = np.int64(ends[node])
+        if total >= SERVED:
+            node = end
+            continue
+        found[node] = True
+        until[depth], sums[depth + 1] = end, total
+        depth, node = depth + 1, node + 1
+
+
+@njit(cache=True, nogil=True)
+def _sums_below(parent, values):
+    """Return the sum of the values of each node and of all below it: (T,)."""
+    sums = values.copy()
+    for node in range(sums.shape[0] - 1, -1, -1):
+        if parent[node] >= 0:
+            sums[parent[node]] += sums[node]
+    return sums
+
+
+@njit(cache=True, nogil=True)
+def _kept(points, ends, sums):
+    """Leave out the nodes whose sums are 0: points, ends and sums of the others."""
+    nodes = points.shape[0]
+    before, count = np.empty(nodes + 1, dtype=np.uint32), 0
+    for node in range(nodes):
+        before[node] = count
+        count += sums[node] > 0.0
+    before[nodes] = count
+    kept = np.flatnonzero(sums > 0.0)
+    return points[kept], before[ends[kept]], sums[kept]
+
+
+@njit(cache=True, nogil=True)
+def _add_gains(points, ends, sums, seers, deepest, first, last, gains):
+    """Add to each pose's gain the sums at the topmost nodes whose point it sees: (64 W,)."""
+    words, until = seers.shape[1], np.empty(deepest + 1, dtype=np.int64)
+    path = np.zeros((deepest + 1, words), dtype=np.uint64)
+    depth, node = 0, first
+    while node < last:
+        while depth and until[depth - 1] <= node:
+            depth -= 1
+        end = np.int64(ends[node])
+        if sums[node] <= 0.0:
+            node = end
+            continue
+        for word in range(words):
+            before = path[depth, word]
+            new = seers[points[node], word] & ~before
+            path[depth + 1, word] = before | new
+            while new:
+                gains[word * 64 + _lowest(new)] += sums[node]
+                new &= new - np.uint64(1)
+        until[depth] = end
+        depth, node = depth + 1, node + 1

@@ -1,0 +1,106 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""All poses of a camera on a grid of places and headings, and which points each of them sees."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.rig.feasible_region import FeasibleRegion
+from ocp_ros.rig.placement_file import as_written
+from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.util.threads import mapped
+
+#: Metres between places, and poses and bytes of what is seen at most, about; places are farther
+#: apart where there would be more.
+STEP, MOST, BYTES = 0.3, 40_000, 1_000_000_000
+#: Places that are looked from between two looks at the clock.
+CHUNK = 16
+
+
+class PoseGrid:
+    """
+    Poses of one camera model: places, each with headings, looked from once.
+
+    :param simulator: the engine.
+    :param camera: a camera of this model.
+    :ivar places: (P, 3) metres, map frame.
+    :ivar headings: P x (H, 3) yaw, pitch and roll in radians.
+    :ivar step: metres: no feasible place is farther from one of the grid; 0 where nobody says.
+    """
+
+    def __init__(self, simulator: Simulator, camera: int = 0) -> None:
+        self._simulator, self._camera = simulator, camera
+        self.places, self.step = np.empty((0, 3)), 0.0
+        self.headings: list[np.ndarray] = []
+        self._sees: list[tuple[np.ndarray, np.ndarray]] = []
+
+    @classmethod
+    def of(cls, region: FeasibleRegion, simulator: Simulator, model: CameraModel, camera: int,
+           most: int = MOST, over: Callable[[], bool] = lambda: False) -> 'PoseGrid':
+        """
+        Spread poses over where a mount offers some.
+
+        :param most: poses at most.
+        :param over: tells whether there is no time left; the grid then ends.
+        :raises ConfigurationError: if there is no place where the camera may hang.
+        """
+        grid = cls(simulator, camera)
+        most = min(most, 10 * BYTES // len(simulator.scene))
+        places, headings, grid.step = region.pose_grid(model, STEP, most)
+        # Any beginning of it is spread over the room.
+        order = np.random.default_rng(0).permutation(len(places))
+        for first in range(0, len(places), CHUNK):
+            if first and over():
+                break
+            some = order[first:first + CHUNK]
+            grid.add(places[some], headings[some])
+        return grid
+
+    def __len__(self) -> int:
+        """Return the number of poses."""
+        return sum(map(len, self.headings))
+
+    def add(self, places: np.ndarray, headings: Sequence[np.ndarray]) -> None:
+        """Look from places (P, 3), metres, by headings P x (H, 3), radians, and add them."""
+        poses = [as_written(np.column_stack([np.repeat(place[None], len(some), axis=0), some]))
+                 for place, some in zip(places, headings)]
+        self.places = np.vstack([self.places, *(some[:1, :3] for some in poses)])
+        self.headings = [*self.headings, *(some[:, 3:] for some in poses)]
+        self._sees = [*self._sees, *mapped(lambda some: self._simulator.look_around(
+            some[0, :3], some[:, 3:], self._camera), poses)]
+
+    def pose(self, place: int, heading: int) -> np.ndarray:
+        """Return a pose: (6,) metres, map frame, and radians, as its file will have it."""
+        return np.append(self.places[place], self.headings[place][heading])
+
+    def points(self, place: int, heading: int) -> np.ndarray:
+        """Return the points that a pose sees, in the engine's order: (n,) int32."""
+        points, bits = self._sees[place]
+        return points[(bits[:, heading >> 6] >> np.uint64(heading & 63)) & np.uint64(1) > 0]
+
+    def batches(self, places: np.ndarray) -> list[list[int]]:
+        """Put places together whose headings fit into 64 bits; each is in one batch."""
+        batches, left = [], 0
+        for place in places.tolist():
+            left -= len(self.headings[place])
+            if left < 0:
+                batches.append([])
+                left = 64 - len(self.headings[place])
+            batches[-1].append(place)
+        return batches
+
+    def seers(self, places: Sequence[int]) -> np.ndarray:
+        """
+        Return which poses of a batch of places see each point.
+
+        :returns: (N, W) uint64: bits of the headings of one place after those of the other.
+        """
+        words, first = self._sees[places[0]][1].shape[1], 0
+        seers = np.zeros((len(self._simulator.scene), words), dtype=np.uint64)
+        for place in places:
+            points, bits = self._sees[place]
+            seers[points] |= bits << np.uint64(first)
+            first += len(self.headings[place])
+        return seers

@@ -1,0 +1,60 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What depth error a placement will have in the room itself, by what the engine says of its scan.
+
+A search finds what the scan makes look good, so the room's error is mostly a little larger, and
+scans without a ceiling or a floor say nothing of what the cameras miss there. How far the two are
+apart was measured in generated rooms, whose meshes are known: ``promise.json`` is the table, and
+``benchmarks/promise.py`` has written it.
+"""
+
+from collections.abc import Sequence
+from functools import cache
+from importlib.resources import files
+import json
+from typing import Any
+
+import numpy as np
+
+
+@cache
+def _table() -> dict[str, Any]:
+    """Return the table."""
+    return json.loads(files(__package__).joinpath('promise.json').read_text())
+
+
+def ratios_for(error: float, nothing: float, missing: Sequence[str]) -> list[float]:
+    """Return the least, the median and the largest ratio for :func:`expected`."""
+    for surface in missing:
+        if surface in _table():
+            return _table()[surface]['ratios']
+    levels = _table()['levels']
+    number = np.searchsorted([level['from'] for level in levels], error / nothing, side='right')
+    return levels[max(int(number) - 1, 0)]['ratios']
+
+
+def expected(error: float, nothing: float, missing: Sequence[str] = ()) -> dict[str, float]:
+    """
+    Return the depth error that a placement is expected to have in the room itself.
+
+    :param error: depth error by the engine, metres.
+    :param nothing: that of seeing nothing, metres.
+    :param missing: surfaces that the scan does not show, from
+        :func:`~ocp_ros.rig.plausibility.missing_surfaces`.
+    :returns: ``depth_error``, metres, and between which ``low`` and ``high`` it was in nine of
+        ten rooms.
+    """
+    least = _table()['offset'] * nothing
+    low, middle, high = (float(np.clip(ratio * (error + least) - least, 0.0, nothing))
+                         for ratio in ratios_for(error, nothing, missing))
+    return {'depth_error': middle, 'low': low, 'high': high}
+
+
+def notes_on(missing: Sequence[str]) -> list[str]:
+    """Say what a surface that was not scanned does to the expectation."""
+    return [f'without the {surface} in the scan, what the cameras miss there is not known: in '
+            f'{_table()[surface]["plans"]} rooms whose {surface} was left out the true depth '
+            f'error was {_table()[surface]["times"][0]:.1f} to {_table()[surface]["times"][1]:.1f}'
+            f' times that of the scan; scan the {surface} as well'
+            for surface in missing if surface in _table()]

@@ -1,0 +1,226 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Pricing: the trees are the loss, the bound is below every choice, and the clock is obeyed."""
+
+from itertools import combinations
+import json
+
+from conftest import blank_report, made_room
+from hypothesis import given, settings, strategies
+import numpy as np
+import pytest
+
+from ocp_ros.cli.main import main
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.geometry.packed_bits import no_bits, unpack
+from ocp_ros.planners.budget import Budget
+from ocp_ros.planners.candidate_pool import Pool
+from ocp_ros.planners.column_generation import Column, ColumnGeneration
+from ocp_ros.planners.loss_trees import LossTrees
+from ocp_ros.planners.pose_grid import PoseGrid
+from ocp_ros.planners.priced_search import search
+from ocp_ros.rig.rig_file import rig_from, rig_of
+from ocp_ros.scenes.scene_files import save_scene
+from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulator import View
+from ocp_ros.util.yaml_files import Document
+
+FAST = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=16))
+TABLE = {'name': 'table', 'box': [[2, 2, 0], [5, 5, 1.5]], 'weight': 2.0}
+MUST = {'name': 'door', 'box': [[0, 0, 0], [2, 2, 2]], 'weight': 0.5, 'must_see': 0.8}
+IN_PLACE = {'sensor': 'realsense_d455', 'position': [6.0, 6.0, 2.0], 'yaw': 225, 'pitch': 25}
+RIG = """\
+cameras:
+  - {sensor: realsense_d455, count: 2}
+mount: {on: plane, height: 1.9}
+spacing: 0.8
+regions:
+  - {name: table, box: [[2, 2, 0], [5, 5, 1.5]], weight: 2.0}
+"""
+
+
+def problem_of(count=3, sensor='d455', **more):
+    """Return a rig in a small room."""
+    return Problem.of(made_room(8, 2000), rig_of(count, sensor, **more), FAST)
+
+
+def few_of(problem, most):
+    """Return the relaxed choice of about so many poses."""
+    model = problem.rig.models[0]
+    grid = PoseGrid.of(problem.region, problem.simulator, model, 0, most)
+    relaxation = ColumnGeneration(LossTrees.of(problem.objective), [grid],
+                                  [len(problem.rig.cameras)], problem.rig.spacing,
+                                  len(problem.simulator.scene))
+    return relaxation, grid
+
+
+def view_of(grid, place, heading, points):
+    """Return what a pose of a grid sees, without cells."""
+    flags = np.zeros(points, dtype=bool)
+    flags[grid.points(place, heading)] = True
+    bits = no_bits(points)
+    bits.view(np.uint8)[:-(-points // 8)] = np.packbits(flags, bitorder='little')
+    return View(bits, no_bits(0))
+
+
+@pytest.fixture(scope='module')
+def asked():
+    """Return a rig that asks for much, the poses of a few places, and what each of some sees."""
+    problem = problem_of(2, regions=[TABLE, MUST], fixed=[IN_PLACE])
+    relaxation, grid = few_of(problem, 600)
+    numbers = np.random.default_rng(0).choice(len(grid), 40, replace=False)
+    turns = len(grid.headings[0])
+    poses = [(int(k) // turns, int(k) % turns) for k in numbers]
+    return problem, relaxation, grid, poses
+
+
+@pytest.mark.parametrize('mount', ['walls', 'ceiling', 'plane'])
+def test_one_look_around_is_a_look_by_each_heading(mount):
+    problem = problem_of(1, mount={'on': mount})
+    grid = PoseGrid.of(problem.region, problem.simulator, problem.rig.models[0], 0, 400)
+    points = len(problem.simulator.scene)
+    for place in range(len(grid.places)):
+        for heading in range(0, len(grid.headings[place]), 7):
+            pose = grid.pose(place, heading)
+            assert problem.region.allowed(pose[None], problem.rig.models[0]).all()
+            seen = np.flatnonzero(unpack(problem.simulator.look(pose).seen, points))
+            assert np.array_equal(grid.points(place, heading), seen)
+
+
+@settings(max_examples=40, deadline=None)
+@given(data=strategies.data())
+def test_the_trees_are_the_loss_and_cuts_are_below(asked, data):
+    problem, relaxation, grid, poses = asked
+    trees, points = relaxation.trees, len(problem.simulator.scene)
+    chosen = data.draw(strategies.lists(strategies.sampled_from(range(len(poses))), min_size=1,
+                                        max_size=2, unique=True))
+    share = np.array(data.draw(strategies.lists(strategies.floats(0.0, 1.0), min_size=len(poses),
+                                                max_size=len(poses))))
+    loss = problem.objective.loss([view_of(grid, *poses[k], points) for k in chosen])
+    assert relaxation.loss([grid.points(*poses[k]) for k in chosen]) == pytest.approx(
+        loss, abs=1e-6)
+    seers = np.zeros((points, 1), dtype=np.uint64)
+    for k, pose in enumerate(poses):
+        seers[grid.points(*pose)] |= np.uint64(1 << k)
+    consts, gains = trees.cut(seers, len(poses), trees.unserved(seers, share))
+    choice = np.zeros(len(poses))
+    choice[chosen] = 1.0
+    assert np.maximum(consts - gains @ choice, 0.0).sum() <= loss + 1e-6
+
+
+@pytest.mark.parametrize('more', [{}, {'spacing': 3.0}, {'regions': [TABLE, MUST]},
+                                  {'fixed': [IN_PLACE], 'regions': [TABLE]}])
+def test_no_choice_of_all_poses_is_below_the_bound(more):
+    problem = problem_of(2, 'omnidirectional', **more)
+    relaxation, grid = few_of(problem, 40)
+    relaxation.close(lambda: False)
+    points, places = len(problem.simulator.scene), grid.places
+    views = [view_of(grid, place, 0, points) for place in range(len(places))]
+    losses = {(one, other): problem.objective.loss([views[one], views[other]])
+              for one, other in combinations(range(len(places)), 2)
+              if np.linalg.norm(places[one] - places[other]) >= problem.rig.spacing}
+    least, best = min(losses.values()), relaxation.choices(
+        8, np.random.default_rng(0), lambda: False)[0]
+    chosen = tuple(sorted(column.place for column in best.columns))
+    assert losses[chosen] == pytest.approx(best.loss, abs=1e-6)
+    assert relaxation.closed and 0.5 * least < relaxation.bound <= least + 1e-6
+    assert best.loss <= 1.05 * least
+
+
+def test_poses_that_join_later_count():
+    problem = problem_of(2, 'omnidirectional')
+    relaxation, grid = few_of(problem, 10)
+    relaxation.close(lambda: False)
+    before, rng = relaxation.choices(1, np.random.default_rng(0), lambda: False)[0], (
+        np.random.default_rng(1))
+    places = problem.region.candidates(problem.rig.models[0], 200)[:, :3]
+    first = len(grid.places)
+    grid.add(places, [np.zeros((1, 3))] * len(places))
+    relaxation.join([Column(0, first, 0)])
+    relaxation.close(lambda: False)
+    after = relaxation.choices(4, rng, lambda: False)[0]
+    assert relaxation.bound <= after.loss < before.loss and len(relaxation) == first + len(places)
+
+
+def test_two_models_are_chosen_by_their_counts_and_nobody_too_near():
+    rig = rig_from(Document('rig', {'cameras': [
+        {'sensor': 'realsense_d455', 'count': 2}, {'sensor': 'omnidirectional'}], 'spacing': 1.5}))
+    problem = Problem.of(made_room(8, 2000), rig, FAST)
+    answer = search(problem, Pool(problem, 60, dense=800), Budget(evaluations=40), 0)
+    assert problem.region.broken(answer.poses) == []
+    assert answer.certificate.bound <= answer.loss == problem.objective.evaluate(
+        answer.poses).loss
+
+
+@pytest.mark.parametrize('seconds', [0, 3, 30, 300])
+def test_every_part_obeys_the_clock(seconds):
+    problem = problem_of(3, regions=[MUST])
+    pool, now, late = Pool(problem, 60, dense=2000), [0.0], [0]
+
+    def clock():
+        now[0] += 1.0
+        late[0] += now[0] > seconds
+        return now[0]
+
+    answer = search(problem, pool, Budget(float(seconds) or 0.5, clock=clock), 0)
+    assert problem.region.broken(answer.poses) == []
+    # Each place, program and move looks at the clock once more and ends; all take thousands.
+    assert late[0] < 400
+    if answer.certificate is not None:
+        assert answer.certificate.bound <= answer.loss
+
+
+def test_evaluations_make_the_answer_the_same_every_time():
+    problem = problem_of(2)
+    one, again = (search(problem, Pool(problem, 60, dense=1000), Budget(evaluations=60), 3)
+                  for _ in range(2))
+    assert np.array_equal(one.poses, again.poses) and one.loss == again.loss
+    assert one.certificate.bound == again.certificate.bound
+
+
+def test_off_the_grid_it_is_better_than_on_it():
+    problem = problem_of(2)
+    known = search(problem, Pool(problem, 60, dense=1000), Budget(evaluations=400), 0).certificate
+    assert known.found < known.on_grid and known.moved > 0.01
+    assert known.bound <= known.found
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    """Write a room and a rig to the folder that is worked in."""
+    save_scene(made_room(8, 2000), tmp_path / 'room.ply')
+    (tmp_path / 'rig.yaml').write_text(RIG)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr('ocp_ros.report.drawing.sheet.draw', blank_report)
+    return tmp_path
+
+
+def planned(capsys, *arguments):
+    """Return what ocp plan says."""
+    assert main(['plan', 'room.ply', *arguments, '--json']) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize('planner', ['greedy_error', 'rig_search'])
+def test_a_plan_says_how_much_better_others_may_be(files, capsys, planner):
+    found = planned(capsys, '--rig', 'rig.yaml', '--planner', planner, '--evaluations', '200',
+                    '--seconds', '60')
+    search = found['search']
+    known = search['certificate']
+    assert found['broken'] == [] and search['planner'] == planner
+    assert search['searches'][0] == search['loss'] == found['scores']['loss'] == known['found']
+    assert known['candidates'] >= 1000 and known['rows'] == 64 and known['bound'] > 0.0
+    assert known['gap'] == pytest.approx(max(1.0 - known['bound'] / known['found'], 0.0))
+    assert f'{known["candidates"]:,}' in known['sentence']
+    # A bound is no proof that nothing is better.
+    assert ' 0.0 %' not in known['sentence'] and '15 degrees' in known['sentence']
+    for page in ('installer.md', 'report.html'):
+        assert known['sentence'] in (files / 'out/plan' / page).read_text()
+
+
+def test_a_plan_without_a_bound_says_why(files, capsys):
+    (files / 'rig.yaml').write_text(RIG + 'seen_by: 2\n')
+    found = planned(capsys, '--rig', 'rig.yaml', '--evaluations', '100')
+    known = found['search']['certificate']
+    assert known['gap'] is None and 'found seen_by: 2' in known['sentence']
