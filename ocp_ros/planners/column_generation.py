@@ -36,6 +36,8 @@ ROUNDS, PROGRAMS = 60, 12
 CLOSED, SMALL = 0.004, 0.02
 #: Losses, relative, that differ by less are equal.
 EQUAL = 1e-6
+#: Metres: how far from a place of the best choice others stay.
+APART = 0.6
 
 
 class Column(NamedTuple):
@@ -231,26 +233,37 @@ class ColumnGeneration:
         """
         Round what the program chose, and exchange one pose after another for better ones.
 
+        After the first choice, others do without poses near one of its places.
+
         :param count: of different choices at most.
         :returns: the best first; none where the spacing leaves too few places.
         """
         found: dict[tuple[int, ...], float] = {}
-        for attempt in range(3 * count):
+        allowed = np.ones(len(self._share), dtype=bool)
+        places = np.array([self.pose(one)[:3] for one in self._pool])
+        for attempt in range(2 * count):
             share = self._share * (rng.exponential(size=len(self._share)) if attempt else 1.0)
-            chosen = self._rounded(share)
-            if chosen is None or len(found) == count or (found and over()):
-                break
-            chosen, loss = self._exchanged(chosen, over)
+            if found:
+                best = min(found, key=lambda chosen: found[chosen])
+                centre = places[best[attempt // 2 % len(best)]]
+                least = APART if attempt % 2 else 0.0
+                allowed = np.linalg.norm(places - centre, axis=1) >= least
+            chosen = self._rounded(share, allowed)
+            if chosen is None:
+                continue
+            chosen, loss = self._exchanged(chosen, allowed, over)
             found[tuple(sorted(chosen))] = loss
+            if len(found) == count or over():
+                break
         return sorted(Choice(loss, tuple(self._pool[k] for k in chosen))
                       for chosen, loss in found.items())
 
-    def _rounded(self, share: np.ndarray) -> list[int] | None:
-        """Return a choice of the pool with the largest shares; None where they find no room."""
+    def _rounded(self, share: np.ndarray, allowed: np.ndarray) -> list[int] | None:
+        """Return a choice of the allowed poses with the largest shares; None if there is none."""
         chosen: list[int] = []
         left = self.counts.copy()
         for k in np.argsort(-share, kind='stable'):
-            if left[self._group[k]] and not self._near[k, chosen].any():
+            if allowed[k] and left[self._group[k]] and not self._near[k, chosen].any():
                 chosen.append(int(k))
                 left[self._group[k]] -= 1
         return None if left.any() else chosen
@@ -261,7 +274,8 @@ class ColumnGeneration:
         consts, _ = self.trees.cut(seers, 1, self.trees.unserved(seers, np.ones(len(sees))))
         return float(np.maximum(consts, 0.0).sum())
 
-    def _exchanged(self, chosen: list[int], over: Callable[[], bool]) -> tuple[list[int], float]:
+    def _exchanged(self, chosen: list[int], allowed: np.ndarray, over: Callable[[], bool]
+                   ) -> tuple[list[int], float]:
         """Exchange the pose whose exchange helps most until none does; return it and its loss."""
         loss = np.inf
         while True:
@@ -273,9 +287,9 @@ class ColumnGeneration:
                 consts, gains = self.trees.cut(self._seers, len(share),
                                                self.trees.unserved(self._seers, share))
                 losses = np.maximum(consts[:, None] - gains, 0.0).sum(axis=0)
-                allowed = (self._group == self._group[own]) & ~self._near[others].any(axis=0)
-                allowed[others] = False
-                losses[~allowed] = np.inf
+                good = (self._group == self._group[own]) & ~self._near[others].any(axis=0)
+                good[others] = False
+                losses[~(good & allowed)] = np.inf
                 if losses.min() < best[0]:
                     best = (float(losses.min()), number, int(np.argmin(losses)))
             if best[1] is None:

@@ -175,7 +175,7 @@ def certificate_data(plan: RigPlan) -> dict[str, Any]:
     known = plan.certificate
     if known is None:
         return {'sentence': f'The optimality gap is unknown: {plan.uncertain}.', 'gap': None}
-    apart = f'{known.step:.1g} m' + (f' and {known.turn:g} degrees' if known.turn else '')
+    apart = f'{known.step:.2g} m' + (f' and {known.turn:g} degrees' if known.turn else '')
     gained = (f'; moving off this grid gained {100.0 * known.moved:.1f} %'
               if known.moved >= LEAST_PERCENT / 100.0 else '')
     return {'sentence': f'No placement on {known.candidates:,} candidate poses ({apart} apart, '
