@@ -108,8 +108,9 @@ def test_two_storeys_are_noticed():
 
 @pytest.mark.parametrize('keep, words', [
     (lambda points: points[:, 2] < 2.7, 'no ceiling'),
-    (lambda points: points[:, 2] > 0.1, 'no floor')])
-def test_a_missing_floor_or_ceiling_is_noticed(keep, words):
+    (lambda points: points[:, 2] > 0.1, 'no floor'),
+    (lambda points: points[:, 1] < 3.95, 'no wall')])
+def test_a_missing_surface_is_noticed(keep, words):
     points = box_sides(np.array([6.0, 4.0, 2.8]), np.array([3.0, 2.0, 1.4]))
     assert of_kind(room_notes(scene_of(points[keep(points)])), words)
 

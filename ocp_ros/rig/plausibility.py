@@ -6,7 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
+from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.structure import ceiling_of, floor_height, LAYER, LEVEL, STEEP, walls_of
 from ocp_ros.scenes.scene import Scene
 
@@ -28,6 +30,9 @@ FACTORS = {0.3048: 'feet', 0.1: 'a unit ten times smaller', 0.01: 'centimetres',
 NEAR, TRIFLE, OVERTURNED, LOWER = (0.15, 0.8), 0.2, -0.45, 0.35
 #: Square metres of a scan without a ceiling that may be outdoors, and of its walls in that.
 LARGE, ENCLOSED = 300.0, 0.3
+#: Metres from the edge of the floor to a wall, how much more for each metre between points, and
+#: the share of the edge that may have none.
+BESIDE, THIN, OPEN = 0.6, 3.0, 0.2
 
 
 class _Layers(NamedTuple):
@@ -79,8 +84,13 @@ def room_notes(scene: Scene) -> list[str]:
     if bare and not tilt:
         notes.append('found no floor; expected a level one below everything; check which axis is '
                      'up (--up), or scan the floor as well')
-    if lidless and layers.plan > LARGE and _area(scene, walls_of(scene).points) < (
-            ENCLOSED * layers.plan):
+    walls = walls_of(scene).points
+    outdoors = lidless and layers.plan > LARGE and _area(scene, walls) < ENCLOSED * layers.plan
+    if not (bare or outdoors or tilt) and (share := _open(scene, walls)) > OPEN:
+        notes.append(f'found no wall along {100.0 * share:.0f} % of the edge of the floor; '
+                     'expected walls all around; what is behind the open side counts as far away, '
+                     'and whether cameras see its wall is not known; scan it as well')
+    if outdoors:
         notes.append(f'found neither ceiling nor walls around {layers.plan:.0f} m²; expected a '
                      'room; depth errors mean little outdoors')
     elif lidless and not tilt:
@@ -90,6 +100,19 @@ def room_notes(scene: Scene) -> list[str]:
         notes.append('found more below the ceiling than above the floor; expected furniture and '
                      'doors to be low; the room may be upside down: turn the scan over if it is')
     return notes
+
+
+def _open(scene: Scene, walls: np.ndarray) -> float:
+    """Return the share of the edge of a room's floor that no wall is near to."""
+    floor = FreePlane.of(scene.points, float(scene.bounds[1, 2]), 1, 0.0, clearance=0.0).floor
+    if floor is None:
+        return 0.0
+    whole = ndimage.binary_fill_holes(np.pad(floor.open, 1))
+    edge = np.argwhere(whole & ~ndimage.binary_erosion(whole)) - 0.5
+    away = cKDTree(walls[:, :2]).query(floor.low + floor.edge * edge)[0] if len(walls) else np.inf
+    # Thin scans do not show every part of a wall.
+    beside = BESIDE + THIN * float(np.median(scene.pitch))
+    return float(np.mean(away > beside * np.ones(len(edge))))
 
 
 def _layers_of(scene: Scene) -> _Layers:
