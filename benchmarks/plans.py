@@ -20,7 +20,7 @@ import time
 import numpy as np
 
 from benchmarks import results
-from benchmarks.measure import geometric, Judge
+from benchmarks.measure import geometric, HUNG, Judge, OFF
 from benchmarks.promise import DENSE, rig_named
 from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.planners.annealing import annealed, between
@@ -28,10 +28,15 @@ from ocp_ros.planners.budget import Budget
 from ocp_ros.planners.rig_plan import RigPlanner
 from ocp_ros.planners.rig_search import moved, views_of
 from ocp_ros.report.promise import expected
+from ocp_ros.rig.motion import mounted
 from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.scene_files import load_scene, READERS
 from ocp_ros.scenes.splits import SETS
 from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.simulation.truth import TrueSimulator
+from ocp_ros.util.settings import UserError
 
 #: Rigs of :mod:`benchmarks.promise`; those that the online planner is compared with turn.
 RIGS = ('d455_walls', 'd455_stands', 'all_round_stands')
@@ -39,6 +44,8 @@ RIGS = ('d455_walls', 'd455_stands', 'all_round_stands')
 EVALUATIONS, TRUE_POINTS = 2000, 15_000
 #: Evaluations of a hill climb, its first and last step in metres, and radians for each metre.
 CLIMBED, FAR, NEAR, TURN = 5000, 0.1, 0.005, 0.5
+#: Evaluations of a plan in half a scan, random halves of a scan, and scans that are none.
+HALVED, HALVES, MESHES = 500, 2, ('.obj', '.laz')
 
 
 def planned(scene: Scene, rig_name: str) -> dict:
@@ -82,6 +89,44 @@ def judged(seed: int, rig_name: str, known: dict | None) -> dict:
             'truth_delivered': judge.delivered(truth.answer.poses)}
 
 
+def halved(scene: Scene, rig_name: str, seed: int) -> dict:
+    """Plan in a random half of the points of a scan, and judge by the other half."""
+    rig, order = rig_named(rig_name), np.random.default_rng(seed).permutation(len(scene))
+    here, there = (Scene(scene.points[np.sort(half)], scene.name)
+                   for half in np.array_split(order, 2))
+    plan = RigPlanner(here, rig, PROMISING, Budget(evaluations=HALVED)).plan(rig)
+    judge = Simulator(there, SimulationConfig(engine=PROMISING), rig.models)
+    poses = plan.answer.poses
+    return {'promised': plan.worth.depth_error, 'worst': plan.worst, 'delivered': float(np.mean([
+        judge.evaluate(np.hstack([places, poses[:, 3:]])).depth_error
+        for places in mounted(poses[:, :3], OFF, HUNG, 0)]))}
+
+
+def scans_of(folder: Path) -> dict:
+    """Return how often the interval holds in real scans that are split in half."""
+    rows = []
+    for path, rig, seed in product(sorted(folder.iterdir()), RIGS, range(HALVES)):
+        if path.suffix in READERS and path.suffix not in MESHES:
+            try:
+                rows.append(halved(load_scene(path, max_points=2 * DENSE), rig, seed))
+            except UserError as error:
+                print(f'{path.name}: {error}')
+                continue
+            print(path.name, rig, rows[-1], flush=True)
+    return {'plans': len(rows), **_kept(rows)}
+
+
+def _kept(rows: list[dict]) -> dict:
+    """Return how far promises are kept."""
+    hoped = [expected(row['promised'], row['worst']) for row in rows]
+    return {
+        'promise_mean': geometric([row['promised'] / row['delivered'] for row in rows]),
+        'expected_mean': geometric([hope['depth_error'] / row['delivered']
+                                    for hope, row in zip(hoped, rows)]),
+        'promise_coverage': round(float(np.mean([hope['low'] <= row['delivered'] <= hope['high']
+                                                 for hope, row in zip(hoped, rows)])), 3)}
+
+
 def summary_of(rows: list[dict]) -> dict:
     """Sum the rows up, by rig."""
     found: dict = {'rooms': len({row['room'] for row in rows}), 'evaluations': EVALUATIONS,
@@ -90,17 +135,12 @@ def summary_of(rows: list[dict]) -> dict:
         some = [row for row in rows if row['rig'] == rig]
         online = [row['delivered'] / row['online_delivered'] for row in some]
         truth = [row['delivered'] / row['truth_delivered'] for row in some]
-        hoped = [expected(row['promised'], row['worst']) for row in some]
         found['rigs'][rig] = {
             'delivered': round(sum(row['delivered'] for row in some), 2),
             'plan_over_lookahead': geometric(online),
             'plan_over_lookahead_worst': round(max(online), 3),
             'plan_over_truth': geometric(truth), 'plan_over_truth_worst': round(max(truth), 3),
-            'promise_mean': geometric([row['promised'] / row['delivered'] for row in some]),
-            'expected_mean': geometric([hope['depth_error'] / row['delivered']
-                                        for hope, row in zip(hoped, some)]),
-            'promise_coverage': float(np.mean([hope['low'] <= row['delivered'] <= hope['high']
-                                               for hope, row in zip(hoped, some)])),
+            **_kept(some),
             'priced_poses': int(np.median([row['priced'] for row in some])),
             'certificate_gap': round(float(np.median([row['gap'] for row in some])), 4),
             'certificate_gap_worst': round(max(row['gap'] for row in some), 4),
@@ -118,6 +158,7 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument('--out', type=Path, default=Path('out/plans.jsonl'),
                         help='rows that were found, with which it goes on')
     results.add_record(parser, 'measure')
+    parser.add_argument('--scans', type=Path, help='folder of real scans, for the interval')
     options = parser.parse_args(argv)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     lines = options.out.read_text().splitlines() if options.out.exists() else []
@@ -130,6 +171,8 @@ def main(argv: list[str] | None = None) -> None:
             rows.append(row)
             print(json.dumps(row), file=file, flush=True)
     found = summary_of(rows)
+    if options.scans:
+        found['scans'] = scans_of(options.scans)
     print(json.dumps(found, indent=1))
     if options.record:
         path = results.FOLDER / 'measure.json'

@@ -111,7 +111,7 @@ class ColumnGeneration:
                                 for one in pool], self._points)
         self._group = np.array([one.grid for one in pool])
         places = np.array([self.pose(one)[:3] for one in pool])
-        self._near = cdist(places, places) < max(self.spacing, NOTHING)
+        self._near = cdist(places, places) < self.spacing
         self._share = np.zeros(len(pool))
 
     def close(self, over: Callable[[], bool], places: Sequence[np.ndarray] | None = None) -> None:
@@ -129,15 +129,21 @@ class ColumnGeneration:
             gains = self._gains(multipliers, places, over)
             if gains is None:
                 return
-            most = [np.sort([best.max(initial=0.0) for best in of_grid.values()])[::-1][:count]
-                    for of_grid, count in zip(gains, self.counts)]
-            self.bound = max(self.bound, float(lost - sum(best.sum() for best in most)))
+            self.bound = max(self.bound, lost - sum(
+                self._most(of_grid, count) for of_grid, count in zip(gains, self.counts)))
             better = self._better(gains)
             self.closed = bool(program and value - self.bound <= CLOSED * max(value, SMALL)) or (
                 not better)
             if self.closed or over():
                 return
             self._set_pool([*self._staying(gains), *better])
+
+    def _most(self, gains: dict[int, np.ndarray], count: int) -> float:
+        """Return the most that so many poses of a grid gain, by the gains of its places."""
+        # With a spacing, one camera is at a place.
+        each = [best[:1] if self.spacing > 0.0 else best
+                for best in (-np.sort(-values) for values in gains.values())]
+        return float(np.sort(np.concatenate([*each, np.zeros(count)]))[-count:].sum())
 
     def _relaxed(self, tolerance: float, over: Callable[[], bool]
                  ) -> tuple[float, np.ndarray, float]:

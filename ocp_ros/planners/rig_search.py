@@ -1,9 +1,9 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Where to hang the cameras of a rig: exchanges among candidates, then small moves, by annealing.
+Where to hang the cameras of a rig where no bound is known: annealing.
 
-Several searches begin anew, each with a source of chance of its own: how far their answers agree
+Exchanges among candidates come first, then small moves. Several searches begin anew, each with a source of chance of its own: how far their answers agree
 says how good the best of them may be. Every proposal is rounded as its file will be and held to
 the rig's constraints before it is judged, so the answer is judged as it will be read.
 """
