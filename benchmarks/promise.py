@@ -6,8 +6,8 @@ How far what a plan delivers is from what the engine promises: the table behind 
 Plans are made in validation rooms, scanned densely and thinly and with a surface missing, and are
 judged by the integral of :mod:`benchmarks.measure`. The table holds, by how much of the error of
 seeing nothing is promised, the ratios of what is delivered to what is promised, both with an
-offset, that one plan in twenty is below, that half are below, and that one in twenty is above
-(split conformal prediction: ranks of n + 1).
+offset, that one room in twenty is below, that half of the plans are below, and that one room in
+twenty is above (split conformal prediction over rooms).
 
     python -m benchmarks.promise --record
 """
@@ -100,30 +100,38 @@ def row_of(seed: int, case: Case, known: dict | None) -> dict:
             'delivered': judge.delivered(np.array(found['poses']))}
 
 
-def quantiles(ratios: np.ndarray) -> list[float]:
-    """Return the ratios that 5 % are below, half are below and 5 % are above, of n + 1."""
-    ratios, count = np.sort(ratios), len(ratios)
-    low = max(int(np.floor(OUTSIDE * (count + 1))) - 1, 0)
-    high = min(int(np.ceil((1.0 - OUTSIDE) * (count + 1))) - 1, count - 1)
-    return [round(float(value), 3) for value in (ratios[low], np.median(ratios), ratios[high])]
+def quantiles(rows: list[dict]) -> list[float]:
+    """
+    Return the ratios that 5 % of the rooms are below, half of the plans, and 5 % are above.
+
+    Plans in one room are alike, so rooms are counted: each by its least and its largest ratio, of
+    which the ranks are those of n + 1.
+    """
+    ratios = np.array([(row['delivered'] + OFFSET * row['worst'])
+                       / (row['promised'] + OFFSET * row['worst']) for row in rows])
+    of_room = [ratios[[row['room'] == room for row in rows]]
+               for room in dict.fromkeys(row['room'] for row in rows)]
+    rank = int(np.floor(OUTSIDE * (len(of_room) + 1)))
+    least, largest = np.sort([some.min() for some in of_room]), np.sort(
+        [some.max() for some in of_room])
+    found = least[max(rank - 1, 0)], np.median(ratios), largest[-max(rank, 1)]
+    return [round(float(value), 3) for value in found]
 
 
 def table_of(rows: list[dict]) -> dict:
     """Return the ratios by level, and for each missing surface."""
-    def ratio(some: list[dict]) -> np.ndarray:
-        return np.array([(row['delivered'] + OFFSET * row['worst'])
-                         / (row['promised'] + OFFSET * row['worst']) for row in some])
-
     whole = [row for row in rows if not row['missing']]
     level = np.searchsorted(LEVELS, [row['promised'] / row['worst'] for row in whole],
                             side='right') - 1
+    by_level = [[row for row, number in zip(whole, level) if number == k]
+                for k in range(len(LEVELS))]
     found = {'offset': OFFSET, 'levels': [
-        {'from': least, 'plans': int((level == k).sum()),
-         'ratios': quantiles(ratio(whole)[level == k])} for k, least in enumerate(LEVELS)]}
+        {'from': least, 'plans': len(some), 'ratios': quantiles(some)}
+        for least, some in zip(LEVELS, by_level)]}
     for surface in ('ceiling', 'floor'):
         some = [row for row in rows if row['missing'] == surface]
         times = [row['delivered'] / row['promised'] for row in some]
-        found[surface] = {'plans': len(some), 'ratios': quantiles(ratio(some)),
+        found[surface] = {'plans': len(some), 'ratios': quantiles(some),
                           'times': [round(min(times), 2), round(max(times), 2)]}
     return found
 
