@@ -45,7 +45,7 @@ EVALUATIONS, TRUE_POINTS = 2000, 15_000
 #: Evaluations of a hill climb, its first and last step in metres, and radians for each metre.
 CLIMBED, FAR, NEAR, TURN = 5000, 0.1, 0.005, 0.5
 #: Evaluations of a plan in half a scan, random halves of a scan, and scans that are none.
-HALVED, HALVES, MESHES = 500, 2, ('.obj', '.laz')
+HALVED, HALVES, MESHES = 500, 1, ('.obj', '.laz')
 
 
 def planned(scene: Scene, rig_name: str) -> dict:

@@ -109,8 +109,9 @@ def test_the_trees_are_the_loss_and_cuts_are_below(asked, data):
     assert np.maximum(consts - gains @ choice, 0.0).sum() <= loss + 1e-6
 
 
-@pytest.mark.parametrize('more', [{}, {'spacing': 0.0}, {'spacing': 3.0}, {'regions': [TABLE, MUST]},
-                                  {'fixed': [IN_PLACE], 'regions': [TABLE]}])
+@pytest.mark.parametrize('more', [
+    {}, {'spacing': 0.0}, {'spacing': 3.0}, {'regions': [TABLE, MUST]},
+    {'fixed': [IN_PLACE], 'regions': [TABLE]}])
 def test_no_choice_of_all_poses_is_below_the_bound(more):
     problem = problem_of(2, 'omnidirectional', **more)
     relaxation, grid = few_of(problem, 40)

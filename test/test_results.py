@@ -34,6 +34,11 @@ TABLES = [
      'real.azure', 'calibration/shares/{row}.30cm.{key}', 'within_1cm_05deg refused wrong'),
     (RESULTS, '| planner | median', 'learned_lookahead lookahead', 'nodes/value/{row}/{key}',
      'points_25000_ms/0 points_25000_ms/1 rig_of_four_d455_ms/0 rig_of_four_d455_ms/1'),
+    (RESULTS, '| rig | plan', 'd455_walls d455_stands all_round_stands',
+     'measure/plans/rigs/{row}/{key}',
+     'plan_over_lookahead plan_over_lookahead_worst plan_over_truth plan_over_truth_worst '
+     'expected_mean promise_coverage priced_poses certificate_gap moved_off_grid '
+     'better_after_proof'),
     (RESULTS, '| viewpoints |', 'air paper', 'measure/viewpoints/{row}/{key}',
      'turned_objective_change turned_objective_change_worst rank_correlation '
      'rank_correlation_good over_judge'),
@@ -53,6 +58,8 @@ SENTENCES = [
      '0.002 0.01 0.05'),
     (RESULTS, 'is {} of the delivered one, and {} and {} in scans',
      'measure/promise_over_delivered/{key}', 'turned_0 turned_17 turned_45'),
+    (RESULTS, 'the interval holds in {} of the {} plans', 'measure/plans/scans/{key}',
+     'promise_coverage plans'),
     (RESULTS, 'evaluates {} placements', 'engine/{key}', 'evaluations_per_s'),
     (RESULTS, '{} m in {} s, `tdsa` {} m in {} s. `lookahead` without a scan delivers {} m',
      'benchmark_four_d455/planners/{key}', 'rig_search/300/sum rig_search/300/seconds '

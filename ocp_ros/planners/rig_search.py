@@ -3,9 +3,10 @@
 """
 Where to hang the cameras of a rig where no bound is known: annealing.
 
-Exchanges among candidates come first, then small moves. Several searches begin anew, each with a source of chance of its own: how far their answers agree
-says how good the best of them may be. Every proposal is rounded as its file will be and held to
-the rig's constraints before it is judged, so the answer is judged as it will be read.
+Exchanges among candidates come first, then small moves. Several searches begin anew, each with a
+source of chance of its own: how far their answers agree says how good the best of them may be.
+Every proposal is rounded as its file will be and held to the rig's constraints before it is
+judged, so the answer is judged as it will be read.
 """
 
 from collections.abc import Callable, Iterator, Sequence
