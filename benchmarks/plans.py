@@ -175,9 +175,9 @@ def main(argv: list[str] | None = None) -> None:
         found['scans'] = scans_of(options.scans)
     print(json.dumps(found, indent=1))
     if options.record:
-        path = results.FOLDER / 'measure.json'
+        path, command = results.FOLDER / 'measure.json', results.command_of('plans', argv)
         whole = json.loads(path.read_text()) | {
-            'plans': results.stamped(found, results.command_of('plans', argv))}
+            'plans': results.stamped(found, command.replace(str(options.scans), 'FOLDER'))}
         results.write('measure', whole, whole['command'])
 
 
