@@ -204,7 +204,7 @@ def test_turns_of_a_rig_file_are_learned_from(graph, tmp_path, small_agent):
     assembler = trainer.sources['/'].assembler
     graph.until(lambda: assembler.assembled + assembler.inconsistent == 6)
     # What the room stops, which nobody had seen, is no answer to what was chosen.
-    assert assembler.assembled >= 1
+    assert assembler.assembled >= 3
     graph.until(lambda: trainer.learner.transitions == 2 * assembler.assembled)
 
 

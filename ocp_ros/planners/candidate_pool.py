@@ -122,7 +122,7 @@ class Pool:
         self._found: dict[CameraModel, list[View]] = defaultdict(list)
         self._grids: dict[CameraModel, PoseGrid] = {}
         self._dense = dense
-        models = list(dict.fromkeys(camera.model for camera in rig.cameras))
+        models = rig.placed_models
         #: Whether all that are spread over the room were looked from.
         self.complete = True
         with ThreadPoolExecutor(threads) as workers:

@@ -131,15 +131,16 @@ class ColumnGeneration:
                 return
             self.bound = max(self.bound, lost - sum(
                 self._most(of_grid, count) for of_grid, count in zip(gains, self.counts)))
-            better = self._better(gains)
+            own, needed = self._needed(gains)
+            better = self._better(gains, needed)
             self.closed = bool(program and value - self.bound <= CLOSED * max(value, SMALL)) or (
                 not better)
             if self.closed or over():
                 return
-            self._set_pool([*self._staying(gains), *better])
+            self._set_pool([*self._staying(own, needed), *better])
 
     def _most(self, gains: dict[int, np.ndarray], count: int) -> float:
-        """Return the most that so many poses of a grid gain, by the gains of its places."""
+        """Return the most that ``count`` poses of a grid gain, by the gains of its places."""
         # With a spacing, one camera is at a place.
         each = [best[:1] if self.spacing > 0.0 else best
                 for best in (-np.sort(-values) for values in gains.values())]
@@ -211,9 +212,8 @@ class ColumnGeneration:
         return own, np.array([np.sort(own[self._group == group])[::-1][:count].min(initial=np.inf)
                               for group, count in enumerate(self.counts)])
 
-    def _better(self, gains: Sequence[dict[int, np.ndarray]]) -> list[Column]:
+    def _better(self, gains: Sequence[dict[int, np.ndarray]], needed: np.ndarray) -> list[Column]:
         """Return the poses that gain more than what is chosen, the best of each place."""
-        _, needed = self._needed(gains)
         known, found = set(self._pool), []
         for number, of_grid in enumerate(gains):
             least = needed[number] * (1.0 + EQUAL) + NOTHING
@@ -225,9 +225,8 @@ class ColumnGeneration:
         found.sort(key=lambda pair: -pair[0])
         return [column for _, column in found[:JOINING]]
 
-    def _staying(self, gains: Sequence[dict[int, np.ndarray]]) -> list[Column]:
-        """Return the poses of the pool that are chosen or might be."""
-        own, needed = self._needed(gains)
+    def _staying(self, own: np.ndarray, needed: np.ndarray) -> list[Column]:
+        """Return the poses of the pool that are chosen or might be, by their gains."""
         stays = (self._share > NOTHING) | (own >= LEAVING * needed[self._group])
         for group, count in enumerate(self.counts):
             members = np.flatnonzero(self._group == group)
@@ -273,12 +272,6 @@ class ColumnGeneration:
                 chosen.append(int(k))
                 left[self._group[k]] -= 1
         return None if left.any() else chosen
-
-    def loss(self, sees: Sequence[np.ndarray]) -> float:
-        """Return the loss of poses, by the points that each sees."""
-        seers = seers_of(sees, self._points)
-        consts, _ = self.trees.cut(seers, 1, self.trees.unserved(seers, np.ones(len(sees))))
-        return float(np.maximum(consts, 0.0).sum())
 
     def _exchanged(self, chosen: list[int], allowed: np.ndarray, over: Callable[[], bool]
                    ) -> tuple[list[int], float]:

@@ -27,7 +27,7 @@ class PoseGrid:
     :param camera: a camera of this model.
     :ivar places: (P, 3) metres, map frame.
     :ivar headings: P x (H, 3) yaw, pitch and roll in radians.
-    :ivar step: metres: no feasible place is farther from one of the grid; 0 where nobody says.
+    :ivar step: metres: no feasible place is farther from one of the grid; 0 if that is unknown.
     """
 
     def __init__(self, simulator: Simulator, camera: int = 0) -> None:

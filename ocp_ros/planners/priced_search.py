@@ -120,7 +120,7 @@ class PricedSearch:
         """Return a choice as sites, in the order of the rig's cameras."""
         left = [[one for one in choice.columns if one.grid == number]
                 for number in range(len(relaxation.grids))]
-        models = models_of(self.problem)
+        models = self.problem.rig.placed_models
         poses = [relaxation.pose(left[models.index(camera.model)].pop(0))
                  for camera in self.problem.rig.cameras]
         return tuple(Site(pose, self.problem.simulator.look(pose, camera))
@@ -138,7 +138,7 @@ class PricedSearch:
 
     def _moved(self, sites: tuple[Site, ...], far: float, moves: int, rng: np.random.Generator,
                over: Callable[[], bool]) -> Polished:
-        """Move the cameras of a placement by annealing, from so many metres on."""
+        """Move the cameras of a placement by annealing, in steps that begin with some metres."""
         objective, turn, share = self.problem.objective, 0.5 * far, 0.0
         loss = max(objective.loss(views_of(sites)), LEAST)
 
@@ -180,7 +180,7 @@ class PricedSearch:
                   ) -> Column:
         """Add places and headings near a pose to the grid of its camera; return the pose."""
         region, rig, model = self.problem.region, self.problem.rig, self.problem.rig.models[camera]
-        number = models_of(self.problem).index(model)
+        number = self.problem.rig.placed_models.index(model)
         grid, first = relaxation.grids[number], len(relaxation.grids[number].places)
         poses = np.repeat(pose[None], 2 * PLACES, axis=0)
         poses[1:, :3] += self._rng.uniform(-step, step, (len(poses) - 1, 3))
@@ -199,14 +199,9 @@ class PricedSearch:
         return Column(number, first, 0)
 
 
-def models_of(problem: Problem) -> list:
-    """Return the different models of the cameras to be placed, each once."""
-    return list(dict.fromkeys(camera.model for camera in problem.rig.cameras))
-
-
 def relaxation_of(problem: Problem, pool: Pool, over: Callable[[], bool]) -> ColumnGeneration:
     """Return the relaxed choice of a rig's poses on dense grids."""
-    models = models_of(problem)
+    models = problem.rig.placed_models
     grids: list[PoseGrid] = [copy(pool.grid(problem, model, over)) for model in models]
     counts = [sum(camera.model == model for camera in problem.rig.cameras) for model in models]
     return ColumnGeneration(LossTrees.of(problem.objective), grids, counts, problem.rig.spacing,
@@ -240,7 +235,7 @@ def _certificate(problem: Problem, relaxation: ColumnGeneration, found: float, o
                  seconds: float) -> Certificate:
     """Return what was proved, in units of the loss."""
     bound = max(relaxation.bound - relaxation.trees.rounding, 0.0)
-    turns = any(not model.omnidirectional for model in models_of(problem))
+    turns = any(not model.omnidirectional for model in problem.rig.placed_models)
     return Certificate(
         len(relaxation), max(grid.step for grid in relaxation.grids),
         round(float(np.rad2deg(DENSE[0])), 1) if turns else 0.0,

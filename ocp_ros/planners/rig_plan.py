@@ -67,7 +67,7 @@ class RigPlan:
     seconds: float
     planner: str
     certificate: Certificate | None = None
-    uncertain: str = 'no bound was asked for'
+    uncertain: str = ''
 
     @property
     def shares(self) -> dict[str, float]:
@@ -179,13 +179,13 @@ class RigPlanner:
 
     def certified(self, plan: RigPlan, budget: Budget) -> RigPlan:
         """
-        Prove how much better than a plan others may be, where that is not known yet.
+        Prove how much better than a plan others may be, unless that was tried already.
 
         :param budget: of the proof.
         :returns: the plan with a certificate, or with the reason why there is none.
         """
         problem = self.problem(plan.rig)
-        if plan.certificate is not None:
+        if plan.certificate is not None or plan.uncertain:
             return plan
         if (reason := not_covered(problem.objective)) is not None:
             return replace(plan, uncertain=reason)

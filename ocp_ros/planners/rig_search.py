@@ -72,7 +72,7 @@ class Answer:
     :ivar losses: what the answer of each search is worth.
     :ivar evaluations: how many placements were judged, or refused for where a camera hung.
     :ivar certificate: how much better others may be, where that was proved on the way.
-    :ivar uncertain: why it was not.
+    :ivar uncertain: why it was not, where that was tried.
     """
 
     sites: tuple[Site, ...]
@@ -80,7 +80,7 @@ class Answer:
     losses: tuple[float, ...]
     evaluations: int
     certificate: Certificate | None = None
-    uncertain: str = 'no bound was asked for'
+    uncertain: str = ''
 
     @property
     def poses(self) -> np.ndarray:

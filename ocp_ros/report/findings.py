@@ -142,8 +142,7 @@ def improvements(problem: Problem, poses: np.ndarray, views: Sequence[View]) -> 
     objective, simulator, rig = problem.objective, problem.simulator, problem.rig
     worth = objective.judge(views)
     seen = worth.seen
-    models = [rig.models.index(model) for model in dict.fromkeys(
-        camera.model for camera in rig.cameras)]
+    models = [rig.models.index(model) for model in rig.placed_models]
     best, reachable = None, seen.bits.copy()
     for camera in models:
         try:

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.rig.free_plane import EDGE, FreePlane
-from ocp_ros.rig.mounts import ALIKE, headings_of, places_in, spread
+from ocp_ros.rig.mounts import ALIKE, headings_of, MountPlaces, places_in, spread
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.rig.structure import (
     Air,
@@ -149,21 +149,35 @@ class FeasibleRegion:
     def _poses(self, model: CameraModel, headings: np.ndarray, most: int, apart: float = ALIKE
                ) -> tuple[np.ndarray, np.ndarray, float]:
         """Spread places, with headings (H, 3); see :meth:`pose_grid`."""
+        places, away = self.places(model, max(most // len(headings), 1), apart)
+        turned = np.repeat(headings[None], len(places.positions), axis=0)
+        turned[..., 0] += places.inwards[:, None]
+        return places.positions, turned, away
+
+    def places(self, model: CameraModel, most: int, apart: float = ALIKE
+               ) -> tuple[MountPlaces, float]:
+        """
+        Spread places where a camera may hang, whatever its yaw.
+
+        :param model: the camera.
+        :param most: how many at most, above 0.
+        :param apart: metres; places that are nearer to another are left out.
+        :returns: places, and how far others are from the nearest of these at most, metres.
+        :raises ConfigurationError: if there is no place where the camera may hang.
+        """
         offered = places_in(self.rig, self.scene, self.space, self.surface)
         # A pitch and a roll that are allowed, so that only the place is judged.
         level = np.zeros((len(offered.positions), 6))
-        level[:, :3], level[:, 4:] = offered.positions, headings[0, 1:]
+        level[:, :3], level[:, 4] = offered.positions, np.clip(0.0, *self.rig.pitch)
+        level[:, 5] = self.rig.rolls[0]
         good = self.allowed(level, model)
         if not good.any():
             raise self.rig.document.error(
                 ('mount',), f'no feasible pose in {self.scene.name}'
                 f'{self._bites(level, model)}', 'one at least', 'change that, or the mount or '
                 'its height')
-        positions, inwards = offered.positions[good], offered.inwards[good]
-        chosen, away = spread(positions, max(most // len(headings), 1), apart)
-        turned = np.repeat(headings[None], len(chosen), axis=0)
-        turned[..., 0] += inwards[chosen, None]
-        return positions[chosen], turned, away
+        chosen, away = spread(offered.positions[good], most, apart)
+        return MountPlaces(*(part[good][chosen] for part in offered)), away
 
     def _bites(self, poses: np.ndarray, model: CameraModel) -> str:
         """Name the constraint without which most of some poses, all broken, would be allowed."""

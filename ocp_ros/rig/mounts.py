@@ -82,9 +82,12 @@ def _along_walls(heights: np.ndarray, space: FreePlane, walls: MountSurface) -> 
 
 def pitches_of(rig: Rig, step: float) -> np.ndarray:
     """
-    Return the pitches that are worth a look, about so many radians apart.
+    Return the pitches that are worth a look.
 
     Steeper ones than 38 degrees show little of a room; they count where the rig asks for them.
+
+    :param step: radians between them, about.
+    :returns: (P,) radians.
     """
     low, high = rig.pitch
     if 'pitch' not in rig.document.data:

@@ -147,6 +147,11 @@ class Rig:
         return tuple(camera.model for camera in self.all_cameras)
 
     @property
+    def placed_models(self) -> tuple[CameraModel, ...]:
+        """Return the models of the cameras to be placed, each once."""
+        return tuple(dict.fromkeys(camera.model for camera in self.cameras))
+
+    @property
     def all_cameras(self) -> tuple[Camera, ...]:
         """Return all cameras: K to be placed, then F in place."""
         return self.cameras + tuple(fixed.camera for fixed in self.fixed)

@@ -29,8 +29,8 @@ from ocp_ros.simulation.simulator import Evaluation, Simulator, View
 FARTHEST = 100.0
 #: Metres: who ends this near to where it was sent was not stopped.
 NEAR = 0.01
-#: Metres between the places that starts are drawn of, and the most poses at these.
-STARTS, MOST_POSES = 0.1, 100_000
+#: Places that starts are drawn of, for cameras that are turned and for those that see all around.
+STARTS, ALL_ROUND = 166, 4000
 
 
 def settings_for(config: SimulationConfig) -> SimulationConfig:
@@ -188,8 +188,9 @@ class Problem:
     @cached_property
     def _starts(self) -> dict[CameraModel, np.ndarray]:
         """Return places where a camera of each model may be: (M, 3) metres."""
-        models = dict.fromkeys(camera.model for camera in self.rig.cameras)
-        return {model: self.region.pose_grid(model, STARTS, MOST_POSES)[0] for model in models}
+        return {model: self.region.places(
+            model, ALL_ROUND if model.omnidirectional else STARTS)[0].positions
+            for model in self.rig.placed_models}
 
     @cached_property
     def _middle(self) -> np.ndarray:
