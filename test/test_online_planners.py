@@ -3,7 +3,6 @@
 """Planners without a scan: they keep the rules, know only what was seen, and get somewhere."""
 
 from dataclasses import replace
-import math
 
 from conftest import box_room, flat_clouds, made_room, random_checkpoint
 import numpy as np
@@ -20,15 +19,7 @@ from ocp_ros.geometry.visibility import FINE
 from ocp_ros.planners.greedy_step import GreedyStep
 from ocp_ros.planners.lookahead import Lookahead
 from ocp_ros.planners.map_actor import MapActor
-from ocp_ros.planners.online_planner import (
-    AHEAD,
-    FIRST,
-    HANDOVER,
-    Learned,
-    Online,
-    ThenLookahead,
-    ThinksAhead,
-)
+from ocp_ros.planners.online_planner import AHEAD, Learned, Online, ThinksAhead
 from ocp_ros.planners.rollout import play
 from ocp_ros.planners.step import Limits, OnlineStep
 from ocp_ros.rig.free_plane import FINE_EDGE
@@ -63,9 +54,9 @@ def learned(seed=0):
     return Learned(Policy(random_checkpoint(AgentConfig(CLOUD), seed=1)), *settings(seed))
 
 
-def then_lookahead(seed=0):
-    """Return the greedy step with lookahead in the last turns."""
-    return ThenLookahead(GreedyStep(*settings(seed)), Lookahead(*settings(seed)))
+def guided(seed=0):
+    """Return lookahead that the greedy step makes proposals to."""
+    return Lookahead(*settings(seed), guide=GreedyStep(*settings(seed)))
 
 
 MADE = {
@@ -73,7 +64,7 @@ MADE = {
     'learned': learned,
     'greedy step': lambda seed=0: GreedyStep(*settings(seed)),
     'lookahead': lambda seed=0: Lookahead(*settings(seed)),
-    'then lookahead': then_lookahead}
+    'guided lookahead': guided}
 
 
 @pytest.fixture(scope='module')
@@ -143,8 +134,10 @@ class Middle:
         return 0.01 * away[None].astype(np.float32)
 
 
-THINKING = {'lookahead': lambda: Lookahead(*settings()),
-            'map actor': lambda: MapActor(Middle(), *settings())}
+THINKING = {
+    'lookahead': lambda: Lookahead(*settings()),
+    'map actor': lambda: MapActor(Middle(), *settings()),
+    'guided lookahead': lambda: Lookahead(*settings(), guide=MapActor(Middle(), *settings()))}
 
 
 @pytest.mark.parametrize('name', THINKING)
@@ -167,34 +160,6 @@ def test_in_few_turns_plans_are_made_of_the_newest_cloud(name, engine):
     assert all(made for _, made in thinking(
         THINKING[name](), episode, CONFIG.episode.turns, True))
     assert CONFIG.episode.turns < AHEAD
-
-
-@pytest.mark.parametrize('reflects', [True, False])
-def test_nobody_waits_when_one_planner_hands_over_to_another(engine, reflects):
-    """The plan of the turn in which lookahead begins is made while the cameras move as well."""
-    config = replace(CONFIG, episode=EpisodeConfig(turns=AHEAD, max_step=MAX_STEP))
-    planner = ThenLookahead(THINKING['map actor'](), Lookahead(*settings()))
-    waited = dict.fromkeys(('first', 'lookahead'), 0)
-    for name in waited:
-        part = getattr(planner, name)
-
-        def counted(*what, name=name, plan=part._think):
-            waited[name] += 1
-            plan(*what)
-
-        part._think = counted
-    episode = Episode(PlaneProblem(Simulator(engine.scene, config)), np.random.default_rng(7))
-    played = []
-    for turn in range(AHEAD):
-        waited.update(first=0, lookahead=0)
-        episode.move(planner.move(episode.observed_cloud, episode.turn.positions, turn, AHEAD))
-        played.append(tuple(waited.values()))
-        if reflects:
-            planner.reflect()
-    first = math.ceil(HANDOVER * AHEAD)
-    expected = [(1, 0)] + [(0, 0)] * (AHEAD - 1) if reflects else (
-        [(1, 0)] * first + [(0, 1)] * (AHEAD - first))
-    assert played == expected
 
 
 class Sent(ThinksAhead):
@@ -234,7 +199,7 @@ def test_lookahead_sends_nobody_where_it_cannot_be_in_time(furnished, turn):
     np.testing.assert_allclose(placed, online.targets, atol=FINE_EDGE)
 
 
-@pytest.mark.parametrize('name', ['wanderer', 'greedy step', 'lookahead', 'then lookahead'])
+@pytest.mark.parametrize('name', ['wanderer', 'greedy step', 'lookahead', 'guided lookahead'])
 def test_no_move_is_too_long_or_leads_out_of_what_has_been_seen(name, engine):
     online, episode = MADE[name](), Episode(PlaneProblem(engine), np.random.default_rng(6))
     while not episode.turn.truncated:
@@ -248,7 +213,7 @@ def test_no_move_is_too_long_or_leads_out_of_what_has_been_seen(name, engine):
         episode.move(moves)
 
 
-@pytest.mark.parametrize('name', ['wanderer', 'lookahead', 'then lookahead'])
+@pytest.mark.parametrize('name', ['wanderer', 'lookahead', 'guided lookahead'])
 def test_a_seed_and_a_reset_give_the_same_episode(name, engine, outcomes):
     # A new planner with the same seed; and the second episode of one is that of another.
     one, other = MADE[name](), MADE[name]()
@@ -278,13 +243,38 @@ def test_the_greedy_step_improves_on_its_start(outcomes):
     assert error[-1] < 0.7 * error[0]
 
 
-def test_lookahead_in_the_last_turns_helps(outcomes):
-    hand = outcomes['greedy step'].depth_error
-    both = outcomes['then lookahead'].depth_error
-    # The first planner's turns are its own, and what comes then does better than where it stood.
-    own = max(math.ceil(HANDOVER * (len(both) - 1)), FIRST)
-    np.testing.assert_array_equal(both[:own + 1], hand[:own + 1])
-    assert both[-1] < both[own] and (both[own + 1:] != hand[own + 1:]).all()
+class Proposing(Online):
+    """Proposes the same placement each time."""
+
+    def __init__(self, placement):
+        super().__init__(*settings())
+        self._placement = placement
+
+    def move(self, cloud, positions, turn, turns):
+        """Stay: nobody asks for moves."""
+        return np.zeros((len(positions), 2))
+
+    def propose(self, known):
+        """Propose it."""
+        return self._placement
+
+
+def test_a_proposal_is_taken_where_it_is_better_and_else_changes_nothing(engine):
+    """The first of many turns is answered by a plan to begin with; late ones explore no more."""
+    episode = Episode(PlaneProblem(engine), np.random.default_rng(7))
+    cloud, positions = engine.scene.points, episode.turn.positions
+
+    def planned(guide):
+        online = Lookahead(*settings(), guide=guide)
+        online.move(cloud, positions, 57, 100)
+        return np.column_stack([online.targets, positions[:, 2]])
+
+    alone = planned(None)
+    best = play(MADE['lookahead'](), episode).trajectory[-1]
+    assert engine.evaluate(best).depth_error < engine.evaluate(alone).depth_error
+    for proposal, expected in ((best, best), (positions[[0, 0, 0]], alone)):
+        found = planned(Proposing(np.hstack([proposal, np.zeros((3, 3))])))
+        np.testing.assert_allclose(sorted(found.tolist()), sorted(expected.tolist()), atol=1e-6)
 
 
 def test_lookahead_alone_in_the_last_turn_stays_within_reach():
@@ -300,7 +290,7 @@ def test_lookahead_alone_in_the_last_turn_stays_within_reach():
     assert after < before
 
 
-@pytest.mark.parametrize('name', ['greedy step', 'lookahead', 'then lookahead'])
+@pytest.mark.parametrize('name', ['greedy step', 'lookahead', 'guided lookahead'])
 def test_what_nobody_has_seen_changes_no_move(name, room):
     # Starts keep a clearance from all of the room, seen or not.
     config = replace(CONFIG, episode=replace(CONFIG.episode, clearance=0.0))

@@ -23,7 +23,6 @@ from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
 from ocp_ros.agent.checkpoint import CheckpointError
 from ocp_ros.agent.encoder import Encoder
 from ocp_ros.agent.policy import Policy
-from ocp_ros.planners.online_planner import HANDOVER
 from ocp_ros.planners.rollout import play
 from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.ros.interface import qos, topics
@@ -299,16 +298,14 @@ def test_the_placement_is_final_when_the_cameras_of_a_policy_stand_still(robot):
     assert stamp_to_ns(robot.last(topics.PLACEMENT).header.stamp) == 3
 
 
-def test_lookahead_refines_what_the_policy_has_settled_on(robot, monkeypatch):
+def test_cameras_of_a_policy_that_stands_still_are_placed_by_lookahead(robot, monkeypatch):
     policy = robot.start(turns=21, convergence_distance=0.02)
     monkeypatch.setattr(policy.policy, 'act', lambda *turn: np.zeros((3, 2)))
     positions = [POSITIONS]
     for stamp in range(1, 22):
         robot.send(stamp, positions=positions[-1])
         positions.append(msg_to_positions(robot.command(stamp)))
-    moved = np.abs(np.diff(positions, axis=0)).max(axis=(1, 2)) > 0.0
-    alone = int(np.ceil(HANDOVER * 21))
-    assert not moved[:alone].any() and moved[alone:alone + 3].any()
+    assert np.abs(positions[-1] - positions[0]).max() > 0.1
     assert not policy._settled
     robot.send(22, positions=positions[-1])
     assert stamp_to_ns(robot.last(topics.PLACEMENT).header.stamp) == 22

@@ -24,7 +24,7 @@ from ocp_ros.planners.candidate_sites import (
 )
 from ocp_ros.planners.greedy_step import GreedyStep, POINTS, ROWS
 from ocp_ros.planners.lookahead import Lookahead
-from ocp_ros.planners.online_planner import matched, ThenLookahead
+from ocp_ros.planners.online_planner import matched
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.sensors import SENSORS
 
@@ -36,7 +36,7 @@ CLOUD = thinned(box_room(12.0, 4.0).points, 4000)
 START, PLACED = np.array([6.0, 2.0, 1.9]), (2.0, 10.0)
 PLANNERS = {
     'lookahead': Lookahead, 'greedy step': GreedyStep,
-    'then lookahead': lambda *settings: ThenLookahead(GreedyStep(*settings), Lookahead(*settings))}
+    'guided lookahead': lambda *settings: Lookahead(*settings, guide=GreedyStep(*settings))}
 
 
 def made(name, seed=0):

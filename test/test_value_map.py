@@ -26,7 +26,6 @@ from ocp_ros.agent.value_network import ValueMapNetwork
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.packed_bits import no_bits
 from ocp_ros.planners.map_actor import MapActor
-from ocp_ros.planners.online_planner import ThenLookahead
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from ocp_ros.ros.policy.policy_planners import make_planner
@@ -260,46 +259,10 @@ def test_the_map_actor_is_refused_where_it_cannot_learn():
         from_nested(TrainingConfig, {**TINY, 'values': {'steps': 0}})
 
 
-class Recorded:
-    """A planner that plays the last turns, and what it was told."""
-
-    def __init__(self):
-        self.told = []
-
-    def take_over(self, other):
-        """Take note of where another one would have gone."""
-        self.told.append(other.targets)
-
-    def reset(self):
-        """Keep what was told."""
-
-    def know(self, sight):
-        """Need to know nothing."""
-
-    def move(self, cloud, positions, turn, turns):
-        """Stay."""
-        return np.zeros((len(positions), 2))
-
-
-def test_who_refines_is_told_where_the_actor_would_have_gone(room):
-    positions = standing(room)[:1]
-    known = known_of(room, positions)[1]
-    actor = MapActor(Bowl(known.window, positions[0, :2] + 1.0), np.random.default_rng(0), 0.5,
-                     RANGE, 0.1)
-    refining = Recorded()
-    both = ThenLookahead(actor, refining)
-    for episode in range(2):
-        both.reset()
-        for turn in range(5):
-            both.move(room.points, positions, turn, 5)
-        assert len(refining.told) == episode + 1
-        assert np.array_equal(refining.told[-1], actor.targets)
-
-
 def test_policy_node_runs_the_map_actor_and_takes_new_weights_of_it():
     checkpoint = Checkpoint(AGENT, ValueMapNetwork(AGENT).state_dict())
     config = PolicyNodeConfig(planner='learned_lookahead')
     planner, learned = make_planner(config, checkpoint)
-    assert isinstance(planner, ThenLookahead) and isinstance(learned, MapActor)
+    assert planner.guide is learned and isinstance(learned, MapActor)
     newer = Checkpoint(AGENT, ValueMapNetwork(AGENT).state_dict(), 1)
     assert learned.policy.replaced(newer).checkpoint is newer

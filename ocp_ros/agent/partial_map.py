@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from ocp_ros.geometry.cameras import CameraModel, Frustum, OMNIDIRECTIONAL, Pose
 from ocp_ros.geometry.clouds import cell_numbers, cells_numbered, fixed_size
-from ocp_ros.geometry.depth_error import DepthError, five_viewpoints
+from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.packed_bits import count_bits, no_bits, pack, unpack
 from ocp_ros.geometry.surfels import SurfelSettings
 from ocp_ros.geometry.visibility import FAST, SurfelVisibility
@@ -21,6 +21,7 @@ from ocp_ros.geometry.voxels import thinned_to
 from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.simulator import View
+from ocp_ros.simulation.viewpoints import observed_viewpoints
 
 #: Metres: edge of the cells of the air. They are anchored to the map frame's origin, so that they
 #: stay the same while the observed bounding box grows.
@@ -52,10 +53,11 @@ class PartialMap:
     """
     The engine on what has been seen, and the cells of the air within its bounding box.
 
-    The viewpoints of the depth error are the paper's five in the :func:`smallest_rectangle` around
-    the points. A corner of the rectangle that nobody has looked into yet is air that may be
-    covered if nothing that has been seen hides it from the cameras next to it; the corner that an
-    L-shaped room lacks is behind walls.
+    The viewpoints of the depth error are spread over the floor that has been seen, see
+    :func:`~ocp_ros.simulation.viewpoints.observed_viewpoints`. A corner of the
+    :func:`smallest_rectangle` around the points that nobody has looked into yet is air that may
+    be covered if nothing that has been seen hides it from the cameras next to it; the corner that
+    an L-shaped room lacks is behind walls.
 
     :param cloud: (M, 3) float32, metres, map frame: the points seen so far.
     :param positions: (K, 3) metres: where the cameras are.
@@ -97,7 +99,7 @@ class PartialMap:
         self._views: dict[tuple[bytes, Frustum | None], View] = {}
         self.depth_error = DepthError(
             self.points, scene.spacing[order], scene.diameter,
-            five_viewpoints(corners, float(scene.bounds[:, 2].mean())), rows)
+            observed_viewpoints(scene.points, corners), rows)
 
     def _open(self, tests: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """Tell of four places that are listed last whether cameras near them see them."""
@@ -160,9 +162,9 @@ class PartialMap:
             covered |= view.covered
         return View(seen, covered)
 
-    def error(self, views: list[View]) -> float:
-        """Return the depth error of some views together, metres."""
-        return self.depth_error(np.bitwise_or.reduce([view.seen for view in views]))
+    def error(self, views: list[View], most: float = np.inf) -> float:
+        """Return the depth error of some views together, metres; see :class:`DepthError`."""
+        return self.depth_error(np.bitwise_or.reduce([view.seen for view in views]), most)
 
     def covered(self, cameras: np.ndarray, lenses: Sequence[Frustum | None] | None = None
                 ) -> np.ndarray:

@@ -122,16 +122,17 @@ def _grow(pixels, starts, indices, depths, far, longest):
 
 
 @njit(cache=True, nogil=True)
-def lost_depth(trees, seen):
+def lost_depth(trees, seen, most=np.inf):
     """
     Sum the depth that the pixels of all viewpoints lose.
 
     :param trees: of a :class:`DepthError`.
     :param seen: (W,) uint64, packed bits of the points.
+    :param most: metres; what is above it may be a part of the sum.
     :returns: metres; the error is this divided by the pixels of a map.
     """
     total, node = 0.0, np.uint32(0)
-    while node < trees.point.shape[0]:
+    while node < trees.point.shape[0] and total <= most:
         point = trees.point[node]
         if (seen[point >> np.uint32(6)] >> np.uint64(point & np.uint32(63))) & np.uint64(1):
             total += trees.gap[node]
@@ -149,7 +150,7 @@ def unsettled(trees, seen):
 
     :param trees: of a :class:`DepthError`.
     :param seen: (W,) uint64, packed bits of the points.
-    :returns: the fields of the other trees, and the metres that whole trees lose which are left
+    :returns: the other trees, and the metres that whole trees lose which are left
         out: with more points seen, :func:`lost_depth` of all trees is that of these and as much.
     """
     most = trees.point.shape[0]
@@ -173,7 +174,7 @@ def unsettled(trees, seen):
             count, depth, node = count + np.uint32(1), depth + 1, node + np.uint32(1)
     before[most] = count
     kept = kept[:count]
-    return (trees.point[kept], before[trees.end[kept]], trees.gap[kept], rest[:count]), total
+    return Trees(trees.point[kept], before[trees.end[kept]], trees.gap[kept], rest[:count]), total
 
 
 @njit(cache=True, nogil=True)
@@ -278,15 +279,16 @@ class DepthError:
         """
         return self._maps[viewpoint]
 
-    def __call__(self, seen: np.ndarray) -> float:
+    def __call__(self, seen: np.ndarray, most: float = np.inf) -> float:
         """
         Return the depth observation error of the visible points.
 
         :param seen: (W,) uint64, packed bits of the points.
+        :param most: metres; of an error above it, anything above it may be returned.
         :returns: metres: the sum over five viewpoints of the mean over the pixels; of more
             viewpoints, five times their mean.
         """
-        return lost_depth(self.trees, seen) / self.pixels
+        return lost_depth(self.trees, seen, most * self.pixels) / self.pixels
 
     def beyond(self, seen: np.ndarray, views: Sequence[np.ndarray]) -> np.ndarray:
         """
@@ -296,8 +298,7 @@ class DepthError:
         :param views: M of the same.
         :returns: (M,) metres.
         """
-        left, settled = unsettled(self.trees, seen)
-        trees = Trees(*left)
+        trees, settled = unsettled(self.trees, seen)
         return np.array([settled + lost_depth(trees, view) for view in views]) / self.pixels
 
     def changes(self, beside: Sequence[np.ndarray], views: Sequence[np.ndarray], floor: float

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from ocp_ros.agent.partial_map import PartialMap
 from ocp_ros.agent.rig_state import fixed_views, RigState
 from ocp_ros.geometry.cameras import rotation_matrix
-from ocp_ros.geometry.depth_error import lost_depth
+from ocp_ros.geometry.depth_error import lost_depth, unsettled
 from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.planners.annealing import between
 from ocp_ros.rig.free_plane import FreePlane
@@ -23,6 +23,8 @@ from ocp_ros.util.threads import mapped
 EXCHANGES = 3000
 #: Its first and last temperature, in multiples of the error of seeing nothing.
 HOT, COLD = 0.04, 2e-4
+#: Proposals that a camera is asked in a row.
+IN_A_ROW = 20
 #: Share of its proposals that go anywhere; the others go to one of so many nearest candidates.
 ANYWHERE, NEIGHBOURS = 0.3, 12
 #: Yaws, and at most how many pitches, of cameras that are not omnidirectional.
@@ -45,6 +47,8 @@ def _annealed(chosen, seen, covered, trees, pixels, weight, kind_of, own, firsts
     """
     Exchange one of a choice after another, and return the best choice that came by.
 
+    A camera is asked some times in a row, so that what the others settle is looked at once.
+
     :param chosen: (K,) int64, where to begin.
     :param seen: (S, W) uint64, packed bits of the points that each site sees.
     :param covered: (S, V) uint64, packed bits of the unseen cells that each covers.
@@ -59,32 +63,34 @@ def _annealed(chosen, seen, covered, trees, pixels, weight, kind_of, own, firsts
     :param temperatures: one for each proposal, metres.
     :param rng: numpy.random.Generator.
     """
-    all_seen, all_covered = np.empty_like(seen[0]), np.empty_like(covered[0])
-    trial, state, best = chosen.copy(), chosen.copy(), chosen.copy()
-    value = best_value = 0.0
-    for step in range(-1, len(temperatures)):
-        if step >= 0:
-            trial[:] = state
-            camera = rng.integers(0, len(trial))
-            first, last = firsts[kind_of[camera]], firsts[kind_of[camera] + 1]
-            neighbours = min(near.shape[1], last - first)
+    state, best, best_value = chosen.copy(), chosen.copy(), np.inf
+    for block in range(0, len(temperatures), IN_A_ROW):
+        camera = rng.integers(0, len(state))
+        first, last = firsts[kind_of[camera]], firsts[kind_of[camera] + 1]
+        neighbours = min(near.shape[1], last - first)
+        others_seen, others_covered = np.zeros_like(seen[0]), np.zeros_like(covered[0])
+        for other in range(len(state)):
+            if other != camera:
+                others_seen |= seen[state[other]]
+                others_covered |= covered[state[other]]
+        left, settled = unsettled(trees, others_seen)
+        value = (settled + lost_depth(left, seen[state[camera]])) / pixels - weight * count_bits(
+            others_covered | covered[state[camera]])
+        if value < best_value:
+            best[:], best_value = state, value
+        for temperature in temperatures[block:block + IN_A_ROW]:
             if rng.random() < ANYWHERE or not neighbours:
-                trial[camera] = own[first + rng.integers(0, last - first)]
+                site = own[first + rng.integers(0, last - first)]
             else:
-                trial[camera] = near[trial[camera], rng.integers(0, neighbours)]
-        all_seen[:], all_covered[:] = seen[trial[0]], covered[trial[0]]
-        for site in trial[1:]:
-            all_seen |= seen[site]
-            all_covered |= covered[site]
-        trial_value = _worth(all_seen, all_covered, trees, pixels, weight)
-        if step < 0:
-            value = best_value = trial_value
-            continue
-        rise = trial_value - value
-        if rise <= 0.0 or rng.random() < np.exp(-rise / temperatures[step]):
-            state[:], value = trial, trial_value
-            if value < best_value:
-                best[:], best_value = state, value
+                site = near[state[camera], rng.integers(0, neighbours)]
+            most = value + temperature * rng.exponential()
+            bonus = weight * count_bits(others_covered | covered[site])
+            trial = (settled + lost_depth(
+                left, seen[site], (most + bonus) * pixels - settled)) / pixels - bonus
+            if trial <= most:
+                state[camera], value = site, trial
+                if value < best_value:
+                    best[:], best_value = state, value
     return best
 
 
@@ -160,21 +166,22 @@ class Sites(Candidates):
 
     :param model: the engine on what has been seen.
     :param places: (M, 3) metres, M >= 1.
-    :param plan: (K, 6) the placement so far, whose sites are the first; None where there is none.
+    :param plans: placements (K, 6), whose sites are the first.
     :param sight: the rig.
     :param unseen: packed bits of the model's cells that count as unseen.
     :param weight: what covering one of them is worth, metres of depth error.
     :ivar sites: (S, 6) x, y, z in metres, yaw, pitch, roll in radians.
     """
 
-    def __init__(self, model: PartialMap, places: np.ndarray, plan: np.ndarray | None,
+    def __init__(self, model: PartialMap, places: np.ndarray, plans: Sequence[np.ndarray],
                  sight: RigState, unseen: np.ndarray, weight: float) -> None:
         self.model, self.weight = model, weight
         self.kind_of, firsts = kinds_of(sight)
         sites, of_kind, views = [], [], []
-        if plan is not None:
-            views = [model.look(row, camera.lens) for row, camera in zip(plan, sight.models)]
-            sites, of_kind = list(plan), self.kind_of.tolist()
+        for plan in plans:
+            views += [model.look(row, camera.lens) for row, camera in zip(plan, sight.models)]
+            sites += list(plan)
+            of_kind += self.kind_of.tolist()
         for kind, camera in enumerate(firsts):
             headings = sight.headings(camera, YAWS, PITCHES)
             look = partial(model.look_many, headings=headings, lens=sight.models[camera].lens)

@@ -17,12 +17,19 @@ In an episode of many turns plans are made while the cameras move; see
 
 import numpy as np
 
+from ocp_ros.agent.heading_planner import never
 from ocp_ros.agent.partial_map import cell_weight, KeptModel, PartialMap
-from ocp_ros.agent.rig_state import AROUND, clearance_of, fixed_views, view_from
+from ocp_ros.agent.rig_state import AROUND, clearance_of, fixed_views, RigState, view_from
 from ocp_ros.geometry.visibility import FINE
-from ocp_ros.planners.annealing import accepted, between
+from ocp_ros.planners.annealing import between
 from ocp_ros.planners.candidate_sites import Candidates, most_places, Sites
-from ocp_ros.planners.online_planner import matched, Online, REFINING, ThinksAhead
+from ocp_ros.planners.online_planner import (
+    KnownTurn,
+    matched,
+    Online,
+    REFINING,
+    ThinksAhead,
+)
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.util.threads import mapped
 
@@ -30,9 +37,9 @@ from ocp_ros.util.threads import mapped
 SPACING, CANDIDATES = 0.5, 400
 #: Points and rows of depth maps of the model that candidates are compared on.
 QUICK_POINTS, QUICK_ROWS = 6000, 32
-#: Turns that candidates are kept for, where somebody waits for them to be listed and where nobody
-#: does. Their views are computed in the first of these turns.
-KEPT, KEPT_AHEAD = 3, 2
+#: Turns that candidates are kept for where plans are made while the cameras move. Their views are
+#: computed in the first of these turns.
+KEPT = 2
 #: Points and rows of depth maps of the model to refine on, and turns that it is kept for at least.
 REFINING_POINTS, REFINING_ROWS, REFINING_KEPT = 60000, 128, 4
 #: Proposals of a turn of refinement, and of one that makes a model as well.
@@ -49,15 +56,29 @@ TOGETHER = 4
 
 
 class Lookahead(ThinksAhead):
-    """Explore, plan on what has been seen, and refine the plan while walking to it."""
+    """
+    Explore, plan on what has been seen, and refine the plan while walking to it.
 
-    def __init__(self, *settings) -> None:
+    :param settings: of :class:`Online`.
+    :param guide: proposes placements to begin with, such as a trained actor; None without.
+    """
+
+    def __init__(self, *settings, guide: Online | None = None) -> None:
         super().__init__(*settings)
+        self.guide = guide
         self.reset()
+
+    def know(self, sight: RigState | None) -> None:
+        """Tell the guide as well; see :meth:`Online.know`."""
+        super().know(sight)
+        if self.guide is not None:
+            self.guide.know(sight)
 
     def reset(self) -> None:
         """Forget the last episode."""
         super().reset()
+        if self.guide is not None:
+            self.guide.reset()
         self.targets, self.headings = None, None
         self._candidates: Candidates | None = None
         self._chosen: list[int] = []
@@ -65,54 +86,59 @@ class Lookahead(ThinksAhead):
         #: Turn of the last model or of the last candidates.
         self._made = 0
 
-    def take_over(self, other: Online) -> None:
-        """Go on with where another planner would have gone, if it says so."""
-        self.targets, self.headings = other.targets, other.headings
-
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Plan for a turn; see :meth:`ThinksAhead._think`."""
         if turn >= REFINING * turns:
             self._refine(cloud, positions, turn, turns)
             return
-        kept = KEPT_AHEAD if self._ahead(turns) else KEPT
-        listed = self._candidates is None or turn - self._made >= kept
-        if listed:
+        ahead = self._ahead(turns)
+        if self._candidates is None or not ahead or turn - self._made >= KEPT:
             self._look_around(cloud, positions, turn, turns)
-        # Where somebody waits, candidates alone are enough for a turn.
-        if not (listed and self._waited_for(turn, turns, len(positions))):
+        # Of many turns the first may be answered by what is best for one camera after the other.
+        if not (ahead and self._waited_for(turn, turns, len(positions))):
             self._chosen = self._candidates.anneal(self._chosen, self.rng)
         self._settle(positions)
 
     def _look_around(self, cloud: np.ndarray, positions: np.ndarray, turn: int,
                      turns: int) -> None:
-        """Compute what would be seen from where; the plan so far is among the candidates."""
+        """Compute what would be seen from where, for the plan so far and for what is proposed."""
         model = PartialMap(cloud, positions, self.max_range, QUICK_POINTS, QUICK_ROWS,
                            around=AROUND if self.directional else 0.0)
         unseen, self._space = self.memory.unseen(model), self.space(cloud, positions)
-        self._list(model, self._space, unseen, cell_weight(model, unseen, turn, turns),
+        plans = self._plans(len(positions))
+        if self.guide is not None:
+            self.guide.interrupted = self.interrupted
+            plans.append(self.guide.propose(KnownTurn(
+                cloud, positions, turn, turns, model, self._space, unseen)))
+            self.guide.interrupted = never
+        self._list(model, self._space, unseen, cell_weight(model, unseen, turn, turns), plans,
                    len(positions))
         self._made = turn
 
     def _list(self, model: PartialMap, space: FreePlane, unseen: np.ndarray, weight: float,
-              cameras: int) -> None:
-        """List candidates; the plan so far is among them, and it is chosen."""
+              plans: list[np.ndarray], cameras: int) -> None:
+        """List candidates, first those of some plans (K, 6), and choose the best of these."""
         count = int(np.clip(space.area / SPACING ** 2, 4, CANDIDATES))
-        planned = None if self.targets is None else space.inside(self.targets)
+        plans = [np.hstack([space.placement(space.inside(plan[:, :2])), plan[:, 3:]])
+                 for plan in plans]
         if self.directional:
             places = space.placement(space.grid(min(count, most_places(self.sight))))
-            if planned is not None:
-                planned = np.hstack([space.placement(planned), self._planned_headings()])
-            self._candidates = Sites(model, places, planned, self.sight, unseen, weight)
+            self._candidates = Sites(model, places, plans, self.sight, unseen, weight)
         else:
-            places = space.grid(count)
-            if planned is not None:
-                places = np.vstack([planned, places])
+            places = np.vstack([*(plan[:, :2] for plan in plans), space.grid(count)])
             self._candidates = Candidates(model, places, space, cameras, unseen, weight,
                                           fixed_views(model, self.sight))
-        if planned is None:
-            self._chosen = self._candidates.fill()
-        else:
-            self._chosen = list(range(cameras))
+        begun = np.arange(len(plans) * cameras).reshape(-1, cameras).tolist()
+        if not self._planned(cameras):
+            begun.append(self._candidates.fill())
+        self._chosen = min(begun, key=self._candidates.value)
+
+    def _plans(self, cameras: int) -> list[np.ndarray]:
+        """List the plan so far, (K, 6) metres and radians, if there is one; its z is not used."""
+        if not self._planned(cameras):
+            return []
+        headings = self._planned_headings() if self.directional else np.zeros((cameras, 3))
+        return [np.hstack([self.targets, np.zeros((cameras, 1)), headings])]
 
     def _settle(self, positions: np.ndarray) -> None:
         """Match the cameras with the chosen places, so that they walk least."""
@@ -150,8 +176,9 @@ class Lookahead(ThinksAhead):
             looks = mapped(lambda trial, model=model: view_from(model, self.sight, *trial), trials)
             for (camera, position, heading), view in zip(trials, looks):
                 trial_views = [*views[:camera], view, *views[camera + 1:]]
-                trial_error = model.error(trial_views + fixed)
-                if not accepted(trial_error - error, temperature, self.rng):
+                most = error + temperature * self.rng.exponential()
+                trial_error = model.error(trial_views + fixed, most)
+                if trial_error > most:
                     continue
                 placed, views, error = placed.copy(), trial_views, trial_error
                 placed[camera] = position[:2]
@@ -165,7 +192,8 @@ class Lookahead(ThinksAhead):
     def _survey(self, positions: np.ndarray) -> None:
         """Anneal the plan once more among all candidates, on the model to refine on."""
         model, space = self._kept.made
-        self._list(model, space, self.memory.unseen(model), 0.0, len(positions))
+        self._list(model, space, self.memory.unseen(model), 0.0, self._plans(len(positions)),
+                   len(positions))
         self._chosen = self._candidates.anneal(self._chosen, self.rng)
         self._settle(positions)
 

@@ -18,12 +18,12 @@ from scipy.ndimage import uniform_filter
 
 from ocp_ros.agent.observation_map import at_yaws, CELLS, FLOOR, Window
 from ocp_ros.agent.partial_map import KeptModel, NO_CELL, PartialMap
-from ocp_ros.agent.rig_state import clearance_of, remember, RigState
+from ocp_ros.agent.rig_state import clearance_of, remember
 from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.geometry.visibility import FAST
 from ocp_ros.planners.candidate_sites import kinds_of, PITCHES, YAWS
 from ocp_ros.planners.map_turn import MapTurn
-from ocp_ros.planners.online_planner import matched, ThinksAhead
+from ocp_ros.planners.online_planner import KnownTurn, matched, standing, ThinksAhead
 from ocp_ros.rig.motion import order_of
 from ocp_ros.scenes.scene import SceneError
 
@@ -95,17 +95,32 @@ class MapActor(ThinksAhead):
         """Read what is known at a turn; see :meth:`_think`."""
         model, self._space = self._kept(cloud, positions, FAST,
                                         clearance_of(self.sight, self.clearance))
+        return self._map_of(KnownTurn(cloud, positions, turn, turns, model, self._space,
+                                      self.memory.unseen(model)))
+
+    def _map_of(self, known: KnownTurn) -> MapTurn:
+        """Return the map of what is known, with where cameras go so far."""
+        positions = known.positions
         if not self._planned(len(positions)):
-            self._plan, self._turns = _standing(positions, self.sight), 0
+            self._plan, self._turns = standing(positions, self.sight), 0
         plan = self._plan.copy()
-        plan[:, :2], plan[:, 2] = self._space.inside(plan[:, :2]), positions[:, 2]
-        return MapTurn(model, self._space, self.memory.unseen(model), plan, positions, self.sight,
-                       self.max_range, (turns - turn) * self.max_step, turns >= MANY)
+        plan[:, :2], plan[:, 2] = known.space.inside(plan[:, :2]), positions[:, 2]
+        return MapTurn(known.model, known.space, known.unseen, plan, positions, self.sight,
+                       self.max_range, (known.turns - known.turn) * self.max_step,
+                       known.turns >= MANY)
 
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Let cameras choose again; see :meth:`ThinksAhead._think`."""
-        known = self._read(cloud, positions, turn, turns)
-        for camera in self.asked(len(positions), turn, turns):
+        self._choose(self._read(cloud, positions, turn, turns), turn, turns)
+
+    def propose(self, known: KnownTurn) -> np.ndarray:
+        """Let cameras choose again; see :meth:`Online.propose`."""
+        self._choose(self._map_of(known), known.turn, known.turns)
+        return self._plan.copy()
+
+    def _choose(self, known: MapTurn, turn: int, turns: int) -> None:
+        """Let the cameras whose turn it is choose again."""
+        for camera in self.asked(len(known.positions), turn, turns):
             if self.interrupted():
                 break
             self.choose(known, camera, turn / turns)
@@ -167,13 +182,6 @@ class MapActor(ThinksAhead):
     def _kinds(self) -> np.ndarray | None:
         """Tell which cameras may take each other's places: (K,); None for all."""
         return None if self.sight is None else kinds_of(self.sight)[0]
-
-
-def _standing(positions: np.ndarray, sight: RigState | None) -> np.ndarray:
-    """Return how the cameras are: (K, 6) metres and radians."""
-    if sight is None:
-        return np.hstack([positions, np.zeros_like(positions)])
-    return sight.placement[:sight.movable].copy()
 
 
 def _share(model: PartialMap, unseen: np.ndarray) -> float:

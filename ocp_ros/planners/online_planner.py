@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from ocp_ros.agent.heading_planner import never
-from ocp_ros.agent.partial_map import LookHistory
+from ocp_ros.agent.partial_map import LookHistory, PartialMap
 from ocp_ros.agent.rig_state import clearance_of, remember, RigState
 from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
 from ocp_ros.rig.motion import bounded_moves, towards
@@ -23,7 +23,6 @@ from ocp_ros.scenes.scene import SceneError
 
 if TYPE_CHECKING:
     from ocp_ros.agent.policy import Policy
-    from ocp_ros.planners.lookahead import Lookahead
 
 #: Metres: no way is worth that a camera takes the place of one of another kind.
 UNLIKE = 1e6
@@ -32,9 +31,6 @@ REFINING = 0.6
 #: Turns of an episode from which on plans are made while the cameras move, on what was seen before
 #: they did: a turn of many is cheap, one of few is not.
 AHEAD = 20
-#: Share of the turns that who explores plays, and how many it plays at least, before another
-#: planner goes on with its plan.
-HANDOVER, FIRST = 0.2, 3
 
 
 def matched(positions: np.ndarray, targets: np.ndarray, kinds: np.ndarray | None = None
@@ -52,6 +48,34 @@ def matched(positions: np.ndarray, targets: np.ndarray, kinds: np.ndarray | None
     if kinds is not None:
         way = way + np.where(kinds[:, None] == kinds[None], 0.0, UNLIKE)
     return linear_sum_assignment(way)[1]
+
+
+def standing(positions: np.ndarray, sight: RigState | None) -> np.ndarray:
+    """Return how cameras at positions (K, 3) stand: (K, 6) metres and radians."""
+    if sight is None:
+        return np.hstack([positions, np.zeros_like(positions)])
+    return np.hstack([positions, sight.placement[:sight.movable, 3:]])
+
+
+class KnownTurn(NamedTuple):
+    """
+    What is known at a turn.
+
+    :ivar cloud: (M, 3) float32, metres, map frame: the points seen so far.
+    :ivar positions: (K, 3) metres: where the cameras are.
+    :ivar turn: turns played so far, of so many ``turns``.
+    :ivar model: the engine on what has been seen.
+    :ivar space: where cameras may be, as far as has been seen.
+    :ivar unseen: packed bits of the model's cells of the air that no camera has covered yet.
+    """
+
+    cloud: np.ndarray
+    positions: np.ndarray
+    turn: int
+    turns: int
+    model: PartialMap
+    space: FreePlane
+    unseen: np.ndarray
 
 
 class Online(ABC):
@@ -104,6 +128,19 @@ class Online(ABC):
         :param turns: turns of the whole episode.
         :returns: (K, 2) metres on the plane, none longer than ``max_step``.
         """
+
+    def propose(self, known: KnownTurn) -> np.ndarray:
+        """
+        Return where the cameras would best be in the end, for another planner to begin with.
+
+        Those that do not say so propose where their next move leads.
+
+        :returns: (K, 6) metres, map frame, and radians.
+        """
+        positions = known.positions
+        placed = standing(positions, self.sight)
+        placed[:, :2] += self.move(known.cloud, positions, known.turn, known.turns)
+        return placed
 
     def reflect(self) -> None:  # noqa: B027
         """
@@ -265,70 +302,3 @@ class Learned(Online):
         flat = positions[:, :2]
         moves = bounded_moves(self.policy.act(cloud, positions, turn, turns), self.max_step)
         return self.space(cloud, positions).moved(flat, moves, self.max_step) - flat
-
-
-class ThenLookahead(Online):
-    """
-    One planner explores and settles, another goes on with its placement on what has been seen.
-
-    :param first: plays the first turns, such as :class:`~ocp_ros.planners.map_actor.MapActor`.
-    :param lookahead: plays the others; it begins with the targets of the first, or without.
-    """
-
-    def __init__(self, first: Online, lookahead: 'Lookahead') -> None:
-        super().__init__(first.rng, first.max_step, first.max_range, first.wall_margin,
-                         first.clearance)
-        self.first, self.lookahead = first, lookahead
-        self._playing: Online = first
-
-    @property
-    def targets(self) -> np.ndarray | None:
-        """Return those of the planner that has played last; see :attr:`Online.targets`."""
-        return self._playing.targets
-
-    @property
-    def headings(self) -> np.ndarray | None:
-        """Return those of the planner that has played last; see :attr:`Online.headings`."""
-        return self._playing.headings
-
-    def goals(self, positions: np.ndarray) -> np.ndarray:
-        """Return those of the planner that has played last; see :meth:`Online.goals`."""
-        return self._playing.goals(positions)
-
-    def know(self, sight: RigState | None) -> None:
-        """Tell both."""
-        super().know(sight)
-        self.first.know(sight)
-        self.lookahead.know(sight)
-
-    def reset(self) -> None:
-        """Reset both."""
-        self.first.reset()
-        self.lookahead.reset()
-        self._playing = self.first
-
-    def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
-        """Choose the next moves; see :meth:`Online.move`."""
-        self._hand_over(turn, turns)
-        moves = self._playing.move(cloud, positions, turn, turns)
-        if turns >= AHEAD and self._playing is self.first and self.first.targets is not None:
-            self._hand_over(turn + 1, turns)
-            if self._playing is self.lookahead:
-                ahead = positions + np.pad(moves, ((0, 0), (0, 1)))
-                self.lookahead.think_of(PlannedTurn(cloud.copy(), ahead, turn + 1, turns,
-                                                    self.sight))
-        return moves
-
-    def _hand_over(self, turn: int, turns: int) -> None:
-        """Let the other one go on if it plays the turn."""
-        if turn >= max(HANDOVER * turns, FIRST) and self._playing is self.first:
-            self.lookahead.take_over(self.first)
-            self._playing = self.lookahead
-
-    def reflect(self) -> None:
-        """Let the one that plays think; see :meth:`Online.reflect`."""
-        self._playing.interrupted = self.interrupted
-        try:
-            self._playing.reflect()
-        finally:
-            self._playing.interrupted = never

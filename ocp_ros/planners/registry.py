@@ -27,7 +27,7 @@ from ocp_ros.planners.greedy import GreedyCoverage, GreedyError, GreedySwap
 from ocp_ros.planners.greedy_step import GreedyStep
 from ocp_ros.planners.lookahead import Lookahead
 from ocp_ros.planners.map_actor import MapActor
-from ocp_ros.planners.online_planner import Learned, Online, ThenLookahead
+from ocp_ros.planners.online_planner import Learned, Online
 from ocp_ros.planners.particle_swarm import BinaryParticleSwarm
 from ocp_ros.planners.planner import Planner
 from ocp_ros.rig.free_plane import FreePlane
@@ -87,9 +87,9 @@ def _learned(config: SimulationConfig, rng: np.random.Generator, model: str = DE
 
 
 def _learned_lookahead(config: SimulationConfig, rng: np.random.Generator,
-                       model: str = DEFAULT_MODEL) -> ThenLookahead:
-    """Return a policy with lookahead in the last turns."""
-    return ThenLookahead(_learned(config, rng, model), Lookahead(*settings_of(config, rng)))
+                       model: str = DEFAULT_MODEL) -> Lookahead:
+    """Return lookahead that a policy makes proposals to."""
+    return Lookahead(*settings_of(config, rng), guide=_learned(config, rng, model))
 
 
 OFFLINE: dict[str, Callable[[FreePlane, np.random.Generator, int], Planner]] = {

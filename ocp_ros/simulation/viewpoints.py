@@ -17,7 +17,7 @@ from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.geometry.depth_error import five_viewpoints
 from ocp_ros.rig.free_plane import FreePlane
-from ocp_ros.rig.structure import Air, STEEP
+from ocp_ros.rig.structure import Air, BALL, STEEP
 from ocp_ros.scenes.scene import Scene, turned
 
 #: Viewpoints in the air: a power of two.
@@ -65,38 +65,57 @@ def air_viewpoints(scene: Scene) -> np.ndarray:
         cells = air.cells()
     if len(cells) < COUNT:
         return paper_viewpoints(scene)
-    parts = [cells]
+    # In a mirrored room they are ordered as in this one: from the emptier ends on.
+    middle = aligned.bounds.mean(axis=0)
+    ends = np.where(aligned.points.mean(axis=0) < middle, -1.0, 1.0)
+    long = int(aligned.size[1] > aligned.size[0])
+    return _middles(cells, (cells - middle) * ends, long) @ rotation_matrix(angle).T
+
+
+def observed_viewpoints(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """
+    Place viewpoints in a room that has been seen in part, above the floor that was seen.
+
+    Its air cannot be told yet from what is behind the walls.
+
+    :param points: (N, 3) metres, map frame: what was seen.
+    :param corners: (4, 2) metres, of the rectangle around it, from
+        :func:`~ocp_ros.agent.partial_map.smallest_rectangle`.
+    :returns: (V, 3) float64, metres: 16, or the paper's five where there is too little floor.
+    """
+    height = float(corners_of(points)[:, 2].mean())
+    floor = FreePlane.of(points, height, 1, 0.0, clearance=BALL).floor
+    if floor is None or np.count_nonzero(floor.open) < COUNT:
+        return five_viewpoints(corners, height)
+    cells = floor.low + floor.edge * (np.argwhere(floor.open) + 0.5)
+    sides = corners[1:3] - corners[0]
+    lengths = np.linalg.norm(sides, axis=1)
+    found = _middles(cells, cells @ (sides / lengths[:, None]).T, int(np.argmax(lengths)))
+    return np.column_stack([found, np.full(COUNT, height)])
+
+
+def _middles(cells: np.ndarray, keys: np.ndarray, long: int) -> np.ndarray:
+    """
+    Divide cells into equal parts and return the cell in the middle of each.
+
+    :param cells: (M, D) metres, M >= 16.
+    :param keys: (M, D) metres: where they are along the axes of the room, each from the end on
+        that comes first.
+    :param long: the axis, 0 or 1, along which the room is longer.
+    :returns: (16, D) metres.
+    """
+    parts, order = [np.arange(len(cells))], keys.round(ROUNDED)
     while len(parts) < COUNT:
-        parts = [half for part in parts for half in _halves(part, aligned)]
-    nearest = np.argmin(distance.cdist([part.mean(axis=0) for part in parts], cells), axis=1)
-    return cells[nearest] @ rotation_matrix(angle).T
-
-
-def _halves(cells: np.ndarray, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Divide cells (M, 3) in two, across the direction in which they vary most."""
-    spread = cells.var(axis=0)
-    spread[_long(scene)] *= LONGER
-    order = _order(cells, scene, int(np.argmax(spread)))
-    return cells[order[:len(cells) // 2]], cells[order[len(cells) // 2:]]
-
-
-def _long(scene: Scene) -> int:
-    """Return the axis, x or y, along which a room is longer."""
-    return int(scene.size[1] > scene.size[0])
-
-
-def _order(cells: np.ndarray, scene: Scene, first: int) -> np.ndarray:
-    """
-    Order cells (M, 3) as they are in a mirrored room: on each axis from the emptier end on.
-
-    :param first: the axis by which they are ordered first; then it is the longer one.
-    """
-    middle = scene.bounds.mean(axis=0)
-    ends = np.where(scene.points.mean(axis=0) < middle, -1.0, 1.0)
-    keys = ((cells - middle) * ends).round(ROUNDED)
-    long = _long(scene)
-    axes = [first, long, 1 - long, 2]
-    return np.lexsort(keys.T[axes[::-1]])
+        halves = []
+        for part in parts:
+            spread = keys[part].var(axis=0)
+            spread[long] *= LONGER
+            axes = [int(np.argmax(spread)), long, 1 - long, *range(2, keys.shape[1])]
+            part = part[np.lexsort(order[part].T[axes[::-1]])]
+            halves += [part[:len(part) // 2], part[len(part) // 2:]]
+        parts = halves
+    middles = [cells[part].mean(axis=0) for part in parts]
+    return cells[np.argmin(distance.cdist(middles, cells), axis=1)]
 
 
 def paper_viewpoints(scene: Scene) -> np.ndarray:

@@ -20,8 +20,8 @@ class PolicyNodeConfig:
 
     planner: str = setting(
         BOTH, 'planner of the moves: learned, a trained policy; lookahead, which plans on the '
-              'observed points and needs no weights; learned_lookahead, the policy first, then '
-              'lookahead', choices=PLANNERS)
+              'observed points and needs no weights; learned_lookahead, lookahead to which the '
+              'policy proposes placements', choices=PLANNERS)
     model: str = setting(
         DEFAULT_MODEL, 'weights: a path, or the name of a shipped model; lookahead ignores it')
     turns: int = setting(

@@ -10,7 +10,7 @@ from ocp_ros.agent.encoder import Encoder
 from ocp_ros.planners.lookahead import Lookahead
 from ocp_ros.planners.map_actor import MapActor
 from ocp_ros.planners.map_turn import MapTurn
-from ocp_ros.planners.online_planner import Learned, Online, ThenLookahead
+from ocp_ros.planners.online_planner import Learned, Online
 from ocp_ros.planners.registry import planned_by
 from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.ros.policy.policy_config import LEARNED, PolicyNodeConfig
@@ -71,7 +71,7 @@ def make_planner(config: PolicyNodeConfig, checkpoint: 'Checkpoint | None'
     learned = planned_by(make_policy(checkpoint), settings)
     if config.planner == LEARNED:
         return learned, learned
-    return ThenLookahead(learned, Lookahead(*settings)), learned
+    return Lookahead(*settings, guide=learned), learned
 
 
 def planned_alike(one: PolicyNodeConfig, other: PolicyNodeConfig) -> bool:
