@@ -33,7 +33,7 @@ setup(
         share('config/train', '*.yaml'),
         share('models', '*.*'),
     ],
-    package_data={NAME: ['report/*.html', 'report/*.json']},
+    package_data={NAME: ['planning/*.json', 'report/*.html']},
     zip_safe=True,
     install_requires=[
         'setuptools', 'numpy>=1.26', 'numba', 'scipy', 'torch', 'safetensors', 'gymnasium', 'cma',

@@ -20,14 +20,14 @@ from rclpy.logging import get_logger
 from std_msgs.msg import Header
 
 from benchmarks import results
-from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.geometry.cameras import heading_of
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.rooms.generator import generate_room
 from ocp_ros.ros.interface.conversions import msg_to_poses, positions_to_msg
 from ocp_ros.ros.policy.decider import Decider
 from ocp_ros.ros.policy.policy_config import PLANNERS, PolicyNodeConfig
-from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig

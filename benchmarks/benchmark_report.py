@@ -23,11 +23,11 @@ from benchmarks.placement_examples import draw_examples, Example
 from ocp_ros.compare.judging import judged_room, MOUNTING, MOUNTINGS
 from ocp_ros.compare.protocol import CONTROLS, placing, POOL
 from ocp_ros.compare.summary import budgets_of, last_runs, Rows
-from ocp_ros.planners.registry import OFFLINE, ONLINE
-from ocp_ros.planners.rig_methods import planner_names
 from ocp_ros.report.drawing.figures import save_figure
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 from ocp_ros.report.installer import in_markdown
+from ocp_ros.search.registry import OFFLINE, ONLINE
+from ocp_ros.search.rig_methods import planner_names
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.shown_text import printable

@@ -38,13 +38,13 @@ from ocp_ros.registration.camera_registration import register
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.scan_surfaces import ScanSurfaces
 from ocp_ros.rig.sensors import SENSORS
+from ocp_ros.rooms.generator import generate_room, mesh_of, plan_of
+from ocp_ros.rooms.scanning import boxes_of, free
+from ocp_ros.rooms.splits import SETS
 from ocp_ros.scenes.mesh_files import sampled
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Mesh, Scene
 from ocp_ros.scenes.scene_files import load_scene
-from ocp_ros.scenes.splits import SETS
-from ocp_ros.scenes.synthetic.generator import generate_room, mesh_of, plan_of
-from ocp_ros.scenes.synthetic.scanning import boxes_of, free
 
 #: Metres and degrees that a start is off.
 STARTS = ((0.1, 3.0), (0.3, 10.0), (1.0, 30.0))

@@ -15,10 +15,10 @@ from rich.table import Table
 
 from benchmarks import results
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.planners.budget import Budget
-from ocp_ros.planners.rig_plan import RigPlan, RigPlanner
 from ocp_ros.rig.rig_file import rig_of, with_count
-from ocp_ros.scenes.scene_source import make_room
+from ocp_ros.rooms.scene_source import make_room
+from ocp_ros.search.budget import Budget
+from ocp_ros.search.rig_plan import RigPlan, RigPlanner
 
 
 def curves(room: str, sensor: str, evaluations: int, most: int, points: int, seed: int

@@ -26,8 +26,8 @@ from rich.table import Table
 
 from benchmarks.results import stamped
 from ocp_ros.compare.protocol import BenchmarkTask, placing, Protocol, run_task, TRUTH
-from ocp_ros.compare.summary import pair
-from ocp_ros.scenes.splits import SETS
+from ocp_ros.compare.summary import NEGLIGIBLE, pair
+from ocp_ros.rooms.splits import SETS
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import EpisodeConfig
@@ -53,17 +53,20 @@ class RoomTask(NamedTuple):
 
     :ivar room: seed or path.
     :ivar rotation: degrees by which it is turned.
+    :ivar half: of a scan that planners see; the other half judges.
     :ivar known: what :func:`play_room` has returned for some of the planners and lengths.
     """
 
     room: str
     rotation: float
+    half: int = 0
     known: dict[str, Any] = {}
 
     @property
     def name(self) -> str:
         """Return what it is called in a file."""
-        return f'{Path(self.room).stem}, {self.rotation:g}'
+        return f'{Path(self.room).stem}, {self.rotation:g}' + (
+            f', half {self.half}' if self.half else '')
 
     def lacks(self, protocol: Protocol, lengths: Sequence[tuple[int, float]]) -> bool:
         """Tell whether anything is left to be played."""
@@ -80,11 +83,13 @@ def play_room(protocol: Protocol, lengths: Sequence[tuple[int, float]], task: Ro
     Play a room with all planners and lengths.
 
     :param task: the room; what is known of it is not played again.
-    :returns: ``errors``, depth errors in metres by length and planner; ``ms``, milliseconds a turn
+    :returns: ``errors``, depth errors in metres by length and planner, geometric means of the
+        seeds; ``ms``, milliseconds a turn
         in the median; ``truth``, metres, where the searches with the truth end, unless there are
         none; ``start``, metres, where the cameras begin, unless they are those of a rig file.
     """
     found: dict[str, Any] = {'errors': {}, 'ms': {}} | task.known
+    protocol = replace(protocol, half=task.half)
     if protocol.truths and 'truth' not in found:
         found['truth'] = min(row['depth_error'] for row in run_task(
             protocol, BenchmarkTask(task.room, task.rotation, TRUTH)))
@@ -98,7 +103,8 @@ def play_room(protocol: Protocol, lengths: Sequence[tuple[int, float]], task: Ro
             if planner in errors:
                 continue
             rows = run_task(played, BenchmarkTask(task.room, task.rotation, planner))
-            errors[planner] = float(np.mean([row['depth_error'] for row in rows]))
+            errors[planner] = float(np.exp(np.mean([
+                np.log(row['depth_error'] + NEGLIGIBLE) for row in rows])) - NEGLIGIBLE)
             if 'seconds_per_turn' in rows[0]:
                 ms[planner] = 1e3 * float(np.mean([row['seconds_per_turn'] for row in rows]))
     return found
@@ -198,6 +204,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     which.add_argument('--set', choices=list(SETS), default='test')
     which.add_argument('--rooms', nargs='+', metavar='SCAN', help='scans instead')
     parser.add_argument('--rotations', default='0', help='degrees, with commas between')
+    parser.add_argument('--halves', type=int, default=1, help='random halves of each scan')
+    parser.add_argument('--seeds', type=int, default=1, help='episodes of each planner')
     parser.add_argument('--lengths', default=','.join(named(*length) for length in LENGTHS),
                         help='such as 8x2,30x0.5: turns x metres')
     parser.add_argument('--planners', default=','.join(PLANNERS))
@@ -223,20 +231,21 @@ def main(argv: Sequence[str] | None = None) -> None:
     protocol = Protocol(
         rooms=tuple(options.rooms or map(str, SETS[options.set])),
         rotations=tuple(map(float, options.rotations.split(','))),
-        planners=tuple(options.planners.split(',')), seeds=1, model=options.model,
+        planners=tuple(options.planners.split(',')), seeds=options.seeds, model=options.model,
         truths=options.truths, truth_budget=options.truth_budget,
         simulation=placing(options.cameras, options.rig or None))
     settings = {'lengths': options.lengths, 'planners': options.planners,
                 'cameras': options.rig or options.cameras, 'model': options.model,
-                'truths': options.truths, 'truth_budget': options.truth_budget}
+                'truths': options.truths, 'truth_budget': options.truth_budget,
+                'seeds': options.seeds}
     kept = json.loads(options.out.read_bytes()) if options.out.exists() else {}
     if kept and kept['settings'] != settings:
         raise ConfigurationError(
             f'{options.out}: found {kept["settings"]}; expected the comparison that is asked for, '
             f'{settings}; name another file')
     rooms = kept.get('rooms', {})
-    tasks = [RoomTask(room, rotation) for room in protocol.rooms
-             for rotation in protocol.rotations]
+    tasks = [RoomTask(room, rotation, half) for room in protocol.rooms
+             for rotation in protocol.rotations for half in range(options.halves)]
     tasks = [task._replace(known=rooms.get(task.name, {})) for task in tasks]
     left = [task for task in tasks if task.lacks(protocol, lengths)]
     played = {task.name: task.known for task in tasks if task not in left}

@@ -40,9 +40,9 @@ from ocp_ros.geometry.cameras import Pose
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.geometry.shadow_maps import in_reach
 from ocp_ros.geometry.visibility import CubeVisibility, FAST, FINE, PAPER, SurfelVisibility
+from ocp_ros.rooms.generator import mesh_of, plan_of
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.scenes.synthetic.generator import mesh_of, plan_of
 
 #: Metres that a point of a scan may lie behind the surface that it belongs to.
 TOLERANCE = 0.05

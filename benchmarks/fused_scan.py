@@ -19,11 +19,11 @@ from scipy.ndimage import gaussian_filter1d
 
 from ocp_ros.geometry.cameras import CameraModel, Pose, rotation_matrix
 from ocp_ros.geometry.voxels import thinned_to
+from ocp_ros.rooms.generator import mesh_of, plan_of
+from ocp_ros.rooms.room_plan import RoomPlan
+from ocp_ros.rooms.scanning import Boxes, boxes_of, free
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Mesh, Scene
-from ocp_ros.scenes.synthetic.generator import mesh_of, plan_of
-from ocp_ros.scenes.synthetic.room_plan import RoomPlan
-from ocp_ros.scenes.synthetic.scanning import Boxes, boxes_of, free
 
 #: Pixels of a frame, and what the camera measures: 60 x 47 degrees, 0.4 to 4.5 m.
 WIDTH, HEIGHT = 160, 120
@@ -201,7 +201,7 @@ def scan_by_hand(seed: int, frames: int = FRAMES) -> FusedScan:
     """
     Scan a generated room with a depth camera in the hand; the same seed gives the same scan.
 
-    :param seed: of the room, see :func:`~ocp_ros.scenes.synthetic.generator.generate_room`.
+    :param seed: of the room, see :func:`~ocp_ros.rooms.generator.generate_room`.
     :param frames: at most so many are fused.
     """
     plan, rng = plan_of(seed), np.random.default_rng([seed, 2])

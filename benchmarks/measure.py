@@ -21,18 +21,18 @@ from benchmarks import results
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.engine_config import EngineConfig, PROMISING
-from ocp_ros.planners.budget import Budget
-from ocp_ros.planners.candidate_pool import Pool, random_sites
-from ocp_ros.report.rig_planning import PlannedRig, PlanTask
+from ocp_ros.planning.rig_planning import PlannedRig, PlanTask
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.motion import mounted
 from ocp_ros.rig.rig_file import Rig, rig_of
 from ocp_ros.rig.structure import Air
+from ocp_ros.rooms.generator import generate_room
+from ocp_ros.rooms.splits import SETS
 from ocp_ros.scenes.mesh_files import sampled
 from ocp_ros.scenes.scene import Scene, turned
 from ocp_ros.scenes.scene_files import scene_of
-from ocp_ros.scenes.splits import SETS
-from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.search.budget import Budget
+from ocp_ros.search.candidate_pool import Pool, random_sites
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator

@@ -23,19 +23,19 @@ from benchmarks import results
 from benchmarks.measure import geometric, HUNG, Judge, OFF
 from benchmarks.promise import DENSE, rig_named
 from ocp_ros.geometry.engine_config import PROMISING
-from ocp_ros.planners.annealing import annealed, between
-from ocp_ros.planners.budget import Budget
-from ocp_ros.planners.rig_plan import RigPlanner
-from ocp_ros.planners.rig_search import moved, views_of
-from ocp_ros.report.promise import expected
+from ocp_ros.planning.promise import expected
 from ocp_ros.rig.motion import mounted
+from ocp_ros.rooms.generator import generate_room
+from ocp_ros.rooms.splits import SETS
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_files import load_scene, READERS
-from ocp_ros.scenes.splits import SETS
-from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.search.budget import Budget
+from ocp_ros.search.rig_plan import RigPlanner
+from ocp_ros.search.rig_search import moved, views_of
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.simulation.truth import TrueSimulator
+from ocp_ros.util.annealing import annealed, between
 from ocp_ros.util.settings import UserError
 
 #: Rigs of :mod:`benchmarks.promise`; those that the online planner is compared with turn.

@@ -24,16 +24,16 @@ import numpy as np
 from benchmarks import results
 from benchmarks.measure import EVALUATIONS, Judge
 from ocp_ros.geometry.engine_config import PROMISING
-from ocp_ros.planners.budget import Budget
-from ocp_ros.planners.rig_plan import RigPlanner
 from ocp_ros.rig.rig_file import Rig, rig_of
+from ocp_ros.rooms.generator import generate_room
+from ocp_ros.rooms.splits import SETS
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.scenes.splits import SETS
-from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.search.budget import Budget
+from ocp_ros.search.rig_plan import RigPlanner
 from ocp_ros.util.files import write_atomically
 
 #: The table that the package reads.
-TABLE = results.ROOT / 'ocp_ros' / 'report' / 'promise.json'
+TABLE = results.ROOT / 'ocp_ros' / 'planning' / 'promise.json'
 #: Rigs: sensor and mount.
 RIGS = {'d455_walls': ('realsense_d455', {'on': 'walls'}),
         'd455_stands': ('realsense_d455', {'on': 'plane', 'height': 1.6}),

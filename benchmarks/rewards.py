@@ -16,12 +16,12 @@ import numpy as np
 
 from benchmarks import results
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.planners.online_planner import matched
-from ocp_ros.planners.registry import OFFLINE
-from ocp_ros.planners.scorer import Scorer
-from ocp_ros.planners.solve import solve
+from ocp_ros.online.online_planner import matched
 from ocp_ros.rig.motion import towards
-from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.rooms.generator import generate_room
+from ocp_ros.search.registry import OFFLINE
+from ocp_ros.search.scorer import Scorer
+from ocp_ros.search.solve import solve
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem, space_of
 from ocp_ros.simulation.simulation_config import EpisodeConfig, RewardConfig, SimulationConfig

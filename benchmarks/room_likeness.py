@@ -11,10 +11,10 @@ import numpy as np
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.rig.free_plane import floor_of
 from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.rooms.furniture import KINDS
+from ocp_ros.rooms.generator import generate_room, plan_of
+from ocp_ros.rooms.scanning import scan
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.scenes.synthetic.furniture import KINDS
-from ocp_ros.scenes.synthetic.generator import generate_room, plan_of
-from ocp_ros.scenes.synthetic.scanning import scan
 from ocp_ros.simulation.viewpoints import viewpoints_of
 
 #: Points of S3DIS by class, in the order of ``KINDS``: the class weights of Open3D-ML.

@@ -1,7 +1,7 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Choose the generated rooms of all sets, and print them for ``ocp_ros/scenes/splits.py``.
+Choose the generated rooms of all sets, and print them for ``ocp_ros/rooms/splits.py``.
 
 Ratios of depth errors mean nothing where four cameras see all there is, so a room is only taken if
 the best of a short search leaves at least 5 % of the depth error that placements leave on average.
@@ -12,11 +12,11 @@ import sys
 import numpy as np
 
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.planners.registry import OFFLINE
-from ocp_ros.planners.scorer import Scorer
-from ocp_ros.planners.solve import solve
+from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.search.registry import OFFLINE
+from ocp_ros.search.scorer import Scorer
+from ocp_ros.search.solve import solve
 from ocp_ros.simulation.problem import space_of
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator

@@ -16,9 +16,9 @@ from benchmarks import results
 from benchmarks.room_likeness import generated, likeness, S3DIS_POINTS, shares_of_kinds, summary
 from ocp_ros.compare.protocol import rooms_in, rooms_of_s3dis
 from ocp_ros.report.drawing.room_pictures import draw_rooms, titled
+from ocp_ros.rooms.furniture import KINDS
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_cache import load_cached
-from ocp_ros.scenes.synthetic.furniture import KINDS
 from ocp_ros.util.shown_text import printable
 
 #: Two of each kind, as they come.

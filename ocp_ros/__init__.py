@@ -13,11 +13,11 @@ __version__ = '0.1.0'
 #: What is here under its own name, and the module that it is imported from when it is asked for:
 #: the engine takes seconds to import.
 _HOMES = {
-    'plan': 'report.python_api', 'score': 'report.python_api',
-    'PlanResult': 'report.python_api', 'ScoreResult': 'report.python_api',
+    'plan': 'api', 'score': 'api',
+    'PlanResult': 'api', 'ScoreResult': 'api',
     'load_rig': 'rig.rig_file', 'rig_of': 'rig.rig_file',
     'load_scene': 'scenes.scene_files', 'scene_of': 'scenes.scene_files',
-    'generate_room': 'scenes.synthetic.generator', 'register_planner': 'planners.registry',
+    'generate_room': 'rooms.generator', 'register_planner': 'search.registry',
     'UserError': 'util.settings'}
 __all__ = ['__version__', *_HOMES]  # noqa: PLE0604
 

@@ -26,7 +26,7 @@ import pytest
 
 # Nothing here that takes long to import: the process that hands out the tests reads this too, and
 # the others begin when it has done so.
-from ocp_ros.agent.agent_config import AgentConfig, CLOUD, PAPER
+from ocp_ros.policy.agent_config import AgentConfig, CLOUD, PAPER
 from ocp_ros.util.settings import ConfigurationError
 
 #: Seconds after which what a test waits for has hung. No test waits as long, on whatever machine:
@@ -65,7 +65,7 @@ def ended_after(seconds):
 @cache
 def made_room(seed, points):
     """Return a generated room, generated once for all tests of a process: do not change it."""
-    from ocp_ros.scenes.synthetic.generator import generate_room
+    from ocp_ros.rooms.generator import generate_room
     return generate_room(seed, points)
 
 
@@ -106,16 +106,16 @@ def random_checkpoint(agent, seed=0, **known):
     """Return a checkpoint with random weights."""
     import torch
 
-    from ocp_ros.agent.checkpoint import Checkpoint
-    from ocp_ros.agent.networks import Actor
+    from ocp_ros.policy.checkpoint import Checkpoint
+    from ocp_ros.policy.networks import Actor
     torch.manual_seed(seed)
     return Checkpoint(agent, Actor(agent).state_dict(), **known)
 
 
 def observation(agent, seed=0):
     """Return an encoded observation of random points in a room around the origin."""
-    from ocp_ros.agent.encoder import Encoder
-    from ocp_ros.agent.observation import encode
+    from ocp_ros.policy.encoder import Encoder
+    from ocp_ros.policy.observation import encode
     rng = np.random.default_rng(seed)
     cloud = rng.uniform([-3, -2, 0], [3, 2, 3], (300, 3)).astype(np.float32)
     positions = rng.uniform([-1, -1, 1.9], [1, 1, 1.9], (4, 3))

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import torch
 
-from ocp_ros.agent.agent_config import AgentConfig, CLOUD, MAP, PAPER
-from ocp_ros.agent.encoder import Encoder
-from ocp_ros.agent.networks import Actor, ExtractionUnit, Extractor
-from ocp_ros.agent.observation import encode, OTHERS
-from ocp_ros.agent.policy import Policy
-from ocp_ros.agent.sampling import ball_query, farthest_points
-from ocp_ros.scenes.scene_source import make_room
+from ocp_ros.policy.agent_config import AgentConfig, CLOUD, MAP, PAPER
+from ocp_ros.policy.encoder import Encoder
+from ocp_ros.policy.networks import Actor, ExtractionUnit, Extractor
+from ocp_ros.policy.observation import encode, OTHERS
+from ocp_ros.policy.policy import Policy
+from ocp_ros.policy.sampling import ball_query, farthest_points
+from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.training.augmentation import SYMMETRIES, turn_observation
 from ocp_ros.training.encoded_environment import encoded_space
 from ocp_ros.training.run_folder import read_config

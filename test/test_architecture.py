@@ -13,14 +13,14 @@ import ocp_ros
 
 PACKAGE = ROOT / 'ocp_ros'
 #: Each layer may import itself, those before it and the modules that stand beside the layers.
-LAYERS = ['util', 'geometry', 'scenes', 'rig', 'registration', 'simulation', 'agent', 'planners',
-          'training', 'compare', 'report', 'ros', 'demo', 'cli']
-BESIDE = {'__version__'}
+LAYERS = ['util', 'geometry', 'scenes', 'rooms', 'rig', 'simulation', 'registration', 'online',
+          'policy', 'search', 'planning', 'report', 'training', 'compare', 'ros', 'demo', 'cli']
+BESIDE = {'__version__', 'api'}
 #: Packages that only some layers may import at all.
 ONLY = {
     'rclpy': {'ros', 'demo'}, 'tf2_ros': {'ros'}, 'sensor_msgs': {'ros', 'demo'},
     'geometry_msgs': {'ros', 'demo'}, 'rosbags': {'ros'},
-    'stable_baselines3': {'training'}, 'torch': {'agent', 'training', 'ros'},
+    'stable_baselines3': {'training'}, 'torch': {'policy', 'training', 'ros'},
     'gymnasium': {'simulation', 'training'}, 'matplotlib': {'report'}, 'open3d': {'scenes'},
     'benchmarks': set()}
 

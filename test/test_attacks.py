@@ -17,15 +17,15 @@ import pytest
 from benchmarks.drills.file_fuzz import read_one
 from benchmarks.drills.hostile_files import hostile_files, Listener, outcome_of, SECRET
 from benchmarks.drills.spoilt_files import gltf_of
-from ocp_ros.planners import priced_search
-from ocp_ros.planners.budget import Budget
-from ocp_ros.report.rig_planning import PlannedRig, PlanTask
+from ocp_ros.planning.rig_planning import PlannedRig, PlanTask
 from ocp_ros.rig.rig_file import load_rig, rig_of
+from ocp_ros.rooms.generator import generate_room
 from ocp_ros.ros.bags.bag_files import Bag
 from ocp_ros.scenes import scene_cache
 from ocp_ros.scenes.scene_cache import load_cached
 from ocp_ros.scenes.scene_files import load_scene, save_scene
-from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.search import priced_search
+from ocp_ros.search.budget import Budget
 from ocp_ros.util.files import FileSet, recover, sha256_of_file, write_atomically
 from ocp_ros.util.settings import ConfigurationError
 

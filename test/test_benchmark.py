@@ -28,11 +28,11 @@ from ocp_ros.compare.summary import interval, ranks, summarise
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.rooms.generator import generate_room
+from ocp_ros.rooms.scene_source import make_room
+from ocp_ros.rooms.splits import TEST
 from ocp_ros.scenes.scene import SceneError, turned
 from ocp_ros.scenes.scene_files import save_scene
-from ocp_ros.scenes.scene_source import make_room
-from ocp_ros.scenes.splits import TEST
-from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import room_names

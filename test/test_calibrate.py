@@ -25,10 +25,10 @@ from ocp_ros.registration.pose_certainty import axis_words, certainty
 from ocp_ros.registration.scan_surfaces import inward_sign, ScanSurfaces
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.sensors import SENSORS
+from ocp_ros.rooms.generator import generate_room, mesh_of, plan_of
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_files import save_scene
-from ocp_ros.scenes.synthetic.generator import generate_room, mesh_of, plan_of
 
 SEED, SENSOR = 501, 'realsense_d455'
 MODEL = SENSORS[SENSOR].model

@@ -16,6 +16,7 @@ from std_srvs.srv import Trigger
 from benchmarks.calibration_bench import cast
 from ocp_ros.geometry.cameras import OPTICAL_TO_BODY, Pose
 from ocp_ros.rig.placement_file import load_placement
+from ocp_ros.rooms.generator import generate_room, mesh_of, plan_of
 from ocp_ros.ros.bags.recorded_clouds import topics_of_cameras
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import cloud_to_msg, ns_to_stamp, positions_to_msg
@@ -23,7 +24,6 @@ from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.runtime import diagnostics
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene_files import save_scene
-from ocp_ros.scenes.synthetic.generator import generate_room, mesh_of, plan_of
 from ocp_ros.util.settings import ConfigurationError
 
 SEED = 501

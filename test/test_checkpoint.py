@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 import pytest
 import torch
 
-from ocp_ros.agent.agent_config import AgentConfig
-from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError, KEY, write_atomically
+from ocp_ros.policy.agent_config import AgentConfig
+from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError, KEY, write_atomically
 from ocp_ros.util.resources import find_model
 
 

@@ -10,23 +10,23 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from ocp_ros.agent.rig_state import clearance_of, RigState
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.plane_cells import close_near
-from ocp_ros.planners.lookahead import Lookahead
-from ocp_ros.planners.online_planner import Online
-from ocp_ros.planners.registry import OFFLINE, settings_of
-from ocp_ros.planners.rollout import play
-from ocp_ros.planners.scorer import Scorer
-from ocp_ros.planners.solve import solve
-from ocp_ros.planners.step import Limits, OnlineStep
+from ocp_ros.online.lookahead import Lookahead
+from ocp_ros.online.online_planner import Online
+from ocp_ros.online.rig_state import clearance_of, RigState
+from ocp_ros.online.rollout import play
+from ocp_ros.online.step import Limits, OnlineStep
 from ocp_ros.rig.free_plane import CLEARANCE, EDGE, FINE_EDGE, Floor, floor_of, FreePlane, SLACK
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.rig_file import rig_of
+from ocp_ros.rooms.generator import generate_room
+from ocp_ros.rooms.splits import VALIDATION
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.scenes.splits import VALIDATION
-from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.search.registry import OFFLINE, settings_of
+from ocp_ros.search.scorer import Scorer
+from ocp_ros.search.solve import solve
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig

@@ -147,7 +147,7 @@ def test_ctrl_c_ends_quietly_whatever_is_going_on(files, capsys, monkeypatch):
     def stop(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr('ocp_ros.scenes.scene_source.make_room', stop)
+    monkeypatch.setattr('ocp_ros.rooms.scene_source.make_room', stop)
     assert cli.main(['score', 'room.ply', 'placement.yaml']) == 130
     assert capsys.readouterr() == ('', '')
 
@@ -201,7 +201,7 @@ sys.exit(main())
 """
 
 
-@pytest.mark.parametrize('module', ['ocp_ros.cli.common', 'numba', 'ocp_ros.planners.rig_plan'])
+@pytest.mark.parametrize('module', ['ocp_ros.cli.common', 'numba', 'ocp_ros.search.rig_plan'])
 def test_an_early_ctrl_c_ends_a_command_without_a_traceback(tmp_path, module):
     ended = subprocess.run(
         [sys.executable, '-c', IMPORTING.replace('sys.argv[1]', repr(module)), 'plan', '8',

@@ -13,8 +13,8 @@ from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.rig.structure import floor_height
+from ocp_ros.rooms.generator import plan_of
 from ocp_ros.scenes.scene import Scene, turned
-from ocp_ros.scenes.synthetic.generator import plan_of
 from ocp_ros.util.settings import ConfigurationError
 
 MOUNTS = {

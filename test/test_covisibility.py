@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from ocp_ros.geometry.packed_bits import pack
-from ocp_ros.planners.budget import Budget
-from ocp_ros.planners.rig_plan import RigPlanner
-from ocp_ros.report.findings import verdict
+from ocp_ros.planning.findings import verdict
 from ocp_ros.rig.rig_file import Calibratable, rig_of
-from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.rooms.generator import generate_room
+from ocp_ros.search.budget import Budget
+from ocp_ros.search.rig_plan import RigPlanner
 from ocp_ros.simulation.covisibility import covisibility
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig

@@ -14,10 +14,10 @@ import pytest
 
 pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
 
-from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.demo import demo, train_demo
 from ocp_ros.demo.node_processes import NodeProcess
-from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.policy.checkpoint import Checkpoint
+from ocp_ros.rooms.generator import generate_room
 
 WASHITSU = ROOT.parent / 'shared' / 'data' / 'rooms' / 'washitsu.ply'
 READY = {'sim_node': 'cameras', 'policy_node': 'weights', 'trainer_node': 'updates so far'}

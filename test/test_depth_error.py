@@ -12,9 +12,9 @@ import twins
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.depth_error import DepthError, five_viewpoints, LARGEST_CUBE
 from ocp_ros.geometry.packed_bits import no_bits, pack
+from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.simulation.viewpoints import paper_viewpoints

@@ -146,7 +146,7 @@ def test_the_example_with_a_planner_runs(capsys):
 
 
 def test_every_planner_is_documented():
-    from ocp_ros.planners.registry import OFFLINE, ONLINE
+    from ocp_ros.search.registry import OFFLINE, ONLINE
     text = (ROOT / 'docs' / 'reference' / 'planners.md').read_text()
     assert re.findall(r'^\| `(\w+)` \|', text, re.M) == [*OFFLINE, *ONLINE]
 

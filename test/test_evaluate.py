@@ -10,8 +10,8 @@ import pytest
 from ocp_ros.cli.main import main
 from ocp_ros.compare.protocol import CONTROL
 from ocp_ros.compare.summary import NEGLIGIBLE, pairs
+from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene_files import save_scene
-from ocp_ros.scenes.synthetic.generator import generate_room
 
 
 def rows(errors):

@@ -7,11 +7,11 @@ import re
 import numpy as np
 import pytest
 
-from ocp_ros.agent.expected_gain import ExpectedGain
-from ocp_ros.agent.rig_state import RigState
 from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.online.expected_gain import ExpectedGain
+from ocp_ros.online.rig_state import RigState
+from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene import SceneError
-from ocp_ros.scenes.synthetic.generator import generate_room
 
 RANGE = 4.0
 

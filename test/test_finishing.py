@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.planners.finishing import (
+from ocp_ros.rig.motion import mounted
+from ocp_ros.search.finishing import (
     APART,
     differ,
     distinct,
@@ -19,10 +20,9 @@ from ocp_ros.planners.finishing import (
     SEED,
     steadiest,
 )
-from ocp_ros.planners.registry import OFFLINE
-from ocp_ros.planners.scorer import LATTICE, LatticeScorer, Scorer
-from ocp_ros.planners.solve import Archive, KEPT, solve
-from ocp_ros.rig.motion import mounted
+from ocp_ros.search.registry import OFFLINE
+from ocp_ros.search.scorer import LATTICE, LatticeScorer, Scorer
+from ocp_ros.search.solve import Archive, KEPT, solve
 from ocp_ros.simulation.problem import space_of
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from ocp_ros.agent.cloud_fusion import FEWEST, FusedCloud
+from ocp_ros.online.cloud_fusion import FEWEST, FusedCloud
 
 
 @st.composite

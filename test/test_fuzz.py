@@ -21,7 +21,7 @@ from benchmarks.drills.fuzz_targets import (
 )
 from benchmarks.drills.fuzz_trainer import TrainerTarget
 from benchmarks.drills.malformed import known_lies, spoilt_weights
-from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
+from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import cloud_to_msg, MessageError, msg_to_cloud
 from ocp_ros.ros.policy_node import PolicyNode

@@ -49,8 +49,8 @@ def test_plain_searches_find_what_they_found(golden, stored, tmp_path):
 
 
 def test_every_planner_is_stored(golden, stored):
-    from ocp_ros.planners.registry import OFFLINE, ONLINE
-    from ocp_ros.planners.rig_methods import planner_names
+    from ocp_ros.search.registry import OFFLINE, ONLINE
+    from ocp_ros.search.rig_methods import planner_names
     for section, names in (('offline', OFFLINE), ('online', ONLINE)):
         kept = {key.partition(',')[0] for key in stored[section]}
         assert kept - {'environment'} == set(names)

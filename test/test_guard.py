@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from ocp_ros.agent.constraint_filter import ABOVE, ConstraintFilter
+from ocp_ros.online.constraint_filter import ABOVE, ConstraintFilter
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.structure import floor_height

@@ -23,11 +23,11 @@ from benchmarks.drills.spoilt_files import (
 )
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.rooms.generator import generate_room
 from ocp_ros.ros.bags.bag_files import Bag
 from ocp_ros.scenes.guarded_reading import COSTS, read_guarded
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_files import load_scene
-from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.training.run_folder import read_config
 from ocp_ros.util.files import read_regular
 from ocp_ros.util.settings import ConfigurationError

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
+from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.training.encoded_environment import encoded_space
 from ocp_ros.training.experience import (
     Choice,

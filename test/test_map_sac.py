@@ -9,10 +9,11 @@ from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.logger import configure
 import torch
 
-from ocp_ros.agent.agent_config import AgentConfig
-from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.observation_map import BOX, CELLS, NUMBERS, OF_OTHERS, OF_ROOM
-from ocp_ros.agent.value_network import (
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.online.observation_map import BOX, CELLS, NUMBERS, OF_OTHERS, OF_ROOM
+from ocp_ros.policy.agent_config import AgentConfig
+from ocp_ros.policy.checkpoint import Checkpoint
+from ocp_ros.policy.value_network import (
     action_of,
     cell_of,
     CellChoices,
@@ -20,7 +21,6 @@ from ocp_ros.agent.value_network import (
     valued,
     ValueMapNetwork,
 )
-from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from ocp_ros.ros.policy.policy_planners import ExploringMap, make_planner

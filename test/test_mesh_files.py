@@ -17,10 +17,10 @@ from benchmarks.drills.spoilt_files import (
     write_ply_mesh,
     write_stl,
 )
+from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.mesh_files import sampled, SAMPLES
 from ocp_ros.scenes.scene import Mesh, Scene, SceneError
 from ocp_ros.scenes.scene_files import load_scene, scans_in
-from ocp_ros.scenes.synthetic.generator import generate_room
 
 ROOM = generate_room(7, 3000)
 WRITERS = {'mesh.ply': write_ply_mesh, 'text.ply': lambda *a: write_ply_mesh(*a, text=True),

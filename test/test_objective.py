@@ -9,11 +9,11 @@ import pytest
 
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import pack
-from ocp_ros.planners.scorer import Scorer
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.scenes.scene import SceneError
+from ocp_ros.search.scorer import Scorer
 from ocp_ros.simulation.objective import MUST
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig

@@ -8,20 +8,21 @@ from conftest import box_room, flat_clouds, made_room, random_checkpoint
 import numpy as np
 import pytest
 
-from ocp_ros.agent.agent_config import AgentConfig, CLOUD
-from ocp_ros.agent.observation_map import CELLS
-from ocp_ros.agent.partial_map import cells_of_the_air, LookHistory, NO_CELL, PartialMap, thinned
-from ocp_ros.agent.policy import Policy
-from ocp_ros.agent.rig_state import RigState
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.packed_bits import unpack
 from ocp_ros.geometry.visibility import FINE
-from ocp_ros.planners.greedy_step import GreedyStep
-from ocp_ros.planners.lookahead import Lookahead
-from ocp_ros.planners.map_actor import MapActor
-from ocp_ros.planners.online_planner import AHEAD, Learned, Online, ThinksAhead
-from ocp_ros.planners.rollout import play
-from ocp_ros.planners.step import Limits, OnlineStep
+from ocp_ros.online.greedy_step import GreedyStep
+from ocp_ros.online.lookahead import Lookahead
+from ocp_ros.online.observation_map import CELLS
+from ocp_ros.online.online_planner import AHEAD, Online, ThinksAhead
+from ocp_ros.online.partial_map import cells_of_the_air, LookHistory, NO_CELL, PartialMap, thinned
+from ocp_ros.online.rig_state import RigState
+from ocp_ros.online.rollout import play
+from ocp_ros.online.step import Limits, OnlineStep
+from ocp_ros.policy.agent_config import AgentConfig, CLOUD
+from ocp_ros.policy.learned import Learned
+from ocp_ros.policy.map_actor import MapActor
+from ocp_ros.policy.policy import Policy
 from ocp_ros.rig.free_plane import FINE_EDGE
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.scenes.scene import Scene

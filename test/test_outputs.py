@@ -93,8 +93,8 @@ def test_what_somebody_wrote_is_not_replaced(files, capsys, monkeypatch, taken, 
         path.write_text('mine')
     before = contents(files)
     # Refused before any work is done.
-    monkeypatch.setattr('ocp_ros.scenes.scene_source.load_cached', None)
-    monkeypatch.setattr('ocp_ros.scenes.scene_source.generate_room', None)
+    monkeypatch.setattr('ocp_ros.rooms.scene_source.load_cached', None)
+    monkeypatch.setattr('ocp_ros.rooms.scene_source.generate_room', None)
     assert words in refused(capsys, *arguments)
     assert {path: content for path, content in contents(files).items() if path in before} == before
 

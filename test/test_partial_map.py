@@ -8,13 +8,13 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from ocp_ros.agent import partial_map
-from ocp_ros.agent.observed_turn import ObservedTurns
-from ocp_ros.agent.partial_map import KeptModel, PartialMap, smallest_rectangle
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.packed_bits import unpack
 from ocp_ros.geometry.visibility import FAST, FINE
-from ocp_ros.planners.greedy_step import GreedyStep, MOVES, POINTS, ROWS
+from ocp_ros.online import partial_map
+from ocp_ros.online.greedy_step import GreedyStep, MOVES, POINTS, ROWS
+from ocp_ros.online.observed_turn import ObservedTurns
+from ocp_ros.online.partial_map import KeptModel, PartialMap, smallest_rectangle
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.scenes.scene import SceneError, turned
 

@@ -8,7 +8,7 @@ import pytest
 
 from ocp_ros.report.drawing.room_drawing import _ceiling, _surface
 from ocp_ros.report.drawing.room_pictures import draw_placement
-from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.rooms.generator import generate_room
 
 POINTS = generate_room(1, 3000).points
 CENTRE = np.append(POINTS.mean(axis=0)[:2], 1.9)

@@ -22,14 +22,14 @@ from benchmarks.camera_counts import curves, needed
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import count_bits
-from ocp_ros.planners.budget import Budget
-from ocp_ros.planners.candidate_pool import best_addition, clear, packed, Pool, random_sites
-from ocp_ros.planners.rig_methods import find, RIG_SEARCH
-from ocp_ros.planners.rig_plan import RigPlanner
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.rig_file import load_rig, rig_of, with_count
 from ocp_ros.scenes.scene_files import save_scene
+from ocp_ros.search.budget import Budget
+from ocp_ros.search.candidate_pool import best_addition, clear, packed, Pool, random_sites
+from ocp_ros.search.rig_methods import find, RIG_SEARCH
+from ocp_ros.search.rig_plan import RigPlanner
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.settings import ConfigurationError
@@ -423,7 +423,7 @@ def test_ctrl_c_while_drawing_leaves_the_placement(files, capsys, monkeypatch):
     def stop(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr('ocp_ros.report.rig_planning.verdict', stop)
+    monkeypatch.setattr('ocp_ros.planning.rig_planning.verdict', stop)
     assert main(['plan', 'room.ply', '--cameras', '2', '--evaluations', '20']) == 130
     assert capsys.readouterr().err == (
         'ocp: stopped; the placement is in out/plan/placement.yaml\n')

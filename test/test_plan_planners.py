@@ -13,20 +13,20 @@ import yaml
 
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.planners.budget import Budget
-from ocp_ros.planners.candidate_pool import Pool
-from ocp_ros.planners.online_planner import Online
-from ocp_ros.planners.pose_decoder import Decoder
-from ocp_ros.planners.registry import OFFLINE, ONLINE
-from ocp_ros.planners.rig_methods import planner_names, RigScorer
-from ocp_ros.planners.rig_plan import RigPlanner
-from ocp_ros.planners.rollout import play
+from ocp_ros.online.online_planner import Online
+from ocp_ros.online.rollout import play
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import placement_of, save_placement
 from ocp_ros.rig.rig_file import load_rig, rig_of, with_count
+from ocp_ros.rooms.generator import generate_room
+from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.scenes.scene_files import save_scene
-from ocp_ros.scenes.scene_source import make_room
-from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.search.budget import Budget
+from ocp_ros.search.candidate_pool import Pool
+from ocp_ros.search.pose_decoder import Decoder
+from ocp_ros.search.registry import OFFLINE, ONLINE
+from ocp_ros.search.rig_methods import planner_names, RigScorer
+from ocp_ros.search.rig_plan import RigPlanner
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
@@ -80,7 +80,7 @@ def planned(files):
 @pytest.fixture
 def few_candidates(monkeypatch):
     """Lay out few candidates where the clock is all that limits a search."""
-    monkeypatch.setattr('ocp_ros.planners.rig_plan.CANDIDATES', 200)
+    monkeypatch.setattr('ocp_ros.search.rig_plan.CANDIDATES', 200)
 
 
 def decoder_of(scene, rig, candidates=120):

@@ -9,16 +9,16 @@ import pytest
 from scipy import stats
 
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.planners.annealing import TransDimensionalAnnealing
-from ocp_ros.planners.evolution import matched
-from ocp_ros.planners.greedy import fill
-from ocp_ros.planners.particle_swarm import BinaryParticleSwarm
-from ocp_ros.planners.planner import Planner, Scores
-from ocp_ros.planners.registry import OFFLINE
-from ocp_ros.planners.scorer import Scorer
-from ocp_ros.planners.solve import solve
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.search.annealing import TransDimensionalAnnealing
+from ocp_ros.search.evolution import matched
+from ocp_ros.search.greedy import fill
+from ocp_ros.search.particle_swarm import BinaryParticleSwarm
+from ocp_ros.search.planner import Planner, Scores
+from ocp_ros.search.registry import OFFLINE
+from ocp_ros.search.scorer import Scorer
+from ocp_ros.search.solve import solve
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 

@@ -9,11 +9,11 @@ from scipy.spatial import cKDTree
 
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.rig.plausibility import room_notes
+from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.scenes.scene_files import scene_of as room_of
 from ocp_ros.scenes.stray_points import stray_points
-from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 

@@ -20,10 +20,10 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointField
 from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
 
-from ocp_ros.agent.checkpoint import CheckpointError
-from ocp_ros.agent.encoder import Encoder
-from ocp_ros.agent.policy import Policy
-from ocp_ros.planners.rollout import play
+from ocp_ros.online.rollout import play
+from ocp_ros.policy.checkpoint import CheckpointError
+from ocp_ros.policy.encoder import Encoder
+from ocp_ros.policy.policy import Policy
 from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import (
@@ -35,11 +35,10 @@ from ocp_ros.ros.interface.conversions import (
     positions_to_msg,
     stamp_to_ns,
 )
-from ocp_ros.ros.interface.news import has_news
 from ocp_ros.ros.policy.policy_config import PLANNERS, PolicyNodeConfig
 from ocp_ros.ros.policy.policy_planners import make_planner
 from ocp_ros.ros.policy.simulated_turns import REMEMBERED
-from ocp_ros.ros.policy_node import PolicyNode
+from ocp_ros.ros.policy_node import has_news, PolicyNode
 from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem

@@ -13,14 +13,14 @@ import pytest
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import no_bits, unpack
-from ocp_ros.planners.budget import Budget
-from ocp_ros.planners.candidate_pool import Pool
-from ocp_ros.planners.column_generation import Column, ColumnGeneration
-from ocp_ros.planners.loss_trees import LossTrees, seers_of
-from ocp_ros.planners.pose_grid import PoseGrid
-from ocp_ros.planners.priced_search import search
 from ocp_ros.rig.rig_file import rig_from, rig_of
 from ocp_ros.scenes.scene_files import save_scene
+from ocp_ros.search.budget import Budget
+from ocp_ros.search.candidate_pool import Pool
+from ocp_ros.search.pose_grid import PoseGrid
+from ocp_ros.search.priced_search import search
+from ocp_ros.search.proof.column_generation import Column, ColumnGeneration
+from ocp_ros.search.proof.loss_trees import LossTrees, seers_of
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import View

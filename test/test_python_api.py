@@ -17,19 +17,19 @@ import pytest
 
 import ocp_ros
 from ocp_ros.cli.main import main
-from ocp_ros.planners.budget import Budget
-from ocp_ros.planners.online_planner import Online
-from ocp_ros.planners.planner import Planner
-from ocp_ros.planners.registry import OFFLINE, ONLINE, register_planner
+from ocp_ros.online.online_planner import Online
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.rig_file import load_rig, rig_of
 from ocp_ros.scenes.scene_files import load_scene, save_scene
+from ocp_ros.search.budget import Budget
+from ocp_ros.search.planner import Planner
+from ocp_ros.search.registry import OFFLINE, ONLINE, register_planner
 from ocp_ros.simulation.simulation_config import EngineConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 
 #: A package as pip leaves it: one planner that works, one that cannot be imported.
 PLUGIN = """\
-from ocp_ros.planners.planner import Planner
+from ocp_ros.search.planner import Planner
 
 
 class Few(Planner):
@@ -152,7 +152,7 @@ def test_a_planner_of_another_package_is_in_every_command(files, plugin):
     assert done.returncode == 0, done.stderr
     assert 'few' in done.stdout and done.stderr.count('planner lost') == 1
     code = ('from ocp_ros.compare.protocol import Protocol; '
-            'from ocp_ros.planners.rig_methods import planner_names; '
+            'from ocp_ros.search.rig_methods import planner_names; '
             'assert "few" in Protocol().planners and "few" in planner_names()')
     subprocess.run([sys.executable, '-c', code], env=plugin, check=True, capture_output=True)
 

@@ -23,9 +23,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from test_training import TINY
 import torch
 
-from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.compare import comparison
 from ocp_ros.compare.protocol import Protocol
+from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.training import train as training
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.util.settings import ConfigurationError, from_nested, UserError

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from test_training import TINY
 
-from ocp_ros.agent.agent_config import AgentConfig
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.planners.registry import ONLINE
-from ocp_ros.planners.rollout import play
+from ocp_ros.online.rollout import play
+from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.scene_files import save_scene
+from ocp_ros.search.registry import ONLINE
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import make_problem, settings_for

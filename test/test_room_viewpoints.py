@@ -10,8 +10,8 @@ from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.depth_error import five_viewpoints
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.rig_file import rig_of
+from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene import Scene, turned
-from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator

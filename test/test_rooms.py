@@ -15,12 +15,12 @@ import pytest
 
 from benchmarks.room_likeness import generated, shares_of_kinds, summary
 from ocp_ros.cli import main as cli
+from ocp_ros.rooms.furniture import KINDS, placed, solid
+from ocp_ros.rooms.generator import generate_room, mesh_of
+from ocp_ros.rooms.room_kinds import draw_plan, ROOMS
+from ocp_ros.rooms.room_plan import mirrored, RoomPlan
+from ocp_ros.rooms.scanning import boxes_of, densities, exposed, free, scan, surface_of
 from ocp_ros.scenes.scene_files import load_scene
-from ocp_ros.scenes.synthetic.furniture import KINDS, placed, solid
-from ocp_ros.scenes.synthetic.generator import generate_room, mesh_of
-from ocp_ros.scenes.synthetic.room_kinds import draw_plan, ROOMS
-from ocp_ros.scenes.synthetic.room_plan import mirrored, RoomPlan
-from ocp_ros.scenes.synthetic.scanning import boxes_of, densities, exposed, free, scan, surface_of
 
 SEEDS = strategies.integers(0, 1 << 31)
 

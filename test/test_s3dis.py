@@ -9,13 +9,13 @@ import pytest
 from ocp_ros.cli.compare_commands import protocol_of
 from ocp_ros.cli.main import parser
 from ocp_ros.compare.protocol import PRESETS, rooms_of_s3dis
+from ocp_ros.rooms.generator import generate_room
+from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.scenes import scene_cache
 from ocp_ros.scenes.s3dis import chosen_rooms, rooms_of_area
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_cache import load_cached
 from ocp_ros.scenes.scene_files import load_scene
-from ocp_ros.scenes.scene_source import make_room
-from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.util.files import cache_folder
 
 

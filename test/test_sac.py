@@ -16,9 +16,9 @@ from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.vec_env import DummyVecEnv
 import torch
 
-from ocp_ros.agent.checkpoint import CheckpointError
-from ocp_ros.agent.policy import Policy
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.policy.checkpoint import CheckpointError
+from ocp_ros.policy.policy import Policy
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.reward import potential
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
@@ -121,8 +121,8 @@ def test_the_policy_gives_sacs_own_actions(env, agent):
 ALONE = """
 import sys
 import numpy as np
-from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.policy import Policy
+from ocp_ros.policy.checkpoint import Checkpoint
+from ocp_ros.policy.policy import Policy
 told = np.load(sys.argv[1] + '.npz')
 policy = Policy(Checkpoint.load(sys.argv[1] + '.safetensors'))
 found = policy.act(told['cloud'], told['positions'], 0, 6)

@@ -7,7 +7,7 @@ from hypothesis import settings as budget
 from hypothesis import strategies as st
 import numpy as np
 
-from ocp_ros.agent.sampling import ball_query, farthest_points, nearest_in_ball
+from ocp_ros.policy.sampling import ball_query, farthest_points, nearest_in_ball
 
 seeds = st.integers(0, 2 ** 32 - 1)
 

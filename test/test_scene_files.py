@@ -20,10 +20,10 @@ from benchmarks.drills.spoilt_files import (
     write_text,
 )
 from ocp_ros.geometry.voxels import voxel_downsample
+from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_files import load_scene, SceneWarning
 from ocp_ros.scenes.stray_points import stray_points
-from ocp_ros.scenes.synthetic.generator import generate_room
 
 SCANS = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'rooms'
 ROOM = generate_room(3, 2500).points

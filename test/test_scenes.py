@@ -13,11 +13,11 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from ocp_ros.geometry.voxels import voxel_downsample, voxel_size_for
+from ocp_ros.rooms.generator import generate_room
+from ocp_ros.rooms.scene_source import room_named
 from ocp_ros.scenes.neighbours import nearest
 from ocp_ros.scenes.scene import check_points, Scene, SceneError
 from ocp_ros.scenes.scene_files import load_scene, SceneWarning
-from ocp_ros.scenes.scene_source import room_named
-from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.scenes.up_axis import likely_up, likely_up_axis, map_from_file, UP_AXES, up_of
 
 ROOM = generate_room(3, 2500).points

@@ -11,10 +11,10 @@ import yaml
 
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.engine_config import EngineConfig, PROMISING
-from ocp_ros.report.findings import improvements
+from ocp_ros.planning.findings import improvements
 from ocp_ros.rig.rig_file import load_rig, rig_of
+from ocp_ros.rooms.scene_source import room_named
 from ocp_ros.scenes.scene_files import load_scene, save_scene
-from ocp_ros.scenes.scene_source import room_named
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 

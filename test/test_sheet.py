@@ -17,14 +17,14 @@ import numpy as np
 import pytest
 
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.report.assessment import judge
+from ocp_ros.planning.assessment import judge
 from ocp_ros.report.drawing import assessment_pictures, figures, sheet
 from ocp_ros.report.drawing.figures import shortened, width_of
 from ocp_ros.report.drawing.plan_marks import apart
 from ocp_ros.report.key_figures import metres
 from ocp_ros.rig.placement_file import placement_of
 from ocp_ros.rig.rig_file import rig_from, rig_of
-from ocp_ros.scenes.scene_source import room_named
+from ocp_ros.rooms.scene_source import room_named
 from ocp_ros.util.yaml_files import Document
 
 LONG = 'the camera over the door to the storage room, left of the $ sign of the bank'

@@ -6,27 +6,28 @@ from conftest import box_room
 import numpy as np
 import pytest
 
-from ocp_ros.agent.observed_turn import ObservedTurns
-from ocp_ros.agent.partial_map import PartialMap, thinned
-from ocp_ros.agent.rig_state import directions, RigState
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.packed_bits import pack
-from ocp_ros.planners.annealing import annealed, between
-from ocp_ros.planners.candidate_sites import (
+from ocp_ros.online.candidate_sites import (
     ANYWHERE,
     Candidates,
     COLD,
     EXCHANGES,
     HOT,
+    IN_A_ROW,
     kinds_of,
     most_places,
     Sites,
 )
-from ocp_ros.planners.greedy_step import GreedyStep, POINTS, ROWS
-from ocp_ros.planners.lookahead import Lookahead
-from ocp_ros.planners.online_planner import matched
+from ocp_ros.online.greedy_step import GreedyStep, POINTS, ROWS
+from ocp_ros.online.lookahead import Lookahead
+from ocp_ros.online.observed_turn import ObservedTurns
+from ocp_ros.online.online_planner import matched
+from ocp_ros.online.partial_map import PartialMap, thinned
+from ocp_ros.online.rig_state import directions, RigState
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.sensors import SENSORS
+from ocp_ros.util.annealing import between
 
 MAX_STEP, MAX_RANGE, MARGIN, TURNS = 0.5, 3.0, 0.1, 12
 NEAR = CameraModel(max_range=MAX_RANGE)
@@ -134,7 +135,7 @@ def test_cameras_take_places_of_their_kind_only():
     model = PartialMap(CLOUD, sight.placement[:, :3], 4.0, 2000, 16)
     space = FreePlane.of(CLOUD, 1.9, 3, MARGIN)
     places = space.placement(space.grid(12))
-    sites = Sites(model, places, sight.placement, sight, np.zeros_like(
+    sites = Sites(model, places, [sight.placement], sight, np.zeros_like(
         model.look(START).covered), 0.0)
     assert len(sites.sites) == 3 + len(places) * (len(directions(sight.pitch, 8, 2)) + 1)
     own = sites.sites[3:]
@@ -159,25 +160,36 @@ def test_annealing_agrees_with_its_twin(kinds, weight):
     if kinds == 1:
         found = Candidates(model, places, space, 3, unseen, weight)
     else:
-        found = Sites(model, space.placement(places), None, sight, unseen, weight)
+        found = Sites(model, space.placement(places), [], sight, unseen, weight)
     kind_of = [0, kinds - 1, 0]
 
-    def exchanged(chosen):
-        trial, camera = list(chosen), int(twin.integers(3))
-        own = found._of_kind[kind_of[camera]]
-        if twin.random() < ANYWHERE:
-            trial[camera] = int(twin.choice(own))
-        else:
-            trial[camera] = int(twin.choice(found._near[trial[camera]][:len(own)]))
-        return trial
+    def annealed(state, rng):
+        shares = np.arange(EXCHANGES) / EXCHANGES
+        temperatures = model.depth_error.worst * between(HOT, COLD, shares)
+        best, best_value = list(state), np.inf
+        for block in range(0, EXCHANGES, IN_A_ROW):
+            camera, value = int(rng.integers(0, 3)), found.value(state)
+            if value < best_value:
+                best, best_value = list(state), value
+            own = found._of_kind[kind_of[camera]]
+            for temperature in temperatures[block:block + IN_A_ROW]:
+                if rng.random() < ANYWHERE:
+                    site = own[rng.integers(0, len(own))]
+                else:
+                    near = found._near[state[camera]][:len(own)]
+                    site = near[rng.integers(0, len(near))]
+                trial = [*state[:camera], int(site), *state[camera + 1:]]
+                most, trial_value = value + temperature * rng.exponential(), found.value(trial)
+                if trial_value <= most:
+                    state, value = trial, trial_value
+                    if value < best_value:
+                        best, best_value = list(state), value
+        return best
 
     start = found.fill()[::-1] if kinds == 1 else found.fill()
     for seed in range(3):
         rng, twin = np.random.default_rng(seed), np.random.default_rng(seed)
-        expected = annealed(start, found.value, exchanged, [
-            model.depth_error.worst * between(HOT, COLD, step / EXCHANGES)
-            for step in range(EXCHANGES)], twin)
-        assert found.anneal(start, rng) == expected
+        assert found.anneal(start, rng) == annealed(start, twin)
         # They drew as often, so what is drawn next is the same.
         assert rng.bit_generator.state == twin.bit_generator.state
         start = [int(found._of_kind[kind][0]) for kind in kind_of]

@@ -19,6 +19,7 @@ from std_msgs.msg import Float64, Float64MultiArray, Header
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
+from ocp_ros.rooms.generator import generate_room
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import (
     msg_to_cloud,
@@ -29,7 +30,6 @@ from ocp_ros.ros.interface.conversions import (
 )
 from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.scenes.scene import SceneError
-from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.util.settings import ConfigurationError
 
 TURN = ((PointCloud2, topics.OBSERVATION), (PoseArray, topics.CAMERA_POSES),

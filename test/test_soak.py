@@ -16,7 +16,7 @@ from std_msgs.msg import Header
 
 from benchmarks.drills import hold_soak, soak, soak_watch
 from benchmarks.drills.drill import grown
-from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.ros.interface.conversions import ns_to_stamp, positions_to_msg
 from ocp_ros.training.learner import ACTOR, STATE
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ocp_ros.planners.annealing import TransDimensionalAnnealing
-from ocp_ros.planners.planner import Scores
-from ocp_ros.planners.registry import OFFLINE
-from ocp_ros.planners.solve import solve
 from ocp_ros.rig.free_plane import EDGE, Floor, floor_of, FreePlane
 from ocp_ros.rig.motion import towards
 from ocp_ros.scenes.scene import turned
+from ocp_ros.search.annealing import TransDimensionalAnnealing
+from ocp_ros.search.planner import Scores
+from ocp_ros.search.registry import OFFLINE
+from ocp_ros.search.solve import solve
 
 #: Metres by which the floor may reach round an inner corner: two cells.
 CORNER = 2.0 * EDGE

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.planners.lookahead import Lookahead
-from ocp_ros.planners.online_planner import AHEAD
-from ocp_ros.planners.registry import settings_of
-from ocp_ros.planners.rollout import state_of
-from ocp_ros.planners.step import Limits, OnlineStep
+from ocp_ros.online.lookahead import Lookahead
+from ocp_ros.online.online_planner import AHEAD
+from ocp_ros.online.rollout import state_of
+from ocp_ros.online.step import Limits, OnlineStep
 from ocp_ros.rig.rig_file import rig_of
+from ocp_ros.search.registry import settings_of
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import described, Problem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig

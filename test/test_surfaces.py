@@ -5,8 +5,8 @@
 import numpy as np
 import pytest
 
+from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.scenes.synthetic.generator import generate_room
 
 
 def test_normals_are_sharp_at_edges():

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.planners.registry import ONLINE
 from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.search.registry import ONLINE
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.threads import mapped, set_threads
 

@@ -15,9 +15,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray
 from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
 
-from ocp_ros.agent.agent_config import AgentConfig, CLOUD, PAPER
-from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.policy import Policy
+from ocp_ros.policy.agent_config import AgentConfig, CLOUD, PAPER
+from ocp_ros.policy.checkpoint import Checkpoint
+from ocp_ros.policy.policy import Policy
 from ocp_ros.rig.free_plane import CLEARANCE
 from ocp_ros.ros import trainer_node
 from ocp_ros.ros.interface import qos, topics

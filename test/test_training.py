@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
-from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.policy import Policy
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.policy.checkpoint import Checkpoint
+from ocp_ros.policy.policy import Policy
 from ocp_ros.rig.rig_config import RigConfig
-from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.rooms.generator import generate_room
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.training.encoded_environment import CameraByCamera

@@ -9,11 +9,11 @@ import pytest
 
 from benchmarks.room_sets import SEEDS
 from ocp_ros.compare.protocol import rooms_in
+from ocp_ros.rooms.generator import generate_room
+from ocp_ros.rooms.scene_source import make_room
+from ocp_ros.rooms.splits import FRESH, TEST, TRAINING, VALIDATION
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_files import save_scene
-from ocp_ros.scenes.scene_source import make_room
-from ocp_ros.scenes.splits import FRESH, TEST, TRAINING, VALIDATION
-from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.training import training_rooms
 from ocp_ros.training.train import trials_of
 from ocp_ros.training.training_config import RoomsConfig, TrainingConfig

@@ -20,9 +20,9 @@ from ocp_ros.geometry.depth_error import DepthError, five_viewpoints
 from ocp_ros.geometry.engine_config import EngineConfig, PROMISING
 from ocp_ros.geometry.packed_bits import no_bits, pack, unpack
 from ocp_ros.rig.motion import mounted
+from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene import Mesh, Scene
 from ocp_ros.scenes.scene_files import save_scene
-from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.problem import space_of
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator

@@ -10,10 +10,8 @@ import pytest
 from test_value_map import TINY
 import torch
 
-from ocp_ros.agent.agent_config import AgentConfig
-from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.errors import CheckpointError
-from ocp_ros.agent.observation_map import (
+from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.online.observation_map import (
     at_yaws,
     CELLS,
     NUMBERS,
@@ -23,14 +21,16 @@ from ocp_ros.agent.observation_map import (
     told_of,
     yaws_of,
 )
-from ocp_ros.agent.policy import ValuePolicy
-from ocp_ros.agent.rig_state import RigState
-from ocp_ros.agent.value_network import valued, ValueMapNetwork
-from ocp_ros.geometry.cameras import CameraModel
-from ocp_ros.planners.map_actor import MANY, MapActor
+from ocp_ros.online.rig_state import RigState
+from ocp_ros.policy.agent_config import AgentConfig
+from ocp_ros.policy.checkpoint import Checkpoint
+from ocp_ros.policy.errors import CheckpointError
+from ocp_ros.policy.map_actor import MANY, MapActor
+from ocp_ros.policy.policy import ValuePolicy
+from ocp_ros.policy.value_network import valued, ValueMapNetwork
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.sensors import SENSORS
-from ocp_ros.scenes.synthetic.generator import generate_room
+from ocp_ros.rooms.generator import generate_room
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.training import value_states
 from ocp_ros.training.augmentation import turned_maps

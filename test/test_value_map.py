@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from ocp_ros.agent.agent_config import AgentConfig
-from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.errors import CheckpointError
-from ocp_ros.agent.observation_map import (
+from ocp_ros.geometry.depth_error import DepthError
+from ocp_ros.geometry.packed_bits import no_bits
+from ocp_ros.online.observation_map import (
     CELLS,
     EDGE,
     NUMBERS,
@@ -20,17 +19,18 @@ from ocp_ros.agent.observation_map import (
     OF_ROOM,
     Window,
 )
-from ocp_ros.agent.partial_map import LookHistory, PartialMap
-from ocp_ros.agent.policy import make_policy
-from ocp_ros.agent.value_network import ValueMapNetwork
-from ocp_ros.geometry.depth_error import DepthError
-from ocp_ros.geometry.packed_bits import no_bits
-from ocp_ros.planners.map_actor import MapActor
+from ocp_ros.online.partial_map import LookHistory, PartialMap
+from ocp_ros.policy.agent_config import AgentConfig
+from ocp_ros.policy.checkpoint import Checkpoint
+from ocp_ros.policy.errors import CheckpointError
+from ocp_ros.policy.map_actor import MapActor
+from ocp_ros.policy.policy import make_policy
+from ocp_ros.policy.value_network import ValueMapNetwork
 from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.rooms.generator import generate_room
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from ocp_ros.ros.policy.policy_planners import make_planner
 from ocp_ros.scenes.scene import turned
-from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.training.train import train
 from ocp_ros.training.training_config import RoomsConfig, TrainingConfig, ValuesConfig

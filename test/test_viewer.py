@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.report.assessment import judge
+from ocp_ros.planning.assessment import judge
 from ocp_ros.report.drawing.frustum_drawing import edges, reach
 from ocp_ros.report.viewer import groups_of, layers_of, paints_of, SHOWN, write_view
 from ocp_ros.rig.placement_file import placement_of
 from ocp_ros.rig.rig_file import rig_of, sensor_named, SENSORS
-from ocp_ros.scenes.scene_source import room_named
+from ocp_ros.rooms.scene_source import room_named
 
 ASKED = {'regions': [{'name': 'table', 'box': [[2, 2, 0], [5, 5, 1.5]]}],
          'keep_out': [{'polygon': [[0, 0], [1, 0], [1, 1]], 'height': [0, 9]}]}

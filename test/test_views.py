@@ -19,7 +19,6 @@ from visualization_msgs.msg import Marker, MarkerArray
 from ocp_ros.geometry.cameras import CameraModel, in_view, Pose, rotation_matrix
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.ros.interface import qos, topics
-from ocp_ros.ros.interface.camera_info import camera_info
 from ocp_ros.ros.interface.conversions import (
     cloud_to_msg,
     msg_to_cloud,
@@ -27,6 +26,7 @@ from ocp_ros.ros.interface.conversions import (
     positions_to_msg,
 )
 from ocp_ros.ros.interface.markers import frustum_edges, rig_markers
+from ocp_ros.ros.interface.views import camera_info
 from ocp_ros.ros.policy.policy_views import observed_maps
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.sim_node import SimNode

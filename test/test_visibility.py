@@ -33,9 +33,9 @@ from ocp_ros.geometry.visibility import (
     SurfelVisibility,
 )
 from ocp_ros.rig.sensors import SENSORS
+from ocp_ros.rooms.generator import mesh_of, plan_of
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.scenes.synthetic.generator import mesh_of, plan_of
 
 HERE = Pose(np.zeros(3), LEVEL)
 NOWHERE = np.empty((0, 3), np.float32)

@@ -21,15 +21,18 @@ from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 LAYERS = {
     'util': 'settings, files, threads, worker processes',
     'geometry': 'what a camera sees of points: arrays in, arrays out',
-    'scenes': 'rooms from files, generated rooms',
+    'scenes': 'rooms from files',
+    'rooms': 'generated rooms',
     'rig': 'cameras, mounts, constraints, their files',
-    'registration': 'live clouds to scans: where cameras are mounted',
     'simulation': 'a rig in a room: engine, objective, episode',
-    'agent': 'what runs on the robot: partial map, network',
-    'planners': 'every method that finds a placement',
+    'registration': 'live clouds to scans: where cameras are mounted',
+    'online': 'partial map, planners without a scan',
+    'policy': 'networks, weights, who runs them',
+    'search': 'planners that know the scan, and the proof',
+    'planning': 'a rig planned, a placement judged',
+    'report': 'pictures, pages, exports',
     'training': 'SAC, dense values',
     'compare': 'one protocol for all planners',
-    'report': 'pictures, pages, exports',
     'ros': 'ROS 2 nodes: convert, call, publish',
     'demo': 'node processes, and who watches them',
     'cli': 'ocp: one file a command'}
@@ -58,11 +61,11 @@ def draw(path: Path) -> None:
     axes.set_axis_off()
     _title(axes, 0.3, 'Layers: each imports those below it')
     for number, (name, about) in enumerate(LAYERS.items()):
-        bottom = 0.25 + 0.365 * number
-        _box(axes, 0.3, bottom, 4.3, 0.31, FILLS[number % 2])
-        axes.text(0.45, bottom + 0.155, name, fontsize=9.0, fontweight='bold', color=INK,
+        bottom = 0.25 + 0.305 * number
+        _box(axes, 0.3, bottom, 4.3, 0.26, FILLS[number % 2])
+        axes.text(0.45, bottom + 0.13, name, fontsize=9.0, fontweight='bold', color=INK,
                   va='center', zorder=3)
-        axes.text(1.55, bottom + 0.155, about, fontsize=7.5, color=PALE_INK, va='center',
+        axes.text(1.55, bottom + 0.13, about, fontsize=7.5, color=PALE_INK, va='center',
                   zorder=3)
     _title(axes, 5.2, 'Nodes and topics')
     for name, (x, y) in NODES.items():

@@ -43,16 +43,16 @@ from std_msgs.msg import Header
 import torch
 
 from benchmarks import results
-from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.demo.node_processes import free_domain
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.policy.checkpoint import Checkpoint
+from ocp_ros.rooms.generator import generate_room
 from ocp_ros.ros import policy_node, sim_node, trainer_node
 from ocp_ros.ros.interface.conversions import msg_to_positions, ns_to_stamp, positions_to_msg
 from ocp_ros.ros.policy.decider import Decider
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from ocp_ros.ros.runtime.network import ASKED, LOCALHOST
 from ocp_ros.scenes.scene_files import save_scene
-from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import SimulationConfig

@@ -20,9 +20,9 @@ from benchmarks import results
 from benchmarks.drills.drill import grown, rss_of, run_drill
 from benchmarks.drills.fuzz_targets import Fuzzer, LiveTarget, PolicyTarget, shell, SimTarget
 from benchmarks.drills.fuzz_trainer import TrainerTarget
-from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.demo.node_processes import NodeProcess, stopped_at_the_end
 from ocp_ros.demo.watcher import Watch
+from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.util.resources import find_model
 
 #: Seconds to wait for an answer.

@@ -21,8 +21,8 @@ from benchmarks.drills.malformed import (
     spoilt_poses,
     spoilt_weights,
 )
-from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.encoder import Encoder
+from ocp_ros.policy.checkpoint import Checkpoint
+from ocp_ros.policy.encoder import Encoder
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import (
     bytes_to_msg,

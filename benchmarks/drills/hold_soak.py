@@ -24,9 +24,9 @@ from benchmarks import results
 from benchmarks.drills.drill import run_drill
 from benchmarks.drills.live_rig import BODY, CAMERAS, episode_in, MAP, OPTICAL, Rig, S
 from ocp_ros.demo.watcher import Watch
+from ocp_ros.rooms.generator import generate_room
 from ocp_ros.ros.interface.conversions import msg_to_positions
 from ocp_ros.ros.policy_node import PolicyNode
-from ocp_ros.scenes.synthetic.generator import generate_room
 
 #: Seconds between messages of the rig, and from one fault to the next.
 PERIOD, EVERY = 0.2, 6.0

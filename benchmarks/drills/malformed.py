@@ -18,7 +18,7 @@ import safetensors.torch
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header
 
-from ocp_ros.agent.checkpoint import Checkpoint, KEY
+from ocp_ros.policy.checkpoint import Checkpoint, KEY
 from ocp_ros.ros.interface.conversions import cloud_to_msg, fields_to_msg, positions_to_msg
 from ocp_ros.training.experience import Choice
 

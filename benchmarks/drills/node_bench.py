@@ -38,6 +38,7 @@ from ocp_ros.demo.train_demo import start_all
 from ocp_ros.demo.watcher import Watch
 from ocp_ros.geometry.cameras import heading_of
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.rooms.generator import generate_room
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import (
     cloud_to_msg,
@@ -49,7 +50,6 @@ from ocp_ros.ros.interface.conversions import (
 from ocp_ros.ros.policy.policy_config import PLANNERS, PolicyNodeConfig
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.runtime.network import LOCALHOST
-from ocp_ros.scenes.synthetic.generator import generate_room
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import make_problem, settings_for
 from ocp_ros.simulation.simulation_config import SimulationConfig

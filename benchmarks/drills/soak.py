@@ -27,10 +27,10 @@ from rosgraph_msgs.msg import Clock
 from benchmarks import results
 from benchmarks.drills.drill import grown, run_drill
 from benchmarks.drills.soak_watch import check_files, Latency, Lies, MemoryWatch
-from ocp_ros.agent.checkpoint import Checkpoint
 from ocp_ros.demo.node_processes import NodeProcess, stopped_at_the_end
 from ocp_ros.demo.train_demo import pair_of
 from ocp_ros.demo.watcher import Watch
+from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.ros.interface.conversions import ns_to_stamp
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.threads import cores

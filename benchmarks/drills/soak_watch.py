@@ -23,8 +23,8 @@ from benchmarks.drills.malformed import (
     spoilt_poses,
     spoilt_weights,
 )
-from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.demo.node_processes import NodeProcess
+from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import bytes_to_msg, ns_to_stamp, stamp_to_ns
 from ocp_ros.ros.interface.qos import LATCHED, LOOP, RECORDER

@@ -19,9 +19,9 @@ from scipy.spatial.transform import Rotation
 from benchmarks.results import ROOT
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene import Mesh
 from ocp_ros.scenes.scene_files import load_scene
-from ocp_ros.scenes.synthetic.generator import generate_room
 
 #: What bytes and numbers of a file are made to be.
 BYTES = (b'\0' * 4, b'\xff' * 4, b'\x7f\xff\xff\xff', b'\xff' * 8, b'\0\0\xc0\x7f')

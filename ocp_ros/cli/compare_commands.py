@@ -16,12 +16,12 @@ from ocp_ros.cli.common import claim_folder, Found, show_written
 from ocp_ros.compare.comparison import compare, Comparison, RESULTS
 from ocp_ros.compare.protocol import placing, PRESETS, Protocol, rooms_in, rooms_of_s3dis
 from ocp_ros.compare.summary import budgets_of, last_runs, per_room
-from ocp_ros.planners.rig_methods import planner_names
-from ocp_ros.report.rig_planning import CAMERAS, MOUNT
+from ocp_ros.planning.rig_planning import CAMERAS, MOUNT
 from ocp_ros.report.room_facts import show_notes
 from ocp_ros.rig.rig_file import rig_of
+from ocp_ros.rooms.splits import SETS
 from ocp_ros.scenes.scene_files import check_file
-from ocp_ros.scenes.splits import SETS
+from ocp_ros.search.rig_methods import planner_names
 from ocp_ros.util.files import folder_to_write, write_atomically
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.yaml_files import timestamp, written

@@ -44,7 +44,7 @@ from ocp_ros.util.shown_text import printable
 
 def _train(arguments: argparse.Namespace) -> Found:
     """Train a policy, and say what it does in rooms it has never seen."""
-    from ocp_ros.agent.checkpoint import card_of
+    from ocp_ros.policy.checkpoint import card_of
     from ocp_ros.training.run_folder import read_config
     from ocp_ros.training.train import train
     config, command = read_config(arguments.config), f'ocp train --config {arguments.config}'

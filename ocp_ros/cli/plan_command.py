@@ -25,13 +25,13 @@ from ocp_ros.cli.score_command import (
     WRITTEN,
     written_to,
 )
-from ocp_ros.planners.budget import Budget
+from ocp_ros.planning.rig_planning import CAMERAS, Counting, MOUNT, PlannedRig, PlanTask
 from ocp_ros.report.count_report import draw_curve
 from ocp_ros.report.exports import PLACEMENTS
-from ocp_ros.report.rig_planning import CAMERAS, Counting, MOUNT, PlannedRig, PlanTask
 from ocp_ros.report.verdict_tables import show_plan, WIDTH
 from ocp_ros.rig.placement_file import Placement, save_placement
 from ocp_ros.rig.rig_file import load_rig, Rig, rig_of, with_count
+from ocp_ros.search.budget import Budget
 from ocp_ros.util.files import FileSet, folder_to_write
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable

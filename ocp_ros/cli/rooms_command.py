@@ -13,7 +13,7 @@ from ocp_ros.util.shown_text import printable
 
 def _list_rooms(arguments: argparse.Namespace) -> Found:
     """Return kinds and sizes of generated rooms."""
-    from ocp_ros.scenes.synthetic.generator import plan_of
+    from ocp_ros.rooms.generator import plan_of
     seeds = range(arguments.first, arguments.first + arguments.count)
     return {'rooms': [{'seed': seed, 'kind': plan.kind, 'size': plan.size,
                        'solids': len(plan.solids)} for seed, plan in zip(
@@ -36,8 +36,8 @@ def _make_rooms(arguments: argparse.Namespace) -> Found:
     from rich.console import Console
     from rich.progress import track
 
+    from ocp_ros.rooms.generator import generate_room
     from ocp_ros.scenes.scene_files import mesh_of, save_scene
-    from ocp_ros.scenes.synthetic.generator import generate_room
     folder_to_write(arguments.out)
     paths = [arguments.out / f'room-{seed}.ply' for seed in arguments.seeds]
     for path in paths:
@@ -58,8 +58,8 @@ def _show_made(found: Found) -> None:
 def _preview_rooms(arguments: argparse.Namespace) -> Found:
     """Draw generated rooms and scans."""
     from ocp_ros.report.drawing.room_pictures import draw_rooms, titled
+    from ocp_ros.rooms.scene_source import seed_named
     from ocp_ros.scenes.scene_cache import load_cached
-    from ocp_ros.scenes.scene_source import seed_named
     claim_file(arguments, arguments.out, 'a picture')
     scenes = []
     for name in arguments.rooms:

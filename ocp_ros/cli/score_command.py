@@ -11,13 +11,13 @@ from typing import Any
 from rich.console import Console
 
 from ocp_ros.cli.common import claim_folder
-from ocp_ros.report.assessment import Assessment, judge
+from ocp_ros.planning.assessment import Assessment, judge
 from ocp_ros.report.exports import export, FORMS
 from ocp_ros.report.verdict_tables import show_verdict, WIDTH
 from ocp_ros.rig.placement_file import load_placement, Placement
 from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.rooms.scene_source import room_named
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.scenes.scene_source import room_named
 from ocp_ros.util.files import FileSet, folder_to_write
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable

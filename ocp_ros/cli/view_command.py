@@ -8,7 +8,7 @@ from typing import Any
 import webbrowser
 
 from ocp_ros.cli.score_command import room_and_placement, room_asked
-from ocp_ros.report.assessment import judge
+from ocp_ros.planning.assessment import judge
 from ocp_ros.report.viewer import write_view
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable

@@ -17,8 +17,8 @@ import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.motion import mounted
 from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.scenes.scene_source import make_room
 from ocp_ros.simulation.problem import PlaneProblem, Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
@@ -57,19 +57,22 @@ class JudgedRoom:
     :param judged_points: of the scan that judges a generated room; half of a scan are held out.
     :param scale: metres per unit of a scan.
     :param up: the axis of a scan that points up.
+    :param half: seed of the random half of a scan that searches see.
     :ivar scene: what searches see.
     :ivar judged: what the judge sees.
     """
 
     def __init__(self, name: str, rotation: float, config: SimulationConfig, points: int = POINTS,
-                 judged_points: int = JUDGED_POINTS, scale: float = 1.0, up: str = 'z') -> None:
+                 judged_points: int = JUDGED_POINTS, scale: float = 1.0, up: str = 'z',
+                 half: int = 0) -> None:
         self.config = config
         if name.isdecimal():
             self.scene = make_room(name, rotation, points)
             # Scanned again from the same tripods: other points.
             self.judged = make_room(name, rotation, judged_points)
         else:
-            self.scene, self.judged = _halves(make_room(name, rotation, 2 * points, scale, up))
+            self.scene, self.judged = _halves(
+                make_room(name, rotation, 2 * points, scale, up), half)
 
     @cached_property
     def promising(self) -> PlaneProblem | Problem:
@@ -125,7 +128,7 @@ def judged_room(*settings) -> JudgedRoom:
     return JudgedRoom(*settings)
 
 
-def _halves(scene: Scene) -> tuple[Scene, Scene]:
+def _halves(scene: Scene, half: int) -> tuple[Scene, Scene]:
     """Split the points of a scan at random into what is searched and what judges."""
-    held_out = np.random.default_rng(0).permutation(len(scene)) < len(scene) // 2
+    held_out = np.random.default_rng(half).permutation(len(scene)) < len(scene) // 2
     return (Scene(scene.points[~held_out], scene.name), Scene(scene.points[held_out], scene.name))

@@ -21,27 +21,27 @@ import numpy as np
 
 from ocp_ros.compare.judging import JUDGED_POINTS, judged_room, JudgedRoom, POINTS, worth_of
 from ocp_ros.geometry.engine_config import PROMISING
-from ocp_ros.planners.budget import Budget
-from ocp_ros.planners.candidate_pool import Pool, random_sites
-from ocp_ros.planners.column_generation import ColumnGeneration
-from ocp_ros.planners.finishing import search_and_finish
-from ocp_ros.planners.greedy import GreedySwap
-from ocp_ros.planners.loss_trees import LossTrees
-from ocp_ros.planners.pose_grid import PoseGrid
-from ocp_ros.planners.registry import OFFLINE, ONLINE
-from ocp_ros.planners.rig_methods import planner_names, RIG_SEARCH
-from ocp_ros.planners.rig_plan import RigPlanner
-from ocp_ros.planners.rollout import play
-from ocp_ros.planners.scorer import Scorer
-from ocp_ros.planners.solve import Result, solve
+from ocp_ros.online.rollout import play
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.rig_file import load_rig, rig_of
+from ocp_ros.rooms.scene_source import make_room
+from ocp_ros.rooms.splits import TEST
 from ocp_ros.scenes.s3dis import chosen_rooms, s3dis_folder, TEST_AREAS
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_files import READERS, scans_in
-from ocp_ros.scenes.scene_source import make_room
-from ocp_ros.scenes.splits import TEST
 from ocp_ros.scenes.up_axis import UP_CHOICES
+from ocp_ros.search.budget import Budget
+from ocp_ros.search.candidate_pool import Pool, random_sites
+from ocp_ros.search.finishing import search_and_finish
+from ocp_ros.search.greedy import GreedySwap
+from ocp_ros.search.pose_grid import PoseGrid
+from ocp_ros.search.proof.column_generation import ColumnGeneration
+from ocp_ros.search.proof.loss_trees import LossTrees
+from ocp_ros.search.registry import OFFLINE, ONLINE
+from ocp_ros.search.rig_methods import planner_names, RIG_SEARCH
+from ocp_ros.search.rig_plan import RigPlanner
+from ocp_ros.search.scorer import Scorer
+from ocp_ros.search.solve import Result, solve
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import PlaneProblem, Problem, space_of
@@ -128,6 +128,7 @@ class Protocol:
     :ivar model: weights of planners that have learned: path or name.
     :ivar points: of a room, as searches see it.
     :ivar judged_points: of the scan that judges.
+    :ivar half: seed of the random half of a scan that searches see; the other half judges.
     :ivar truths: searches with the truth, of which the best is the best known.
     :ivar truth_budget: their evaluations.
     :ivar candidates: of the grid on the plane.
@@ -145,6 +146,7 @@ class Protocol:
     model: str = DEFAULT_MODEL
     points: int = POINTS
     judged_points: int = JUDGED_POINTS
+    half: int = 0
     truths: int = 3
     truth_budget: int = 3000
     candidates: int = 400
@@ -193,7 +195,7 @@ class Protocol:
     def room(self, name: str, rotation: float) -> JudgedRoom:
         """Return a room as searches see it, and as the judge does."""
         return judged_room(name, rotation, self.simulation, self.points, self.judged_points,
-                           self.scale, self.up)
+                           self.scale, self.up, self.half)
 
     @property
     def cameras(self) -> int:

@@ -9,7 +9,6 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from ocp_ros.planners.rig_plan import RigPlan
 from ocp_ros.report.key_figures import percent
 
 #: What each share is called above its column: none is a share of all points.
@@ -18,14 +17,6 @@ HEADS = {'seen': 'of visible points', 'coverage': 'of reachable space',
 #: What each share is a share of.
 SHARES = {'seen': 'points that can be seen', 'coverage': 'space that can be covered',
           'error': 'possible error reduction'}
-
-
-def rows_of_curve(plans: Sequence[RigPlan]) -> list[dict[str, Any]]:
-    """Return what each number of cameras is worth, as plain data."""
-    return [{'cameras': len(plan.rig.cameras), 'loss': plan.worth.loss,
-             'depth_error': plan.worth.depth_error, 'space_coverage': plan.worth.space_coverage,
-             **{f'share_{name}': share for name, share in plan.shares.items()},
-             'seconds': round(plan.seconds, 2)} for plan in plans]
 
 
 def show_curve(console: Console, rows: Sequence[dict[str, Any]], count: dict[str, Any]) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from ocp_ros.geometry.cameras import heading_of, rotation_matrix
-from ocp_ros.report.assessment import Assessment
+from ocp_ros.planning.assessment import Assessment
 from ocp_ros.report.installer import instructions
 from ocp_ros.rig.placement_file import FRAME, numbers_of, Placement, save_placement
 from ocp_ros.scenes.source_frame import SourceFrame
@@ -70,7 +70,7 @@ def export(folder: Path, judged: Assessment, prefix: str = '') -> Iterator[Path]
     Write a placement in all forms, the files of :data:`FORMS`, and yield each that is written.
 
     Placement files are in the map frame, which scores are found in, and have the transform to that
-    of the scan; see :attr:`~ocp_ros.report.assessment.Assessment.data_frame` for the others.
+    of the scan; see :attr:`~ocp_ros.planning.assessment.Assessment.data_frame` for the others.
 
     :param folder: it is made where it is not there.
     :param prefix: of the names of frames, so that those of two rigs are told apart.

@@ -5,14 +5,12 @@
 from html import escape
 import re
 
-from ocp_ros.report.assessment import Assessment
+from ocp_ros.planning.assessment import Assessment, COLUMNS
 from ocp_ros.report.key_figures import expectation
 from ocp_ros.util.shown_text import printable
 
 #: How a camera is rolled, unless its row says otherwise.
 LEVEL = 'Unless the table gives a roll, keep the long side of the camera level, top side up. '
-#: What stands above the rows of an installer's table, but for the camera's number.
-COLUMNS = ('camera', 'sensor', 'place', 'height', 'pan', 'tilt', 'x, y, z')
 #: What begins or ends markup within a line; an underscore between letters does not.
 MARKS = re.compile(r'[\\`*\[\]|~]|(?<![^\W_])_|_(?![^\W_])|:(?=//)|(?<=www)\.|@')
 
@@ -20,15 +18,6 @@ MARKS = re.compile(r'[\\`*\[\]|~]|(?<![^\W_])_|_(?![^\W_])|:(?=//)|(?<=www)\.|@'
 def in_markdown(text: str) -> str:
     """Return a text of others as Markdown that shows it, in one line, and never obeys it."""
     return MARKS.sub(r'\\\g<0>', escape(printable(text), quote=False))
-
-
-def rows_of(judged: Assessment) -> list[list[str]]:
-    """Return what an installer is told of each camera, the names of :data:`COLUMNS` above it."""
-    rows = []
-    for number, (placed, words) in enumerate(zip(judged.placement.cameras, judged.words), start=1):
-        name = f'{words.name} (fixed)' if placed.mount == 'fixed' else words.name
-        rows.append([str(number), name, *words[1:]])
-    return rows
 
 
 def frame_named(judged: Assessment) -> str:
@@ -65,7 +54,7 @@ def instructions(judged: Assessment, plan: str) -> str:
              + f'x, y and z are {frame_named(judged)}, for software: do not measure by '
              'them if walls are given.', '',
              f'| | {" | ".join(COLUMNS)} |', '|---' * (len(COLUMNS) + 1) + '|']
-    lines += ['| ' + ' | '.join(map(in_markdown, row)) + ' |' for row in rows_of(judged)]
+    lines += ['| ' + ' | '.join(map(in_markdown, row)) + ' |' for row in judged.rows]
     lines += ['', '**When all cameras are mounted,** write down each difference from this page. '
               'The command ocp calibrate can check the poses: it compares what each camera sees '
               'with the scan.']

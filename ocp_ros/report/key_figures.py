@@ -4,12 +4,12 @@
 
 from collections import Counter
 from collections.abc import Mapping
-from math import ceil
 import re
 import shlex
 from typing import NamedTuple
 
-from ocp_ros.report.assessment import Assessment
+from ocp_ros.planning.assessment import Assessment
+from ocp_ros.planning.rig_planning import gap_percent
 from ocp_ros.util.shown_text import printable
 
 DISTANCES = 'distances are perpendicular to the walls, to the centre of the front of a camera'
@@ -122,11 +122,6 @@ def expectation(expected: Mapping[str, float]) -> str:
     """Say what depth error is expected in the room itself, and within which interval."""
     return (f'{metres(expected["depth_error"])} ({metres(expected["low"])} to '
             f'{metres(expected["high"])} in nine of ten rooms)')
-
-
-def gap_percent(gap: float) -> float:
-    """Return a gap in per cent, rounded up to tenths, so that it stays true."""
-    return ceil(1000.0 * gap - 0.01) / 10.0
 
 
 def percent(share: float) -> str:

@@ -9,12 +9,12 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from ocp_ros.planners.registry import ONLINE
+from ocp_ros.planning.assessment import COLUMNS
 from ocp_ros.report.count_report import show_curve
-from ocp_ros.report.installer import COLUMNS
 from ocp_ros.report.key_figures import expectation, percent
 from ocp_ros.report.room_facts import show_notes
 from ocp_ros.rig.placement_file import ANGLES, FIXED
+from ocp_ros.search.registry import ONLINE
 
 #: Columns of a terminal, and that of the installer's table that it has no room for.
 WIDTH, SENSOR = 100, 'sensor'

@@ -18,12 +18,15 @@ from typing import TYPE_CHECKING
 
 from geometry_msgs.msg import PoseArray
 import numpy as np
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
 from std_msgs.msg import UInt8MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-from ocp_ros.agent.errors import CheckpointError
-from ocp_ros.planners.online_planner import Online
-from ocp_ros.rig.placement_file import save_placement
+from ocp_ros.online.online_planner import Online
+from ocp_ros.policy.errors import CheckpointError
+from ocp_ros.rig.placement_file import created_by, Placed, Placement, placement_of, save_placement
+from ocp_ros.rig.rig_file import Camera
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import (
     MessageError,
@@ -32,13 +35,11 @@ from ocp_ros.ros.interface.conversions import (
     shortened,
     stamp_to_ns,
 )
-from ocp_ros.ros.interface.news import has_news
 from ocp_ros.ros.interface.qos import LATCHED
 from ocp_ros.ros.policy.commander import Commander
 from ocp_ros.ros.policy.convergence import Convergence
 from ocp_ros.ros.policy.decider import Decider
 from ocp_ros.ros.policy.live_turns import LiveTurns
-from ocp_ros.ros.policy.placement_record import placement_from
 from ocp_ros.ros.policy.policy_config import BY_HAND, PolicyNodeConfig
 from ocp_ros.ros.policy.policy_views import PolicyViews
 from ocp_ros.ros.policy.simulated_turns import SimulatedTurns, TurnInfo
@@ -49,14 +50,14 @@ from ocp_ros.util.resources import find_model
 from ocp_ros.util.threads import set_threads
 
 if TYPE_CHECKING:
-    from ocp_ros.agent.checkpoint import Checkpoint
-    from ocp_ros.agent.policy import Policy, ValuePolicy
+    from ocp_ros.policy.checkpoint import Checkpoint
+    from ocp_ros.policy.policy import Policy, ValuePolicy
     from ocp_ros.ros.policy.calibrator import Calibrator
 
 
 def load_checkpoint(path: Path) -> 'Checkpoint':
     """Read weights; only here is PyTorch needed, which takes long to import."""
-    from ocp_ros.agent.checkpoint import Checkpoint
+    from ocp_ros.policy.checkpoint import Checkpoint
     return Checkpoint.load(path)
 
 
@@ -277,7 +278,7 @@ class PolicyNode(ManagedNode):
 
     def _on_weights(self, message: UInt8MultiArray) -> None:
         """Check new weights and swap them in whole, or keep those that run."""
-        from ocp_ros.agent.checkpoint import Checkpoint
+        from ocp_ros.policy.checkpoint import Checkpoint
         running = self.policy.checkpoint
         try:
             checkpoint = Checkpoint.from_bytes(msg_to_bytes(message), topics.POLICY_WEIGHTS)
@@ -328,3 +329,37 @@ def main(args: list[str] | None = None) -> int:
 
 if __name__ == '__main__':
     sys.exit(main())
+
+
+def has_news(node: Node) -> bool:
+    """Tell whether a message waits on a subscription of a node; it is not taken."""
+    subscriptions = list(node.subscriptions)
+    with node.context.handle:
+        waiting = rclpy_implementation.WaitSet(len(subscriptions), 0, 0, 0, 0, 0,
+                                               node.context.handle)
+        waiting.clear_entities()
+        for subscription in subscriptions:
+            waiting.add_subscription(subscription.handle)
+        waiting.wait(0)
+        return bool(waiting.get_ready_entities('subscription'))
+
+
+def placement_from(poses: PoseArray, decider: Decider, why: str) -> Placement:
+    """
+    Make a placement of where cameras are.
+
+    :param poses: of the cameras, in the order of the rig.
+    :param decider: knows the rig file, and what each camera sees where there is none.
+    :param why: the placement is final.
+    """
+    created = {**created_by('policy_node'), 'final': why}
+    frame = poses.header.frame_id
+    if decider.rig is not None:
+        state = decider.state(poses)
+        return placement_of(decider.rig, state.placement[:state.movable], created=created,
+                            frame=frame)
+    model = decider.models[0]
+    placed = tuple(Placed(Camera(f'camera_{number}', '', model), tuple(position), (0.0,) * 3,
+                          'free')
+                   for number, position in enumerate(msg_to_positions(poses).round(4).tolist()))
+    return Placement(placed, created=created, frame=frame)

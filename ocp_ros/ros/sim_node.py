@@ -21,6 +21,7 @@ from std_srvs.srv import Trigger
 
 from ocp_ros.geometry.cameras import heading_of, Pose
 from ocp_ros.rig.motion import order_of
+from ocp_ros.rooms.scene_source import make_scene, SceneConfig
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import (
     cloud_to_msg,
@@ -39,7 +40,6 @@ from ocp_ros.ros.runtime import diagnostics
 from ocp_ros.ros.runtime.managed_node import autostart, ManagedNode
 from ocp_ros.ros.runtime.node_main import run
 from ocp_ros.scenes.scene import SceneError
-from ocp_ros.scenes.scene_source import make_scene, SceneConfig
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.point_maps import maps_of
 from ocp_ros.simulation.problem import make_problem

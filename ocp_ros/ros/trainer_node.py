@@ -22,8 +22,8 @@ from rclpy.node import Node
 import torch
 import yaml
 
-from ocp_ros.agent.agent_config import AgentConfig
-from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.policy.agent_config import AgentConfig
+from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.runtime import diagnostics
 from ocp_ros.ros.runtime.node_main import run

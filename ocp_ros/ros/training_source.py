@@ -11,7 +11,7 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
-from ocp_ros.agent.agent_config import AgentConfig
+from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import (
     bytes_to_msg,

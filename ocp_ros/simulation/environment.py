@@ -14,9 +14,9 @@ import numpy as np
 from ocp_ros.geometry.clouds import corners_of, fixed_size
 from ocp_ros.rig.motion import bounded_moves, wrapped
 from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.rooms.scene_source import make_room
+from ocp_ros.rooms.splits import TRAINING
 from ocp_ros.scenes.scene import Scene, turned
-from ocp_ros.scenes.scene_source import make_room
-from ocp_ros.scenes.splits import TRAINING
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import make_problem, PlaneProblem, Problem, settings_for
 from ocp_ros.simulation.simulation_config import SimulationConfig

@@ -80,7 +80,7 @@ def observed_viewpoints(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
     :param points: (N, 3) metres, map frame: what was seen.
     :param corners: (4, 2) metres, of the rectangle around it, from
-        :func:`~ocp_ros.agent.partial_map.smallest_rectangle`.
+        :func:`~ocp_ros.online.partial_map.smallest_rectangle`.
     :returns: (V, 3) float64, metres: 16, or the paper's five where there is too little floor.
     """
     height = float(corners_of(points)[:, 2].mean())

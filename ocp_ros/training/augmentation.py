@@ -12,7 +12,7 @@ from stable_baselines3.common.buffers import DictReplayBuffer
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 import torch
 
-from ocp_ros.agent.observation_map import CELLS, used_part
+from ocp_ros.online.observation_map import CELLS, used_part
 
 #: (8, 2, 2): the rotations by 0, 90, 180 and 270 degrees, then the same after a mirror.
 SYMMETRIES = torch.tensor([

@@ -6,17 +6,17 @@ import gymnasium as gym
 from gymnasium import spaces
 import numpy as np
 
-from ocp_ros.agent.agent_config import AgentConfig
-from ocp_ros.agent.encoder import EncodedTurn, Encoder
-from ocp_ros.agent.heading_planner import HeadingPlanner
-from ocp_ros.agent.observation import encode, MARKS, OF_OTHERS, OF_TURN, OTHERS
-from ocp_ros.agent.observation_map import CELLS, NUMBERS, OF_ROOM
-from ocp_ros.agent.observation_map import OF_OTHERS as MAPS_OF_OTHERS
-from ocp_ros.planners.map_actor import MapActor
-from ocp_ros.planners.map_turn import MapTurn
-from ocp_ros.planners.registry import settings_of
-from ocp_ros.planners.rollout import state_of
+from ocp_ros.online.heading_planner import HeadingPlanner
+from ocp_ros.online.observation_map import CELLS, NUMBERS, OF_ROOM
+from ocp_ros.online.observation_map import OF_OTHERS as MAPS_OF_OTHERS
+from ocp_ros.online.rollout import state_of
+from ocp_ros.policy.agent_config import AgentConfig
+from ocp_ros.policy.encoder import EncodedTurn, Encoder
+from ocp_ros.policy.map_actor import MapActor
+from ocp_ros.policy.map_turn import MapTurn
+from ocp_ros.policy.observation import encode, MARKS, OF_OTHERS, OF_TURN, OTHERS
 from ocp_ros.rig.motion import bounded_moves, order_of, way_between
+from ocp_ros.search.registry import settings_of
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
@@ -204,7 +204,7 @@ class MapChoices(gym.Wrapper):
     One camera after the other chooses where it goes; when all that are asked have, they walk.
 
     The reward of a turn comes with its last choice. What is read and who is asked is the map
-    actor's: see :class:`~ocp_ros.planners.map_actor.MapActor`.
+    actor's: see :class:`~ocp_ros.policy.map_actor.MapActor`.
 
     :param env: :class:`~ocp_ros.simulation.environment.CameraPlacementEnv`, or in
         :class:`PlaneMoves`.

@@ -16,7 +16,7 @@ import numpy as np
 from safetensors import SafetensorError
 import safetensors.numpy
 
-from ocp_ros.agent.checkpoint import read_metadata
+from ocp_ros.policy.checkpoint import read_metadata
 
 KEY = 'ocp_ros-experience-1'
 #: The most choices and cameras of a turn that are read.
@@ -31,7 +31,7 @@ class Choice(NamedTuple):
     """
     What the network read, and what it answered.
 
-    :ivar observation: encoded, see :class:`~ocp_ros.agent.encoder.Encoder`.
+    :ivar observation: encoded, see :class:`~ocp_ros.policy.encoder.Encoder`.
     :ivar actions: (C, 2) float32 in [-1, 1], of the cameras that chose together: one, or all. A
         move in units of the longest step, or, of the map actor, where on the map a camera goes.
     """

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.logger import configure
 
-from ocp_ros.agent.agent_config import AgentConfig
-from ocp_ros.agent.checkpoint import Checkpoint
+from ocp_ros.policy.agent_config import AgentConfig
+from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.training.run_folder import REPLAY, STATE
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
 from ocp_ros.training.sac_state import load_replay, load_state, new_run, save_replay, save_state

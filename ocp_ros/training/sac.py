@@ -8,8 +8,8 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import DictReplayBuffer
 import torch
 
-from ocp_ros.agent.agent_config import AgentConfig
-from ocp_ros.agent.checkpoint import Checkpoint, CheckpointError
+from ocp_ros.policy.agent_config import AgentConfig
+from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.training.augmentation import MapReplayBuffer, SymmetricReplayBuffer
 from ocp_ros.training.encoded_environment import action_space, cameras_of, encoded_space
 from ocp_ros.training.sac_networks import NearValueMap, policy_of

@@ -19,10 +19,10 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.sac.policies import Actor, MultiInputPolicy
 import torch
 
-from ocp_ros.agent.agent_config import AgentConfig
-from ocp_ros.agent.networks import Extractor
-from ocp_ros.agent.observation_map import CELLS
-from ocp_ros.agent.value_network import cell_of, CellChoices, valued, ValueMapNetwork
+from ocp_ros.online.observation_map import CELLS
+from ocp_ros.policy.agent_config import AgentConfig
+from ocp_ros.policy.networks import Extractor
+from ocp_ros.policy.value_network import cell_of, CellChoices, valued, ValueMapNetwork
 
 #: What a unit of the network's values, a logarithm of the depth error, is in units of the reward:
 #: see ``potential`` in :mod:`ocp_ros.simulation.reward`. The critics begin with it.

@@ -19,7 +19,7 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import DictReplayBuffer
 import torch
 
-from ocp_ros.agent.checkpoint import CheckpointError, LARGEST_WEIGHT, read_metadata
+from ocp_ros.policy.checkpoint import CheckpointError, LARGEST_WEIGHT, read_metadata
 from ocp_ros.util.files import check_regular, read_regular, whole_or_absent, write_atomically
 
 #: Nothing that a run counts is larger.

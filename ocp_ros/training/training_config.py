@@ -4,7 +4,7 @@
 
 from dataclasses import dataclass
 
-from ocp_ros.agent.agent_config import AgentConfig
+from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.up_axis import UP_CHOICES
 from ocp_ros.simulation.problem import settings_for

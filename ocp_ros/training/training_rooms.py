@@ -11,11 +11,11 @@ enough for all three sets.
 
 from collections.abc import Sequence
 
+from ocp_ros.rooms.scene_source import make_room
+from ocp_ros.rooms.splits import MORE_TRAINING, TEST, TRAINING, VALIDATION
 from ocp_ros.scenes.s3dis import chosen_rooms, s3dis_folder, TEST_AREAS
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_files import READERS, scans_in
-from ocp_ros.scenes.scene_source import make_room
-from ocp_ros.scenes.splits import MORE_TRAINING, TEST, TRAINING, VALIDATION
 from ocp_ros.training.training_config import RoomsConfig
 from ocp_ros.util.files import sha256_of_file
 from ocp_ros.util.settings import ConfigurationError
@@ -30,7 +30,7 @@ AREAS, VALIDATION_AREA = (1, 2, 3, 4, 5), 5
 
 def room_names(config: RoomsConfig, part: str) -> list[str]:
     """
-    Name the rooms of a set, as :func:`~ocp_ros.scenes.scene_source.make_room` takes them.
+    Name the rooms of a set, as :func:`~ocp_ros.rooms.scene_source.make_room` takes them.
 
     :param config: which rooms.
     :param part: ``training``, ``validation`` or ``test``.

@@ -8,12 +8,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.policy import make_policy, Policy, ValuePolicy
-from ocp_ros.planners.online_planner import Online
-from ocp_ros.planners.registry import ONLINE, planned_by, settings_of
-from ocp_ros.planners.rollout import play
+from ocp_ros.online.online_planner import Online
+from ocp_ros.online.rollout import play
+from ocp_ros.policy.checkpoint import Checkpoint
+from ocp_ros.policy.policy import make_policy, Policy, ValuePolicy
 from ocp_ros.rig.motion import bounded_moves
+from ocp_ros.search.registry import ONLINE, planned_by, settings_of
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import make_problem, PlaneProblem, Problem, settings_for
 from ocp_ros.simulation.simulation_config import SimulationConfig
@@ -52,7 +52,7 @@ class RandomMoves(Online):
     """Every camera moves at random."""
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
-        """Choose the next moves; see :meth:`~ocp_ros.planners.online_planner.Online.move`."""
+        """Choose the next moves; see :meth:`~ocp_ros.online.online_planner.Online.move`."""
         return bounded_moves(self.rng.uniform(-1.0, 1.0, (len(positions), 2)), self.max_step)
 
 

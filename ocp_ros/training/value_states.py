@@ -17,7 +17,11 @@ from typing import cast
 
 import numpy as np
 
-from ocp_ros.agent.observation_map import (
+from ocp_ros.geometry.cameras import OMNIDIRECTIONAL, PINHOLE, Pose
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.geometry.packed_bits import no_bits
+from ocp_ros.geometry.visibility import SurfelVisibility
+from ocp_ros.online.observation_map import (
     CELLS,
     EDGE,
     FLOOR,
@@ -29,19 +33,15 @@ from ocp_ros.agent.observation_map import (
     told_of,
     yaws_of,
 )
-from ocp_ros.agent.partial_map import LookHistory, PartialMap
-from ocp_ros.agent.rig_state import remember
-from ocp_ros.geometry.cameras import OMNIDIRECTIONAL, PINHOLE, Pose
-from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.geometry.packed_bits import no_bits
-from ocp_ros.geometry.visibility import SurfelVisibility
-from ocp_ros.planners.map_actor import MapActor, PLAIN_POINTS, PLAIN_ROWS
-from ocp_ros.planners.registry import settings_of
-from ocp_ros.planners.rollout import state_of
+from ocp_ros.online.partial_map import LookHistory, PartialMap
+from ocp_ros.online.rig_state import remember
+from ocp_ros.online.rollout import state_of
+from ocp_ros.policy.map_actor import MapActor, PLAIN_POINTS, PLAIN_ROWS
 from ocp_ros.rig.motion import towards, turned_towards
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.scenes.scene import Scene, SceneError
+from ocp_ros.search.registry import settings_of
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import plane_of, PlaneProblem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
@@ -175,8 +175,8 @@ def play_states(task: StateTask) -> dict[str, np.ndarray]:
     Walk through a room some times.
 
     :returns: of M maps ``room`` (M, ...) and of S choices ``others`` (S, ...) and ``numbers``
-        (S, ...), see :class:`~ocp_ros.agent.observation_map.ObservationMap`; ``lens`` (S, ...),
-        see :func:`~ocp_ros.agent.observation_map.told_of`; ``of`` (S,), the map of each choice;
+        (S, ...), see :class:`~ocp_ros.online.observation_map.ObservationMap`; ``lens`` (S, ...),
+        see :func:`~ocp_ros.online.observation_map.told_of`; ``of`` (S,), the map of each choice;
         ``places`` (M, P, 2), the places that are labelled, in cells of the map; and ``values``
         (S, P, D) float16, the labels, NaN beyond the last.
     """

@@ -22,9 +22,9 @@ import numpy as np
 from rich.progress import Progress
 import torch
 
-from ocp_ros.agent.checkpoint import Checkpoint
-from ocp_ros.agent.errors import CheckpointError
-from ocp_ros.agent.value_network import ValueMapNetwork
+from ocp_ros.policy.checkpoint import Checkpoint
+from ocp_ros.policy.errors import CheckpointError
+from ocp_ros.policy.value_network import ValueMapNetwork
 from ocp_ros.training.run_folder import add_record, BEST, records, VALUES, VALUES_STATE
 from ocp_ros.training.sac_state import new_run
 from ocp_ros.training.training_config import TrainingConfig

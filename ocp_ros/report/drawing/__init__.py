@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures: plans, rooms, curves, and the labels and fonts on them."""
 
-from ocp_ros.util.elsewhere import import_elsewhere
+from ocp_ros.util.kernels import import_elsewhere
 
 # It reads matplotlibrc of the current folder, which may be another picture, or no text at all.
 import_elsewhere('matplotlib')

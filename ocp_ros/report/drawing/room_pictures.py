@@ -28,8 +28,8 @@ from ocp_ros.report.drawing.room_drawing import (
     Room,
     room_of,
 )
+from ocp_ros.rooms.generator import generate_room, plan_of
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.scenes.synthetic.generator import generate_room, plan_of
 
 #: What nobody sees; no camera has this colour.
 UNOBSERVED = '#c44e3b'

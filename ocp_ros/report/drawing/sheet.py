@@ -13,12 +13,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import FancyBboxPatch, Patch
 import numpy as np
 
-from ocp_ros.report.assessment import Assessment
+from ocp_ros.planning.assessment import Assessment
 from ocp_ros.report.drawing import assessment_pictures
 from ocp_ros.report.drawing.figures import all_letters, draw_table, save_figure, write
 from ocp_ros.report.drawing.plan_marks import camera_colour, dark, zone_legend
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
-from ocp_ros.report.installer import rows_of
 from ocp_ros.report.key_figures import Figures, figures_of
 
 #: Inches: A4 on its side, its margins, and dots of each.
@@ -229,7 +228,7 @@ def _draw_cameras(figure: Figure, judged: Assessment, step: float | None = None)
     """
     rows = [['', 'camera', 'sensor', 'place', 'above floor', 'pan', 'tilt', 'x, y, z (m)',
              'error reduction']]
-    for row, added in zip(rows_of(judged), judged.found['scores']['cameras']):
+    for row, added in zip(judged.rows, judged.found['scores']['cameras']):
         number, name, sensor, place, height, *turns_and_coordinates = row
         rows.append([number, name, '' if name.startswith(sensor) else sensor, place,
                      height.replace(' above the floor', ''), *turns_and_coordinates,

@@ -8,7 +8,7 @@ transforms. In the first and the last case cloud topic i is camera i, and its fr
 ``camera_<i>``, which ``policy_node`` places by the poses: nobody needs tf2.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 import time
 from typing import Any
 
@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
-from ocp_ros.geometry.cameras import OPTICAL_TO_BODY, Pose
+from ocp_ros.geometry.cameras import LEVEL, OPTICAL_TO_BODY, Pose
 from ocp_ros.ros.bags.bag_files import Bag, BrokenMessage, CLOUD, KINDS, Recorded, TRANSFORMS
 from ocp_ros.ros.bags.replay_options import chosen_topics, ReplayOptions, TYPES
 from ocp_ros.ros.interface import topics
@@ -32,11 +32,11 @@ from ocp_ros.ros.interface.conversions import (
     MessageError,
     ns_to_stamp,
     positions_to_msg,
+    rotation_of,
     stamp_to_ns,
 )
 from ocp_ros.ros.interface.frames import SENSOR
 from ocp_ros.ros.interface.qos import LOOP
-from ocp_ros.ros.interface.transform_tree import TransformTree
 from ocp_ros.util.settings import check_known, ConfigurationError
 
 #: Seconds: between two looks whether somebody listens, and from then until the first message,
@@ -266,3 +266,41 @@ class Replay(Node):
             x, y, z, w = Rotation.from_matrix(pose.rotation).as_quat()
             told.orientation = Quaternion(x=x, y=y, z=z, w=w)
         self._poses.publish(message)
+
+
+class TransformTree:
+    """Where each frame is in its parent, as last told."""
+
+    def __init__(self) -> None:
+        self._parents: dict[str, tuple[str, Pose]] = {}
+
+    def add(self, transforms: Iterable) -> None:
+        """
+        Take note of transforms.
+
+        :param transforms: each with ``header.frame_id``, ``child_frame_id`` and ``transform``.
+        :raises MessageError: if one has no direction or is not finite.
+        """
+        for one in transforms:
+            move, name = one.transform, one.child_frame_id.lstrip('/')
+            position = np.array([move.translation.x, move.translation.y, move.translation.z])
+            if not np.isfinite(position).all():
+                raise MessageError(f'transform of {name!r}: found {position.tolist()}; expected '
+                                   'finite metres')
+            self._parents[name] = (one.header.frame_id.lstrip('/'), Pose(
+                position, rotation_of(move.rotation, f'transform of {name!r}')))
+
+    def pose(self, frame: str, fixed: str) -> Pose | None:
+        """Return where a frame is in another one above it; None where nobody has said so."""
+        frame, fixed = frame.lstrip('/'), fixed.lstrip('/')
+        position, rotation = np.zeros(3), LEVEL
+        # So many steps and no more: frames may have been told in a circle.
+        for _ in range(len(self._parents) + 1):
+            if frame == fixed:
+                return Pose(position, rotation)
+            if frame not in self._parents:
+                return None
+            frame, step = self._parents[frame]
+            position = step.rotation @ position + step.position
+            rotation = step.rotation @ rotation
+        return None

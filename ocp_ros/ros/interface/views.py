@@ -8,21 +8,22 @@ Nothing of it is made unless somebody looks, and then after the turn: an answer 
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
-from ocp_ros.geometry.cameras import CameraModel, Pose
+from ocp_ros.geometry.cameras import CameraModel, PINHOLE, Pose
 from ocp_ros.ros.interface import topics
-from ocp_ros.ros.interface.camera_info import camera_info
 from ocp_ros.ros.interface.conversions import cloud_with
 from ocp_ros.ros.interface.markers import rig_markers
-from ocp_ros.ros.interface.on_demand_publisher import OnDemand
+from ocp_ros.ros.interface.qos import LATCHED
 from ocp_ros.simulation.point_maps import PointMaps
 
 #: Metres that a camera has to move for its way to go on.
@@ -135,3 +136,58 @@ class CloudView:
         lost = maps.error > 0.0
         return cloud_with(maps.points[lost], 'error', maps.error[lost].astype(np.float32),
                           self._header)
+
+
+def camera_info(model: CameraModel, header: Header) -> CameraInfo | None:
+    """
+    Describe a camera without distortion whose axis is in the middle of its image.
+
+    :param header: its frame is that of the camera, z forward, x right, y down.
+    :returns: None for a camera without an image plane or of unknown resolution.
+    """
+    if model.lens.kind != PINHOLE or model.resolution is None:
+        return None
+    width, height = model.resolution
+    fx = 0.5 * width / float(model.lens.half_horizontal)
+    fy = 0.5 * height / float(model.lens.half_vertical)
+    cx, cy = 0.5 * (width - 1), 0.5 * (height - 1)
+    return CameraInfo(
+        header=header, width=width, height=height, distortion_model='plumb_bob', d=[0.0] * 5,
+        k=[fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+        r=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        p=[fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0])
+
+
+class OnDemand:
+    """
+    Publish the latest state, latched, while there are subscribers; who comes late gets it too.
+
+    :param node: gets the publisher.
+    :param kind: type of the messages.
+    :param topic: their topic.
+    :param make: makes the message of the latest state; None where there is nothing yet.
+    """
+
+    def __init__(self, node: Node, kind: type, topic: str, make: Callable[[], Any]) -> None:
+        self._make = make
+        #: Messages that were made.
+        self.made = 0
+        self._publisher = node.create_publisher(
+            kind, topic, LATCHED,
+            event_callbacks=PublisherEventCallbacks(matched=self._on_matched))
+
+    @property
+    def wanted(self) -> bool:
+        """Return whether anybody listens."""
+        return self._publisher.get_subscription_count() > 0
+
+    def update(self) -> None:
+        """Publish the latest state if anybody listens."""
+        if self.wanted and (message := self._make()) is not None:
+            self.made += 1
+            self._publisher.publish(message)
+
+    def _on_matched(self, info: QoSPublisherMatchedInfo) -> None:
+        """Publish for somebody who has just come."""
+        if info.current_count_change > 0:
+            self.update()

@@ -9,12 +9,12 @@ from geometry_msgs.msg import PoseArray
 import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
-from ocp_ros.agent.expected_gain import ExpectedGain
-from ocp_ros.agent.rig_state import RigState
 from ocp_ros.geometry.cameras import CameraModel, heading_of
 from ocp_ros.geometry.clouds import corners_of
-from ocp_ros.planners.online_planner import Online
-from ocp_ros.planners.step import Limits, OnlineStep
+from ocp_ros.online.expected_gain import ExpectedGain
+from ocp_ros.online.online_planner import Online
+from ocp_ros.online.rig_state import RigState
+from ocp_ros.online.step import Limits, OnlineStep
 from ocp_ros.rig.motion import way_between
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.ros.interface.conversions import (
@@ -28,7 +28,7 @@ from ocp_ros.ros.policy.policy_planners import make_planner, planned_alike
 from ocp_ros.scenes.scene import LARGEST, SceneError
 
 if TYPE_CHECKING:
-    from ocp_ros.agent.checkpoint import Checkpoint
+    from ocp_ros.policy.checkpoint import Checkpoint
 
 
 def limits_of(config: PolicyNodeConfig) -> Limits:

@@ -22,8 +22,8 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header, String
 from visualization_msgs.msg import MarkerArray
 
-from ocp_ros.agent.cloud_fusion import FusedCloud
 from ocp_ros.geometry.cameras import angle_between, heading_of, Pose
+from ocp_ros.online.cloud_fusion import FusedCloud
 from ocp_ros.rig.motion import way_between
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import (

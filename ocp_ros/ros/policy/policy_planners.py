@@ -6,17 +6,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ocp_ros.agent.encoder import Encoder
-from ocp_ros.planners.lookahead import Lookahead
-from ocp_ros.planners.map_actor import MapActor
-from ocp_ros.planners.map_turn import MapTurn
-from ocp_ros.planners.online_planner import Learned, Online
-from ocp_ros.planners.registry import planned_by
+from ocp_ros.online.lookahead import Lookahead
+from ocp_ros.online.online_planner import Online
+from ocp_ros.policy.encoder import Encoder
+from ocp_ros.policy.learned import Learned
+from ocp_ros.policy.map_actor import MapActor
+from ocp_ros.policy.map_turn import MapTurn
 from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.ros.policy.policy_config import LEARNED, PolicyNodeConfig
+from ocp_ros.search.registry import planned_by
 
 if TYPE_CHECKING:
-    from ocp_ros.agent.checkpoint import Checkpoint
+    from ocp_ros.policy.checkpoint import Checkpoint
 
 #: Parameters that a planner is made with and that may change.
 PLANNED_WITH = ('max_step', 'max_range', 'wall_margin', 'clearance')
@@ -38,7 +39,7 @@ class Exploring(Learned):
     """Moves drawn from the distribution of a trained policy."""
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
-        """Choose the next moves; see :meth:`~ocp_ros.planners.online_planner.Online.move`."""
+        """Choose the next moves; see :meth:`~ocp_ros.online.online_planner.Online.move`."""
         actions = self.policy.act(cloud, positions, turn, turns, self.rng)
         return bounded_moves(actions, self.max_step)
 
@@ -58,7 +59,7 @@ def make_planner(config: PolicyNodeConfig, checkpoint: 'Checkpoint | None'
     if checkpoint is None:
         return Lookahead(*settings), None
     # Only here: PyTorch takes longer to import than all the rest.
-    from ocp_ros.agent.policy import make_policy
+    from ocp_ros.policy.policy import make_policy
     from ocp_ros.ros.policy.recorded_policy import RecordedPolicy, RecordedValues
     if config.explore:
         exploring: Learned | MapActor

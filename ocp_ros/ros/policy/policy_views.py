@@ -8,10 +8,10 @@ from geometry_msgs.msg import PoseArray
 import numpy as np
 from rclpy.node import Node
 
-from ocp_ros.agent.partial_map import thinned
-from ocp_ros.agent.rig_state import RigState
 from ocp_ros.geometry.cameras import CameraModel, Pose
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.online.partial_map import thinned
+from ocp_ros.online.rig_state import RigState
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import MessageError, msg_to_poses

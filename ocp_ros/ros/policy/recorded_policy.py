@@ -4,7 +4,7 @@
 
 import numpy as np
 
-from ocp_ros.agent.policy import Policy, ValuePolicy
+from ocp_ros.policy.policy import Policy, ValuePolicy
 from ocp_ros.training.experience import Choice
 
 
@@ -26,7 +26,7 @@ class RecordedPolicy(_Record, Policy):
 
     def choose(self, encoded: dict[str, np.ndarray], rng: np.random.Generator | None = None
                ) -> np.ndarray:
-        """Choose the next moves; see :meth:`~ocp_ros.agent.policy.Policy.choose`."""
+        """Choose the next moves; see :meth:`~ocp_ros.policy.policy.Policy.choose`."""
         moves = super().choose(encoded, rng)
         self._choices.append(Choice(encoded, moves))
         return moves
@@ -36,7 +36,7 @@ class RecordedValues(_Record, ValuePolicy):
     """A policy of places that remembers what it read and drew."""
 
     def draw(self, inputs: dict[str, np.ndarray], rng: np.random.Generator) -> np.ndarray:
-        """Draw where a camera goes; see :meth:`~ocp_ros.agent.policy.ValuePolicy.draw`."""
+        """Draw where a camera goes; see :meth:`~ocp_ros.policy.policy.ValuePolicy.draw`."""
         place = super().draw(inputs, rng)
         self._choices.append(Choice(inputs, place[None]))
         return place

@@ -13,7 +13,7 @@ from typing import Any
 
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
-from ocp_ros.agent.errors import CheckpointError
+from ocp_ros.policy.errors import CheckpointError
 from ocp_ros.ros.runtime.parameters import configured, declare, follow
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.util.settings import ConfigurationError, setting

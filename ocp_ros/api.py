@@ -1,0 +1,301 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""``ocp_ros.plan`` and ``ocp_ros.score``: what the commands do, in one call of Python."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from os import fspath, PathLike
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ocp_ros.planning.assessment import Assessment, judge
+from ocp_ros.planning.rig_planning import CAMERAS, Counting, MOUNT, PlannedRig, PlanTask
+from ocp_ros.report.verdict_tables import as_text, show_plan, show_verdict
+from ocp_ros.rig.placement_file import (
+    load_placement,
+    Placement,
+    placement_from,
+    placement_of,
+    save_placement,
+)
+from ocp_ros.rig.rig_config import OMNIDIRECTIONAL
+from ocp_ros.rig.rig_file import load_rig, Rig, rig_from, rig_of, with_count
+from ocp_ros.rig.schemas import PLACEMENT, RIG
+from ocp_ros.rooms.scene_source import room_named, ROOM_POINTS, sha256_of
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.scene_files import scene_of
+from ocp_ros.search.rig_methods import RIG_SEARCH
+from ocp_ros.search.rig_search import Progress
+from ocp_ros.util.settings import (
+    check_positive,
+    check_whole,
+    ConfigurationError,
+    FEWEST_POINTS,
+    LARGEST_SEED,
+    MOST_CAMERAS,
+)
+from ocp_ros.util.yaml_files import check, Document
+
+RoomLike: TypeAlias = str | PathLike[str] | int | Scene | ArrayLike
+RigLike: TypeAlias = str | PathLike[str] | Mapping[str, Any] | Rig
+#: What counting cameras goes by, and the number that asks for it.
+BY, AUTO = ('error', 'seen', 'coverage'), 'auto'
+
+
+@dataclass(frozen=True, eq=False)
+class ScoreResult:
+    """
+    How good a placement is; ``print`` shows what ``ocp score`` prints.
+
+    :ivar placement: where the cameras hang, the rig and the room.
+    :ivar loss: what planners minimise.
+    :ivar depth_error: metres.
+    :ivar space_coverage: cubic metres.
+    :ivar seen: share of the points that as many cameras see as the rig asks for.
+    :ivar broken: a sentence for each constraint that is broken.
+    :ivar notes: a sentence for each thing that makes the room or the answer doubtful.
+    :ivar assessment: the room, the engine and all figures, for reports.
+    """
+
+    placement: Placement
+    loss: float
+    depth_error: float
+    space_coverage: float
+    seen: float
+    broken: tuple[str, ...]
+    notes: tuple[str, ...]
+    assessment: Assessment = field(repr=False)
+
+    @property
+    def poses(self) -> np.ndarray:
+        """Return the cameras that were placed: (K, 6) metres, map frame, and radians."""
+        return self.placement.poses
+
+    @property
+    def found(self) -> dict[str, Any]:
+        """Return all that ``--json`` prints, as plain data."""
+        return dict(self.assessment.found)
+
+    def save(self, path: str | Path) -> None:
+        """
+        Write the placement with its scores, for ``ocp score`` and ``ocp view``.
+
+        :param path: ``.json`` for JSON, YAML for any other suffix.
+        :raises OSError: if it cannot be written.
+        """
+        save_placement(path, self.placement)
+
+    def __str__(self) -> str:
+        """Return the verdict as tables and sentences."""
+        return as_text(show_verdict, self.assessment.found)
+
+
+@dataclass(frozen=True, eq=False)
+class PlanResult(ScoreResult):
+    """
+    A placement that was found, and how good it is; ``print`` shows what ``ocp plan`` prints.
+
+    :ivar planner: who found it.
+    :ivar evaluations: placements that were judged, or turns that were played.
+    :ivar seconds: how long it took.
+    :ivar gap: how much less the loss of any other placement can be, as a share; None where that
+        was not proved.
+    :ivar reached: whether the target was reached; None where cameras were not counted.
+    """
+
+    planner: str
+    evaluations: int
+    seconds: float
+    gap: float | None
+    reached: bool | None
+
+    def __str__(self) -> str:
+        """Return the plan as tables and sentences."""
+        return as_text(show_plan, self.assessment.found)
+
+
+def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | None = None,
+         sensor: str = OMNIDIRECTIONAL, mount: str | None = None, planner: str = RIG_SEARCH,
+         seconds: float | None = None, evaluations: int | None = None, seed: int = 0,
+         target: float = 0.95, by: str = 'error', most: int = 12, points: int = ROOM_POINTS,
+         progress: Progress | None = None, **reading: Any) -> PlanResult:
+    """
+    Find where to hang cameras in a room, as ``ocp plan`` does.
+
+    :param room: path of a scan, seed of a generated room, (N, 3) points or a scene.
+    :param rig: path of a rig file, what stands in one as a mapping, or a rig.
+    :param cameras: how many, or ``'auto'`` to count them; 4 or those of the rig unless given.
+    :param sensor: of all cameras where no rig is given, or a part of its name such as ``d455``.
+    :param mount: of all cameras where no rig is given: ``walls`` (the default), ``ceiling``,
+        ``plane`` or ``free``.
+    :param planner: who searches, see docs/reference/planners.md.
+    :param seconds: of search; 60, or 15 for each number of cameras, unless evaluations are given.
+    :param evaluations: judge so many placements; the same seed finds the same answer.
+    :param seed: random seed.
+    :param target: with ``'auto'``, the share of what can be reached at all.
+    :param by: with ``'auto'``, share of what: ``error``, ``seen`` or ``coverage``.
+    :param most: with ``'auto'``, the most cameras to try.
+    :param points: most points of the room; a larger scan is thinned to as many.
+    :param progress: called several times a second with the share done and the least loss.
+    :param reading: of a scan or points: ``scale``, ``up``, ``drop_nonfinite``; see
+        :func:`~ocp_ros.scenes.scene_files.load_scene`.
+    :raises UserError: if the room, the rig or an argument cannot be used, in one sentence.
+    """
+    check_positive('seconds', seconds)
+    check_whole('evaluations', evaluations)
+    check_whole('seed', seed, 0, LARGEST_SEED)
+    if progress is not None and not callable(progress):
+        raise ConfigurationError(f'progress: found {progress!r}; expected a function')
+    auto = isinstance(cameras, str) and cameras == AUTO
+    counting = _counting(target, by, most) if auto else None
+    task = PlanTask(planner, seconds, evaluations, seed, counting)
+    asked = _rig(rig, cameras, sensor, mount)
+    scene, record = _room(room, points, reading)
+    planned = PlannedRig(scene, asked, task, *task.budgets(), progress)
+    judged = planned.judged(planned.placement(record, 'ocp_ros.plan'))
+    search, count = judged.found['search'], judged.found.get('count')
+    return PlanResult(
+        **_scored(judged), planner=search['planner'], evaluations=search['evaluations'],
+        seconds=search['seconds'], gap=search['certificate']['gap'],
+        reached=count and count['reached'])
+
+
+def score(room: RoomLike, placement: str | PathLike[str] | Mapping[str, Any] | Placement
+          | ScoreResult | ArrayLike, rig: RigLike | None = None, *,
+          sensor: str = OMNIDIRECTIONAL, points: int | None = None, **reading: Any
+          ) -> ScoreResult:
+    """
+    Judge cameras that hang, or shall hang, in a room, as ``ocp score`` does.
+
+    :param room: path of a scan, seed of a generated room, (N, 3) points or a scene.
+    :param placement: path of a placement file, what stands in one as a mapping, a placement, a
+        result of :func:`plan`, or poses (K, 3) or (K, 6): metres, map frame, and radians.
+    :param rig: what is asked for, in place of what the placement says.
+    :param sensor: of all cameras where the placement is poses and no rig is given.
+    :param points: most points of the room; as the placement says, or 60,000.
+    :param reading: of a scan or points: ``scale``, ``up``, ``drop_nonfinite``.
+    :raises UserError: if the room, the placement or the rig cannot be used, in one sentence.
+    """
+    asked = None if rig is None else _rig(rig, None, sensor)
+    placed = _placement(placement, asked, sensor)
+    known = {key: placed.room[key] for key in ('scale', 'up', 'drop_nonfinite')
+             if key in placed.room and isinstance(room, (str, PathLike))}
+    wanted = points if points is not None else placed.room.get('points', ROOM_POINTS)
+    scene, record = _room(room, wanted, {**known, **reading})
+    return ScoreResult(**_scored(judge(scene, placed, record, 'ocp_ros.score')))
+
+
+def _scored(judged: Assessment) -> dict[str, Any]:
+    """Return the fields of a result."""
+    found, scores = judged.found, judged.found['scores']
+    return {'placement': judged.placement, 'broken': tuple(found['broken']),
+            'notes': tuple(found['notes']), 'assessment': judged,
+            **{name: scores[name] for name in ('loss', 'depth_error', 'space_coverage', 'seen')}}
+
+
+def _room(room: RoomLike, points: int, reading: dict[str, Any]) -> tuple[Scene, dict[str, Any]]:
+    """Return a room, and which it is as placement files say it."""
+    check_whole('points', points, FEWEST_POINTS)
+    for key in reading:
+        if key not in ('scale', 'up', 'drop_nonfinite'):
+            raise ConfigurationError(f'{key}: found an argument that is not known; expected '
+                                     'scale, up or drop_nonfinite; correct its name')
+    if isinstance(room, (Scene, int, np.integer)) and reading:
+        raise ConfigurationError(
+            f'{next(iter(reading))}: found it with a room that is in metres, z up; expected a '
+            'scan or points; leave it out')
+    if isinstance(room, (int, np.integer)) and not isinstance(room, bool) and room >= 0:
+        return room_named(str(room), points)
+    if isinstance(room, (str, PathLike)):
+        return room_named(fspath(room), points, **reading)
+    if room is None or isinstance(room, (bool, int, float)):
+        raise ConfigurationError(f'room: found {room!r}; expected the path of a scan, a seed of 0 '
+                                 'or more, (N, 3) points or a Scene')
+    scene = room if isinstance(room, Scene) else scene_of(room, max_points=points, **reading)
+    record: dict[str, Any] = {'sha256': sha256_of(scene)}
+    if not scene.source.is_map:
+        record['source_from_map'] = scene.source.matrix.tolist()
+    return scene, record
+
+
+def _rig(rig: RigLike | None, cameras: int | str | None, sensor: str,
+         mount: str | None = None) -> Rig:
+    """Return a rig with so many cameras; ``'auto'`` is for whoever counts them."""
+    counted = isinstance(cameras, str) and cameras == AUTO
+    if not counted:
+        check_whole('cameras', cameras, 1, MOST_CAMERAS)
+    count = None if counted else cameras
+    if rig is None:
+        return rig_of(int(count or CAMERAS), sensor, mount={'on': mount or MOUNT})
+    if sensor != OMNIDIRECTIONAL:
+        raise ConfigurationError(f'sensor: found {sensor!r} with a rig; expected one of the two: '
+                                 'a rig says its sensors; leave one out')
+    if mount is not None:
+        raise ConfigurationError(f'mount: found {mount!r} with a rig; expected one of the two: a '
+                                 'rig says its mount; leave one out')
+    if isinstance(rig, (str, PathLike)):
+        rig = load_rig(fspath(rig))
+    elif isinstance(rig, Mapping):
+        rig = rig_from(_document('rig', rig, RIG))
+    elif not isinstance(rig, Rig):
+        raise ConfigurationError(f'rig: found {type(rig).__name__}; expected the path of a rig '
+                                 'file, its content as a mapping, or a rig; see '
+                                 'docs/reference/rig.md')
+    if cameras is None:
+        return rig
+    return with_count(rig, int(count or len(rig.cameras)))
+
+
+def _placement(placement: Any, rig: Rig | None, sensor: str) -> Placement:
+    """Return a placement of whatever stands for one."""
+    if isinstance(placement, ScoreResult):
+        placement = placement.placement
+    if isinstance(placement, (str, PathLike)):
+        return load_placement(fspath(placement), rig)
+    if isinstance(placement, Mapping):
+        return placement_from(_document('placement', placement, PLACEMENT), rig)
+    if isinstance(placement, Placement):
+        return placement if rig is None else placement_of(
+            rig, _poses(placement.poses, rig), room=placement.room, engine=placement.engine)
+    poses = _poses(placement, rig)
+    return placement_of(rig or rig_of(len(poses), sensor), poses)
+
+
+def _poses(poses: Any, rig: Rig | None) -> np.ndarray:
+    """Return (K, 3) or (K, 6) finite numbers, a row for each camera of a rig."""
+    try:
+        found = np.array(poses, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ConfigurationError(
+            f'placement: found {type(poses).__name__}; expected the path of a placement file, its '
+            'content as a mapping, a placement, or poses (K, 3) or (K, 6)') from error
+    if found.ndim != 2 or found.shape[1] not in (3, 6) or not len(found):
+        raise ConfigurationError(f'placement: found an array of shape {found.shape}; expected '
+                                 '(K, 3) or (K, 6), a row for each camera')
+    if not np.isfinite(found).all():
+        raise ConfigurationError('placement: found NaN or inf; expected finite metres and radians')
+    if rig is not None and len(found) != len(rig.cameras):
+        raise ConfigurationError(f'placement: found {len(found)} poses; expected '
+                                 f'{len(rig.cameras)}, one for each camera of the rig')
+    return found
+
+
+def _document(name: str, data: Mapping[str, Any], schema: dict[str, Any]) -> Document:
+    """Return what stands in a file as a document."""
+    document = Document(name, dict(data))
+    check(document, schema)
+    return document
+
+
+def _counting(target: float, by: str, most: int) -> Counting:
+    """Return what tells that there are enough cameras."""
+    if by not in BY:
+        raise ConfigurationError(f'by: found {by!r}; expected one of {", ".join(BY)}')
+    check_positive('target', target)
+    if target > 1.0:
+        raise ConfigurationError(f'target: found {target}; expected a share of at most 1')
+    check_whole('most', most, 1, MOST_CAMERAS)
+    return Counting(float(target), by, most)

@@ -1,0 +1,227 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Places and directions among which :mod:`ocp_ros.online.lookahead` chooses a placement."""
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ocp_ros.geometry.cameras import rotation_matrix
+from ocp_ros.geometry.depth_error import lost_depth, unsettled
+from ocp_ros.geometry.packed_bits import count_bits
+from ocp_ros.online.partial_map import PartialMap
+from ocp_ros.online.rig_state import fixed_views, RigState
+from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.simulation.simulator import View
+from ocp_ros.util.annealing import between
+from ocp_ros.util.kernels import njit
+from ocp_ros.util.threads import mapped
+
+#: Proposals of a turn of annealing among candidates.
+EXCHANGES = 3000
+#: Its first and last temperature, in multiples of the error of seeing nothing.
+HOT, COLD = 0.04, 2e-4
+#: Proposals that a camera is asked in a row.
+IN_A_ROW = 20
+#: Share of its proposals that go anywhere; the others go to one of so many nearest candidates.
+ANYWHERE, NEIGHBOURS = 0.3, 12
+#: Yaws, and at most how many pitches, of cameras that are not omnidirectional.
+YAWS, PITCHES = 8, 2
+#: The most candidates that are a place and a direction.
+SITES = 2000
+#: Metres that a turn by one radian counts as, where neighbours are sought.
+PER_RADIAN = 0.5
+
+
+@njit(cache=True, nogil=True)
+def _worth(seen, covered, trees, pixels, weight):
+    """Return what seeing points and covering unseen cells, packed bits each, is worth, metres."""
+    return lost_depth(trees, seen) / pixels - weight * count_bits(covered)
+
+
+@njit(cache=True, nogil=True)
+def _annealed(chosen, seen, covered, trees, pixels, weight, kind_of, own, firsts, near,
+              temperatures, rng):
+    """
+    Exchange one of a choice after another, and return the best choice that came by.
+
+    A camera is asked some times in a row, so that what the others settle is looked at once.
+
+    :param chosen: (K,) int64, where to begin.
+    :param seen: (S, W) uint64, packed bits of the points that each site sees.
+    :param covered: (S, V) uint64, packed bits of the unseen cells that each covers.
+    :param trees: of the depth error.
+    :param pixels: of its maps.
+    :param weight: what covering a cell is worth, metres.
+    :param kind_of: (K,) int64, the kind of site that each camera takes.
+    :param own: (S,) int64, the sites, those of a kind next to each other.
+    :param firsts: (kinds + 1,) int64, where those of a kind begin in ``own``.
+    :param near: (S, N) int64, the sites of its kind that differ least from each; in a row, no more
+        count than there are of the kind.
+    :param temperatures: one for each proposal, metres.
+    :param rng: numpy.random.Generator.
+    """
+    state, best, best_value = chosen.copy(), chosen.copy(), np.inf
+    for block in range(0, len(temperatures), IN_A_ROW):
+        camera = rng.integers(0, len(state))
+        first, last = firsts[kind_of[camera]], firsts[kind_of[camera] + 1]
+        neighbours = min(near.shape[1], last - first)
+        others_seen, others_covered = np.zeros_like(seen[0]), np.zeros_like(covered[0])
+        for other in range(len(state)):
+            if other != camera:
+                others_seen |= seen[state[other]]
+                others_covered |= covered[state[other]]
+        left, settled = unsettled(trees, others_seen)
+        value = (settled + lost_depth(left, seen[state[camera]])) / pixels - weight * count_bits(
+            others_covered | covered[state[camera]])
+        if value < best_value:
+            best[:], best_value = state, value
+        for temperature in temperatures[block:block + IN_A_ROW]:
+            if rng.random() < ANYWHERE or not neighbours:
+                site = own[first + rng.integers(0, last - first)]
+            else:
+                site = near[state[camera], rng.integers(0, neighbours)]
+            most = value + temperature * rng.exponential()
+            bonus = weight * count_bits(others_covered | covered[site])
+            trial = (settled + lost_depth(
+                left, seen[site], (most + bonus) * pixels - settled)) / pixels - bonus
+            if trial <= most:
+                state[camera], value = site, trial
+                if value < best_value:
+                    best[:], best_value = state, value
+    return best
+
+
+class Candidates:
+    """
+    Places where cameras might be, with what each would see.
+
+    A choice of them is a list of indices, one per camera.
+
+    :param model: the engine on what has been seen.
+    :param places: (M, 2) metres, M >= 1.
+    :param space: where cameras may be.
+    :param cameras: how many are chosen for.
+    :param unseen: packed bits of the model's cells that count as unseen.
+    :param weight: what covering one of them is worth, metres of depth error.
+    :param fixed: what cameras in place see, whatever is chosen.
+    :ivar kind_of: (K,) the kind of site that each camera takes; here all are alike.
+    """
+
+    def __init__(self, model: PartialMap, places: np.ndarray, space: FreePlane, cameras: int,
+                 unseen: np.ndarray, weight: float, fixed: Sequence[View] = ()) -> None:
+        self.model, self.places, self.weight = model, places, weight
+        self.kind_of = np.zeros(cameras, dtype=np.int64)
+        self._see(mapped(model.look, space.placement(places)), fixed, unseen)
+        apart = ((places[:, None] - places[None]) ** 2).sum(axis=-1)
+        self._near = np.argsort(apart, axis=1, kind='stable')[:, 1:NEIGHBOURS + 1].copy()
+        self._of_kind = [np.arange(len(places))]
+
+    def _see(self, views: list[View], fixed: Sequence[View], unseen: np.ndarray) -> None:
+        """Keep what each would see, what cameras in place see included."""
+        self._seen = np.array([view.seen for view in views])
+        self._covered = np.array([view.covered for view in views]) & unseen
+        always = self.model.together(fixed)
+        self._seen |= always.seen
+        self._covered |= always.covered & unseen
+
+    def headings(self, chosen: np.ndarray) -> np.ndarray | None:
+        """Return how cameras are turned at a choice, (K, 3) radians; None where it is alike."""
+        return None
+
+    def value(self, chosen: list[int]) -> float:
+        """Return what a choice is worth, metres; less is better."""
+        error = self.model.depth_error
+        return _worth(np.bitwise_or.reduce(self._seen[chosen], axis=0),
+                      np.bitwise_or.reduce(self._covered[chosen], axis=0),
+                      error.trees, error.pixels, self.weight)
+
+    def fill(self) -> list[int]:
+        """Choose for one camera after the other, each the best that is left."""
+        chosen: list[int] = []
+        for kind in self.kind_of:
+            own = self._of_kind[kind].tolist()
+            values = [self.value([*chosen, site]) for site in own]
+            chosen.append(own[int(np.argmin(values))])
+        return chosen
+
+    def anneal(self, chosen: list[int], rng: np.random.Generator) -> list[int]:
+        """Return the best choice that annealing from another one finds, which may be that one."""
+        error = self.model.depth_error
+        temperatures = error.worst * between(HOT, COLD, np.arange(EXCHANGES) / EXCHANGES)
+        firsts = np.cumsum([0, *(len(own) for own in self._of_kind)])
+        return _annealed(np.array(chosen), self._seen, self._covered, error.trees, error.pixels,
+                         self.weight, self.kind_of, np.concatenate(self._of_kind),
+                         firsts, self._near, temperatures, rng).tolist()
+
+
+class Sites(Candidates):
+    """
+    Places where cameras might be, each with directions: for rigs that are not all omnidirectional.
+
+    A choice of them is a list of indices, one per camera in the order of the rig; each stands for
+    a site of the camera's kind.
+
+    :param model: the engine on what has been seen.
+    :param places: (M, 3) metres, M >= 1.
+    :param plans: placements (K, 6), whose sites are the first.
+    :param sight: the rig.
+    :param unseen: packed bits of the model's cells that count as unseen.
+    :param weight: what covering one of them is worth, metres of depth error.
+    :ivar sites: (S, 6) x, y, z in metres, yaw, pitch, roll in radians.
+    """
+
+    def __init__(self, model: PartialMap, places: np.ndarray, plans: Sequence[np.ndarray],
+                 sight: RigState, unseen: np.ndarray, weight: float) -> None:
+        self.model, self.weight = model, weight
+        self.kind_of, firsts = kinds_of(sight)
+        sites, of_kind, views = [], [], []
+        for plan in plans:
+            views += [model.look(row, camera.lens) for row, camera in zip(plan, sight.models)]
+            sites += list(plan)
+            of_kind += self.kind_of.tolist()
+        for kind, camera in enumerate(firsts):
+            headings = sight.headings(camera, YAWS, PITCHES)
+            look = partial(model.look_many, headings=headings, lens=sight.models[camera].lens)
+            for place, some in zip(places, mapped(look, places)):
+                views += some
+                sites += [np.concatenate([place, heading]) for heading in headings]
+                of_kind += [kind] * len(headings)
+        self.sites, self.places = np.array(sites), np.array(sites)[:, :2]
+        self._of_kind = [np.flatnonzero(np.array(of_kind) == kind) for kind in range(len(firsts))]
+        self._see(views, fixed_views(model, sight), unseen)
+        self._near = np.zeros((len(sites), NEIGHBOURS + 1), dtype=np.int64)
+        for own in self._of_kind:
+            near = self._neighbours(own)
+            self._near[own, :near.shape[1]] = near
+
+    def _neighbours(self, own: np.ndarray) -> np.ndarray:
+        """List for each site of a kind those of the kind that differ least from it."""
+        forward = np.array([rotation_matrix(*row[3:])[:, 0] for row in self.sites[own]])
+        tree = cKDTree(np.hstack([self.sites[own, :3], PER_RADIAN * forward]))
+        _, near = tree.query(tree.data, min(NEIGHBOURS + 1, len(own)))
+        return own[near.reshape(len(own), -1)]
+
+    def headings(self, chosen: np.ndarray) -> np.ndarray:
+        """Return how cameras are turned at a choice; see :meth:`Candidates.headings`."""
+        return self.sites[chosen, 3:]
+
+
+def kinds_of(sight: RigState) -> tuple[np.ndarray, list[int]]:
+    """
+    Tell which cameras of a rig may take each other's place.
+
+    :returns: (K,) the kind of each camera, and the first camera of each kind.
+    """
+    keys = [(model, () if model.omnidirectional else tuple(row[5:] if sight.turns else row[3:]))
+            for model, row in zip(sight.models[:sight.movable], sight.placement)]
+    kinds = list(dict.fromkeys(keys))
+    return np.array([kinds.index(key) for key in keys]), [keys.index(kind) for kind in kinds]
+
+
+def most_places(sight: RigState) -> int:
+    """Return how many places a rig may be tried in at most: each has some directions."""
+    _, firsts = kinds_of(sight)
+    return max(SITES // sum(len(sight.headings(camera, YAWS, PITCHES)) for camera in firsts), 1)

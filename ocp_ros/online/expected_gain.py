@@ -1,0 +1,55 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How much better moves are expected to make a placement, by what has been seen."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ocp_ros.geometry.visibility import FINE
+from ocp_ros.online.partial_map import PartialMap
+from ocp_ros.online.rig_state import RigState
+
+#: Points and rows of depth maps of the model that is asked: a person waits for the answer.
+POINTS, ROWS = 12000, 64
+
+
+class ExpectedGain(NamedTuple):
+    """
+    The depth error before and after moves, of what has been seen: of what has not, nobody knows.
+
+    :ivar before: metres, with the cameras where they are.
+    :ivar after: metres, with the cameras where they are sent.
+    """
+
+    before: float
+    after: float
+
+    @classmethod
+    def of(cls, cloud: np.ndarray, state: RigState, placement: np.ndarray, max_range: float
+           ) -> 'ExpectedGain':
+        """
+        Compute both on what has been seen.
+
+        :param cloud: (M, 3) float32, metres, map frame: the points seen so far.
+        :param state: the cameras as they are.
+        :param placement: (K + F, 6) metres and radians: the cameras after the moves.
+        :param max_range: of omnidirectional cameras, metres.
+        :raises SceneError: if the points are too few or too flat to be a room.
+        """
+        model = PartialMap(cloud, state.placement[:, :3], max_range, POINTS, ROWS, FINE)
+
+        def error(rows: np.ndarray) -> float:
+            return model.error([model.look(row, lens)
+                                for row, lens in zip(rows, state.lenses, strict=True)])
+
+        return cls(error(state.placement), error(placement))
+
+    def __str__(self) -> str:
+        """Say it in a sentence."""
+        if not self.after < self.before:
+            return (f'expected: no less depth error of what has been seen so far '
+                    f'({self.before:.2f} m); these moves look at what has not been seen')
+        return (f'expected: the depth error of what has been seen so far falls from '
+                f'{self.before:.2f} to {self.after:.2f} m, by '
+                f'{100.0 * (1.0 - self.after / self.before):.0f} %')

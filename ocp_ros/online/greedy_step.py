@@ -1,0 +1,75 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The greedy step: one camera after the other takes the best of a few moves, one turn ahead."""
+
+import numpy as np
+
+from ocp_ros.geometry.packed_bits import count_bits
+from ocp_ros.online.observed_turn import ObservedTurn, ObservedTurns
+from ocp_ros.online.online_planner import Online
+from ocp_ros.online.partial_map import curiosity
+from ocp_ros.rig.motion import bounded_moves, order_of
+from ocp_ros.scenes.scene import SceneError
+from ocp_ros.util.threads import mapped
+
+#: Directions, and the distances in each of them, metres.
+DIRECTIONS, DISTANCES = 8, (0.04, 0.15, 0.5)
+_ANGLES = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
+#: (1 + D * 3, 2) metres: staying, then the moves of each direction, the shortest first.
+MOVES = np.concatenate([np.zeros((1, 2)), (
+    np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)[:, None]
+    * np.array(DISTANCES)[None, :, None]).reshape(-1, 2)])
+#: What is added to errors that are compared, as a share of the error of seeing nothing.
+FLOOR = 0.01
+#: Points and rows of depth maps of the model: on a coarser one the best move is often a bad one.
+POINTS, ROWS = 12000, 64
+
+
+class GreedyStep(Online):
+    """Try the moves of each camera on what has been seen: what learning has to beat."""
+
+    def __init__(self, *settings) -> None:
+        super().__init__(*settings)
+        self._turns = ObservedTurns(self.max_range, self.wall_margin, self.clearance,
+                                    points=POINTS, rows=ROWS)
+
+    def reset(self) -> None:
+        """Forget what has been seen."""
+        self._turns.reset()
+
+    def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
+        """Choose the next moves; see :meth:`~ocp_ros.online.online_planner.Online.move`."""
+        self._turns.sight = self.sight
+        try:
+            known = self._turns(cloud, positions, turn, turns)
+        except SceneError:
+            return self.wander(cloud, positions)
+        for camera in order_of(turn, len(positions)):
+            best = MOVES[int(np.argmin(_values(known, camera, turn / turns)))]
+            here = known.positions[camera]
+            step = bounded_moves(best / self.max_step, self.max_step)
+            target = known.space.moved(here[None, :2], step, self.max_step)[0]
+            known.place(camera, np.append(target, here[2]))
+        return (known.positions - positions)[:, :2]
+
+
+def _values(known: ObservedTurn, camera: int, time: float) -> np.ndarray:
+    """
+    Return what each of a camera's ``MOVES`` leads to: less is better.
+
+    It is the depth error that is left, less a bonus for unseen cells, both as shares of the error
+    of seeing nothing.
+    """
+    model, space = known.model, known.space
+    others = known.beside(camera)
+    fresh, floor = known.unseen & ~others.covered, FLOOR * model.depth_error.worst
+    most = model.depth_error.worst + floor
+    places = space.placement(space.inside(known.positions[camera, :2] + MOVES[1:]))
+    bonus = curiosity(time) / known.count
+
+    def value(place: np.ndarray) -> float:
+        look = known.look(camera, place)
+        error = (model.depth_error(others.seen | look.seen) + floor) / most
+        return error - bonus * int(count_bits(look.covered & fresh))
+
+    return np.array([(known.error + floor) / most, *mapped(value, places)])

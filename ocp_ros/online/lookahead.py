@@ -1,0 +1,231 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Lookahead: plan on what has been seen as if it were the room, and plan again as more is seen.
+
+While it explores, a plan is worth the depth error of the observed cloud, less a bonus for the
+unseen cells of the air that it would cover. The bonus falls to nothing early: what a plan is then
+worth is the depth error alone. Plans are sought among candidates on a grid, whose views are
+computed once for some turns, by annealing on unions of packed bits; one-camera exchanges alone
+end in worse plans. In the last turns the best plan is annealed once more among all candidates and
+then in small steps, on a model at full resolution and among places that the cameras can still
+reach: a model of thinned points promises what the room does not keep.
+
+In an episode of many turns plans are made while the cameras move; see
+:class:`~ocp_ros.online.online_planner.ThinksAhead`.
+"""
+
+import numpy as np
+
+from ocp_ros.geometry.visibility import FINE
+from ocp_ros.online.candidate_sites import Candidates, most_places, Sites
+from ocp_ros.online.heading_planner import never
+from ocp_ros.online.online_planner import (
+    KnownTurn,
+    matched,
+    Online,
+    REFINING,
+    ThinksAhead,
+)
+from ocp_ros.online.partial_map import cell_weight, KeptModel, PartialMap
+from ocp_ros.online.rig_state import AROUND, clearance_of, fixed_views, RigState, view_from
+from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.util.annealing import between
+from ocp_ros.util.threads import mapped
+
+#: Metres between candidates, and the most there are: in a larger room they are farther apart.
+SPACING, CANDIDATES = 0.5, 400
+#: Points and rows of depth maps of the model that candidates are compared on.
+QUICK_POINTS, QUICK_ROWS = 6000, 32
+#: Turns that candidates are kept for where plans are made while the cameras move. Their views are
+#: computed in the first of these turns.
+KEPT = 2
+#: Points and rows of depth maps of the model to refine on, and turns that it is kept for at least.
+REFINING_POINTS, REFINING_ROWS, REFINING_KEPT = 60000, 128, 4
+#: Proposals of a turn of refinement, and of one that makes a model as well.
+STEPS, FEWER_STEPS = 240, 16
+#: First and last temperature of the refinement, in multiples of the best plan's error, and the
+#: error from which these are taken at least, metres.
+WARM, COOL, LEAST = 0.1, 0.003, 1e-3
+#: Metres, and radians for cameras that are not omnidirectional: standard deviation of its first
+#: and last steps.
+FAR, NEAR = 0.5, 0.02
+WIDE, NARROW = 0.5, 0.05
+#: Proposals that are looked from at once.
+TOGETHER = 4
+
+
+class Lookahead(ThinksAhead):
+    """
+    Explore, plan on what has been seen, and refine the plan while walking to it.
+
+    :param settings: of :class:`Online`.
+    :param guide: proposes placements to begin with, such as a trained actor; None without.
+    """
+
+    def __init__(self, *settings, guide: Online | None = None) -> None:
+        super().__init__(*settings)
+        self.guide = guide
+        self.reset()
+
+    def know(self, sight: RigState | None) -> None:
+        """Tell the guide as well; see :meth:`Online.know`."""
+        super().know(sight)
+        if self.guide is not None:
+            self.guide.know(sight)
+
+    def reset(self) -> None:
+        """Forget the last episode."""
+        super().reset()
+        if self.guide is not None:
+            self.guide.reset()
+        self.targets, self.headings = None, None
+        self._candidates: Candidates | None = None
+        self._chosen: list[int] = []
+        self._kept = KeptModel(self.max_range, self.wall_margin, REFINING_POINTS, REFINING_ROWS)
+        #: Turn of the last model or of the last candidates.
+        self._made = 0
+
+    def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
+        """Plan for a turn; see :meth:`ThinksAhead._think`."""
+        if turn >= REFINING * turns:
+            self._refine(cloud, positions, turn, turns)
+            return
+        ahead = self._ahead(turns)
+        if self._candidates is None or not ahead or turn - self._made >= KEPT:
+            self._look_around(cloud, positions, turn, turns)
+        # Of many turns the first may be answered by what is best for one camera after the other.
+        if not (ahead and self._waited_for(turn, turns, len(positions))):
+            self._chosen = self._candidates.anneal(self._chosen, self.rng)
+        self._settle(positions)
+
+    def _look_around(self, cloud: np.ndarray, positions: np.ndarray, turn: int,
+                     turns: int) -> None:
+        """Compute what would be seen from where, for the plan so far and for what is proposed."""
+        model = PartialMap(cloud, positions, self.max_range, QUICK_POINTS, QUICK_ROWS,
+                           around=AROUND if self.directional else 0.0)
+        unseen, self._space = self.memory.unseen(model), self.space(cloud, positions)
+        plans = self._plans(len(positions))
+        if self.guide is not None:
+            self.guide.interrupted = self.interrupted
+            plans.append(self.guide.propose(KnownTurn(
+                cloud, positions, turn, turns, model, self._space, unseen)))
+            self.guide.interrupted = never
+        self._list(model, self._space, unseen, cell_weight(model, unseen, turn, turns), plans,
+                   len(positions))
+        self._made = turn
+
+    def _list(self, model: PartialMap, space: FreePlane, unseen: np.ndarray, weight: float,
+              plans: list[np.ndarray], cameras: int) -> None:
+        """List candidates, first those of some plans (K, 6), and choose the best of these."""
+        count = int(np.clip(space.area / SPACING ** 2, 4, CANDIDATES))
+        plans = [np.hstack([space.placement(space.inside(plan[:, :2])), plan[:, 3:]])
+                 for plan in plans]
+        if self.directional:
+            places = space.placement(space.grid(min(count, most_places(self.sight))))
+            self._candidates = Sites(model, places, plans, self.sight, unseen, weight)
+        else:
+            places = np.vstack([*(plan[:, :2] for plan in plans), space.grid(count)])
+            self._candidates = Candidates(model, places, space, cameras, unseen, weight,
+                                          fixed_views(model, self.sight))
+        begun = np.arange(len(plans) * cameras).reshape(-1, cameras).tolist()
+        if not self._planned(cameras):
+            begun.append(self._candidates.fill())
+        self._chosen = min(begun, key=self._candidates.value)
+
+    def _plans(self, cameras: int) -> list[np.ndarray]:
+        """List the plan so far, (K, 6) metres and radians, if there is one; its z is not used."""
+        if not self._planned(cameras):
+            return []
+        headings = self._planned_headings() if self.directional else np.zeros((cameras, 3))
+        return [np.hstack([self.targets, np.zeros((cameras, 1)), headings])]
+
+    def _settle(self, positions: np.ndarray) -> None:
+        """Match the cameras with the chosen places, so that they walk least."""
+        candidates, chosen = self._candidates, np.array(self._chosen)
+        chosen = chosen[matched(positions, candidates.places[chosen], candidates.kind_of)]
+        self.targets, self.headings = candidates.places[chosen], candidates.headings(chosen)
+
+    def _refine(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
+        """Anneal the plan in small steps, among what can be reached."""
+        steps = STEPS
+        first_time = self._kept.made is None
+        if first_time or (turn - self._made >= REFINING_KEPT
+                          and not self._kept.lasts(cloud, positions)):
+            self._kept.make(cloud, positions, FINE, clearance_of(self.sight, self.clearance))
+            self._made, steps = turn, FEWER_STEPS
+        if first_time:
+            self._survey(positions)
+        (model, self._space), first = self._kept.made, REFINING * turns
+        reached = [self._space.reached(position[:2], self.max_step, turns - turn)
+                   for position in positions]
+        placed = best = np.array([
+            area.inside(place) for area, place in zip(reached, self.targets, strict=True)])
+        headings = best_headings = self._planned_headings()
+        views = [view_from(model, self.sight, camera, position,
+                           None if headings is None else headings[camera])
+                 for camera, position in enumerate(self._space.placement(placed))]
+        fixed = fixed_views(model, self.sight)
+        error = best_error = model.error(views + fixed)
+        for step in range(0, steps, TOGETHER):
+            if self.interrupted():
+                break
+            share = (turn - first + step / steps) / (turns - first)
+            temperature = max(best_error, LEAST) * between(WARM, COOL, share)
+            trials = [self._trial(placed, headings, reached, share) for _ in range(TOGETHER)]
+            looks = mapped(lambda trial, model=model: view_from(model, self.sight, *trial), trials)
+            for (camera, position, heading), view in zip(trials, looks):
+                trial_views = [*views[:camera], view, *views[camera + 1:]]
+                most = error + temperature * self.rng.exponential()
+                trial_error = model.error(trial_views + fixed, most)
+                if trial_error > most:
+                    continue
+                placed, views, error = placed.copy(), trial_views, trial_error
+                placed[camera] = position[:2]
+                if headings is not None:
+                    headings = headings.copy()
+                    headings[camera] = heading
+                if error < best_error:
+                    best, best_headings, best_error = placed, headings, error
+        self.targets, self.headings = best, best_headings
+
+    def _survey(self, positions: np.ndarray) -> None:
+        """Anneal the plan once more among all candidates, on the model to refine on."""
+        model, space = self._kept.made
+        self._list(model, space, self.memory.unseen(model), 0.0, self._plans(len(positions)),
+                   len(positions))
+        self._chosen = self._candidates.anneal(self._chosen, self.rng)
+        self._settle(positions)
+
+    def _trial(self, placed: np.ndarray, headings: np.ndarray | None, reached: list[FreePlane],
+               share: float) -> tuple[int, np.ndarray, np.ndarray | None]:
+        """
+        Draw a place near that of any camera, of those that it can reach.
+
+        :returns: the camera, its position (3,) in metres, and its heading (3,) in radians; None
+            where all are omnidirectional.
+        """
+        camera = int(self.rng.integers(len(placed)))
+        space = reached[camera]
+        place = space.reflected(
+            placed[camera] + self.rng.normal(0.0, between(FAR, NEAR, share), 2))
+        heading = None if headings is None else self._wiggled(
+            headings[camera], camera, between(WIDE, NARROW, share))
+        return camera, space.placement(place[None])[0], heading
+
+    def _planned_headings(self) -> np.ndarray | None:
+        """Return how the cameras are turned in the plan; None where all are omnidirectional."""
+        if not self.directional:
+            return None
+        if self.headings is not None and self.sight.turns:
+            return self.headings
+        return self.sight.placement[:self.sight.movable, 3:].copy()
+
+    def _wiggled(self, heading: np.ndarray, camera: int, most: float) -> np.ndarray:
+        """Turn a camera that is not omnidirectional a little, within its limits: (3,)."""
+        if not self.sight.turns or camera not in self.sight.aimed:
+            return heading
+        turned = heading.copy()
+        turned[:2] += self.rng.normal(0.0, most, 2)
+        turned[1] = np.clip(turned[1], *self.sight.pitch)
+        return turned

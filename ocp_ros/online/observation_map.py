@@ -1,0 +1,276 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What has been seen, from above: the channels of a square grid, which the map actor reads.
+
+Some channels tell of the room: points by height, what each is worth, and the air that has been
+seen. Others tell what the other cameras leave to be done: the points that none of them sees, the
+depth error that is lost at each of these, and where the others are. Nothing but what was observed
+enters, and no move is tried.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ocp_ros.geometry.cameras import Frustum, OMNIDIRECTIONAL, PINHOLE
+from ocp_ros.geometry.clouds import cells_numbered, corners_of
+from ocp_ros.geometry.packed_bits import no_bits, unpack
+from ocp_ros.online.partial_map import NO_CELL, PartialMap
+from ocp_ros.simulation.simulator import View
+
+#: Cells along each side of the grid, and their least edge, metres: in a room that is larger than
+#: the grid, cells are larger too.
+CELLS, EDGE = 64, 0.25
+#: Metres of the grid that are free around what was seen, at least.
+BORDER = 0.5
+#: Metres above the floor: where the slices of the points begin, and what divides high from low.
+SLICES, SPLIT = (0.15, 0.8, 1.5, 2.2), 1.2
+#: Metres above the floor: where the slices of the air begin, and its floor and ceiling.
+AIR, AIR_LOW, AIR_HIGH = (0.9, 1.55), 0.2, 2.4
+#: Metres: standard deviation of the spots that mark cameras and viewpoints.
+SPOT = 0.4
+#: The channels of the room that tell of the seen air, after points and what they are worth, and
+#: the one that marks the bounding box.
+SEEN_AIR = slice(len(SLICES) + 3, len(SLICES) + 4 + len(AIR))
+BOX = SEEN_AIR.stop
+#: How the channels of the room, those of the others and the plain numbers are counted.
+OF_ROOM, OF_OTHERS, NUMBERS = BOX + 2, 7, 5
+#: How many numbers tell of the lens of a camera.
+OF_LENS = 2
+#: What sides of maps that are used are multiples of.
+STRIDE = 8
+#: Points of a cell that count as many, and the share of the error in a cell that counts as much.
+MANY, MUCH = 32.0, 0.03
+#: How fine small shares are told apart.
+FINE_SHARES = 500.0
+#: Errors are compared as logarithms, with so much of the error of seeing nothing added.
+FLOOR = 0.005
+
+
+def used_part(room: np.ndarray) -> tuple[slice, slice]:
+    """
+    Return the cells in the middle of a map that hold all that was seen.
+
+    :param room: (``OF_ROOM``, 64, 64) of :class:`ObservationMap`.
+    :returns: rows and columns, multiples of ``STRIDE`` each.
+    """
+    box, border = room[BOX] > 0, 2 * round(BORDER / EDGE)
+    across = [int(np.count_nonzero(box.any(axis=axis))) + border for axis in (1, 0)]
+    firsts = [(CELLS - min(-(-side // STRIDE) * STRIDE, CELLS)) // 2 for side in across]
+    return slice(firsts[0], CELLS - firsts[0]), slice(firsts[1], CELLS - firsts[1])
+
+
+def told_of(lens: Frustum | None) -> np.ndarray:
+    """
+    Tell of a lens.
+
+    :param lens: None for that of an omnidirectional camera.
+    :returns: (``OF_LENS``,) float32: the angles of view, horizontal and vertical, as shares of
+        those of an omnidirectional camera.
+    """
+    if lens is None or lens.kind == OMNIDIRECTIONAL:
+        return np.ones(OF_LENS, dtype=np.float32)
+    halves = np.array([lens.half_horizontal, lens.half_vertical])
+    if lens.kind == PINHOLE:
+        halves = np.arctan(halves)
+    return (halves / [np.pi, 0.5 * np.pi]).astype(np.float32)
+
+
+def yaws_of(headings: int) -> np.ndarray:
+    """Return the yaws (D,) of headings that are valued, radians, map frame."""
+    return np.arange(headings) * (2.0 * np.pi / headings)
+
+
+def at_yaws(values: np.ndarray, cells: np.ndarray, yaws: np.ndarray) -> np.ndarray:
+    """
+    Read values between the headings that have one.
+
+    :param values: (D, C) of cells.
+    :param cells: (M,) numbers of cells.
+    :param yaws: (M,) radians, map frame.
+    :returns: (M,).
+    """
+    count = len(values)
+    at = yaws * (count / (2.0 * np.pi))
+    low = np.floor(at).astype(np.int64)
+    between, next_one = values[low % count, cells], values[(low + 1) % count, cells]
+    # Beyond what was seen all are inf.
+    known = np.isfinite(between)
+    between[known] += (at - low)[known] * (next_one[known] - between[known])
+    return between
+
+
+class Window(NamedTuple):
+    """
+    Where the grid lies.
+
+    :ivar low: (2,) metres, map frame: corner of the first cell.
+    :ivar edge: of the cells, metres.
+    """
+
+    low: np.ndarray
+    edge: float
+
+    @classmethod
+    def around(cls, bounds: np.ndarray, least: float = EDGE) -> 'Window':
+        """
+        Lay the grid around a box.
+
+        :param bounds: (2, 3) metres.
+        :param least: edge of the cells, metres, if they are not to be larger.
+        """
+        size = float((bounds[1] - bounds[0])[:2].max()) + 2.0 * BORDER
+        edge = max(least, size / CELLS)
+        return cls(bounds.mean(axis=0)[:2] - 0.5 * CELLS * edge, edge)
+
+    @property
+    def axes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the middles of the cells: (64,) x and (64,) y, metres."""
+        steps = (np.arange(CELLS) + 0.5) * self.edge
+        return self.low[0] + steps, self.low[1] + steps
+
+    @property
+    def middles(self) -> np.ndarray:
+        """Return the middles of the cells: (64, 64, 2) metres."""
+        return np.stack(np.meshgrid(*self.axes, indexing='ij'), axis=-1)
+
+    def cell_of(self, places: np.ndarray) -> np.ndarray:
+        """Return the numbers (M,) of the cells of places (M, >= 2), -1 outside."""
+        cell = np.floor((places[:, :2] - self.low) / self.edge).astype(np.int64)
+        inside = ((cell >= 0) & (cell < CELLS)).all(axis=1)
+        return np.where(inside, cell[:, 0] * CELLS + cell[:, 1], -1)
+
+
+class ObservationMap:
+    """
+    The channels of one turn.
+
+    :param model: the engine on what has been seen.
+    :param unseen: packed bits of the model's cells of the air that no camera has covered yet.
+    :param cameras: K, how many there are.
+    :param max_range: of the camera that chooses, metres.
+    :param height: of the cameras, z in metres, map frame.
+    :param least: edge of the cells, metres, if they are not to be larger.
+    :ivar room: (``OF_ROOM``, 64, 64) uint8.
+    """
+
+    def __init__(self, model: PartialMap, unseen: np.ndarray, cameras: int, max_range: float,
+                 height: float, least: float = EDGE) -> None:
+        self._model = model
+        self.window = Window.around(model.bounds, least)
+        floor = model.bounds[0, 2]
+        above = model.points[:, 2] - floor
+        cells = self.window.cell_of(model.points)
+        #: Of each point the cell of a channel of low points or of one of high points, -1 outside.
+        self._halves = np.where(cells >= 0, cells + (above > SPLIT) * CELLS * CELLS, -1)
+        self._air = _AirColumns(model, self.window, floor)
+        slices = np.where(cells >= 0, cells + np.searchsorted(SLICES, above) * CELLS * CELLS, -1)
+        worth = model.depth_error.by_point(no_bits(len(model.points)))
+        self.room = np.concatenate([
+            _density(_summed(slices, len(SLICES) + 1)),
+            _share(_summed(self._halves, 2, worth) / model.depth_error.worst),
+            _bytes(self._air.shares(~unseen, len(AIR) + 1)),
+            self._box(), _spots(self.window, model.depth_error.viewpoints)])
+        self._told = ((cameras - 1) / 7.0, max_range / self.window.edge / CELLS,
+                      (height - floor) / 3.0, 2.0 * self.window.edge)
+
+    def others(self, views: Sequence[View], places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Tell what cameras leave to be done.
+
+        :param views: what each of them sees of the model.
+        :param places: (J, >= 2) metres, where they are.
+        :returns: (``OF_OTHERS``, 64, 64) uint8 and (``NUMBERS``,) float32.
+        """
+        model, together = self._model, self._model.together(views)
+        unseen = ~unpack(together.seen, len(model.points))
+        lost = model.depth_error.by_point(together.seen)
+        error, worst = float(lost.sum()), model.depth_error.worst
+        channels = np.concatenate([
+            _density(_summed(np.where(unseen, self._halves, -1), 2)),
+            _share(_summed(self._halves, 2, lost) / (error + FLOOR * worst)),
+            _bytes(self._air.shares(together.covered, 2)), _spots(self.window, places)])
+        level = np.log((error + FLOOR * worst) / worst) / 5.0
+        return channels, np.array([*self._told, level], dtype=np.float32)
+
+    def _box(self) -> np.ndarray:
+        """Mark the cells within the bounding box of what was seen: (1, 64, 64)."""
+        low, high = self._model.bounds[:, :2]
+        inside = [(axis >= low[k]) & (axis <= high[k]) for k, axis in enumerate(self.window.axes)]
+        return 255 * np.logical_and.outer(*inside).astype(np.uint8)[None]
+
+    def unseen_air(self) -> np.ndarray:
+        """Return the share of the air above each cell that has not been seen: (64, 64)."""
+        seen = self.room[SEEN_AIR].mean(axis=0) / 255.0
+        return np.where(self._air.known, 1.0 - seen, 0.0)
+
+
+class _AirColumns:
+    """The cells of the air above each cell of the grid."""
+
+    def __init__(self, model: PartialMap, window: Window, floor: float) -> None:
+        self._count = len(model.cells)
+        kept = np.flatnonzero(model.cells != NO_CELL)
+        cells = cells_numbered(model.cells[kept])
+        above = (cells[:, 2] + 0.5) * model.edge - floor
+        between = (above > AIR_LOW) & (above < AIR_HIGH)
+        self._kept, cells, above = kept[between], cells[between], above[between]
+        # A room that is lower than all of this has no air at all.
+        low, high = (corners_of(cells) if len(cells) else np.zeros((2, 3), dtype=np.int64))[:, :2]
+        self._shape = tuple(high - low + 1)
+        column = cells[:, :2] - low
+        self._columns = column[:, 0] * self._shape[1] + column[:, 1]
+        self._slices = {2: (above > SPLIT).astype(np.int64),
+                        len(AIR) + 1: np.searchsorted(AIR, above)}
+        #: For each row and each column of the grid the one of the air, and whether there is one.
+        self._at, there = [], []
+        for k, axis in enumerate(window.axes):
+            index = np.floor(axis / model.edge).astype(np.int64) - low[k]
+            there.append((index >= 0) & (index < self._shape[k]))
+            self._at.append(np.clip(index, 0, self._shape[k] - 1))
+        self.known = np.logical_and.outer(*there)
+
+    def shares(self, bits: np.ndarray, slices: int) -> np.ndarray:
+        """Return which share of the air above each cell is in a subset: (slices, 64, 64)."""
+        flags = unpack(bits, self._count)[self._kept]
+        size = self._shape[0] * self._shape[1]
+        index = self._slices[slices] * size + self._columns
+        there = np.bincount(index, minlength=slices * size)
+        found = np.bincount(index[flags], minlength=slices * size)
+        share = (found / np.maximum(there, 1)).reshape(slices, *self._shape)
+        return share[:, self._at[0][:, None], self._at[1][None, :]] * self.known
+
+
+def _summed(index: np.ndarray, channels: int, weights: np.ndarray | None = None) -> np.ndarray:
+    """Sum what points have cell by cell: (channels, 64, 64); points of index -1 are left out."""
+    inside = index >= 0
+    return np.bincount(index[inside], None if weights is None else weights[inside],
+                       channels * CELLS * CELLS).reshape(channels, CELLS, CELLS)
+
+
+def _density(counts: np.ndarray) -> np.ndarray:
+    """Turn counts of points into uint8, by their logarithm."""
+    return _bytes(np.log1p(counts) / np.log1p(MANY))
+
+
+def _share(shares: np.ndarray) -> np.ndarray:
+    """Turn shares of an error into uint8, by their logarithm."""
+    return _bytes(np.log1p(FINE_SHARES * shares) / np.log1p(FINE_SHARES * MUCH))
+
+
+def _bytes(values: np.ndarray) -> np.ndarray:
+    """Turn numbers from 0 to 1 into uint8."""
+    return (255.0 * np.minimum(values, 1.0) + 0.5).astype(np.uint8)
+
+
+def _spots(window: Window, places: np.ndarray) -> np.ndarray:
+    """Mark places (J, >= 2): (1, 64, 64) uint8."""
+    rows, columns = window.axes
+    marks = np.zeros((CELLS, CELLS))
+    for place in places:
+        marks = np.maximum(marks, np.multiply.outer(
+            np.exp(-0.5 * ((rows - place[0]) / SPOT) ** 2),
+            np.exp(-0.5 * ((columns - place[1]) / SPOT) ** 2)))
+    return _bytes(marks)[None]

@@ -1,0 +1,120 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What has been seen at a turn as an engine, in which one camera after the other is tried."""
+
+import numpy as np
+
+from ocp_ros.geometry.packed_bits import count_bits, unpack
+from ocp_ros.geometry.visibility import FAST, FINE
+from ocp_ros.online.partial_map import KeptModel, LookHistory, PartialMap
+from ocp_ros.online.rig_state import clearance_of, fixed_views, remember, RigState, view_from
+from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
+from ocp_ros.simulation.simulator import View
+
+#: Share of the turns after which the model is as fine as can be.
+LATE = 0.6
+
+
+class ObservedTurn:
+    """
+    The views of all cameras on what has been seen.
+
+    Cameras choose one after the other, each with those before it where they will be: two that
+    choose at once both go for the same gap.
+
+    :param model: the engine on what has been seen.
+    :param unseen: packed bits of the model's cells that no camera has covered.
+    :param space: where the cameras may be.
+    :param positions: (K, 3) metres: where they are, or will be after the turn.
+    :param sight: what cameras see and how they are turned; None if all are omnidirectional.
+    """
+
+    def __init__(self, model: PartialMap, unseen: np.ndarray, space: FreePlane,
+                 positions: np.ndarray, sight: RigState | None = None) -> None:
+        self.model, self.unseen, self.space = model, unseen, space
+        self.positions, self._sight = positions.copy(), sight
+        self._views = [self.look(camera, position) for camera, position in enumerate(positions)]
+        self._fixed = fixed_views(model, sight)
+
+    def look(self, camera: int, position: np.ndarray) -> View:
+        """Compute what a camera would see at a position (3,)."""
+        return view_from(self.model, self._sight, camera, position)
+
+    def place(self, camera: int, position: np.ndarray) -> None:
+        """Let a camera be at a position (3,), for those that are asked after it."""
+        self.positions[camera], self._views[camera] = position, self.look(camera, position)
+
+    def others(self, camera: int) -> list[View]:
+        """Return the views of all cameras but one, those in place included."""
+        return self._views[:camera] + self._views[camera + 1:] + self._fixed
+
+    def beside(self, camera: int) -> View:
+        """Return what all others see and cover together."""
+        return self.model.together(self.others(camera))
+
+    @property
+    def error(self) -> float:
+        """Return the depth error of all cameras together, metres."""
+        return self.model.error(self._views + self._fixed)
+
+    @property
+    def count(self) -> int:
+        """Return the number of cells that no camera has covered, 1 at least."""
+        return max(int(count_bits(self.unseen)), 1)
+
+    @property
+    def unseen_share(self) -> float:
+        """Return the share of the air that no camera has covered."""
+        return self.count / max(len(self.model.cells), 1)
+
+    def seen_now(self, camera: int) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Tell what is seen of the model's points, each camera being where it is or will be.
+
+        :returns: (N,) bool, whether the camera sees a point, and (N,) uint8, how many others do.
+        """
+        count = len(self.model.points)
+        others = np.zeros(count, dtype=np.uint8)
+        for view in self.others(camera):
+            others += unpack(view.seen, count)
+        return unpack(self._views[camera].seen, count), others
+
+
+class ObservedTurns:
+    """
+    Make an :class:`ObservedTurn` turn after turn of an episode.
+
+    :param max_range: effective range of the omnidirectional cameras, metres.
+    :param wall_margin: cameras stay this far inside the observed bounding box, metres.
+    :param clearance: cameras stay this far from all points that were seen, metres.
+    :param points: most points of the model.
+    :param rows: of its depth maps.
+    """
+
+    def __init__(self, max_range: float, wall_margin: float, clearance: float = CLEARANCE, *,
+                 points: int, rows: int) -> None:
+        self._settings, self._clearance = (max_range, wall_margin, points, rows), clearance
+        #: What cameras see and how they are turned; None if all are omnidirectional.
+        self.sight: RigState | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last episode."""
+        self._history = LookHistory()
+        self._kept = KeptModel(*self._settings)
+
+    def __call__(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int
+                 ) -> ObservedTurn:
+        """
+        Take note of a turn.
+
+        :param cloud: (M, 3) float32, metres, map frame: the points seen so far.
+        :param positions: (K, 3) metres: where the cameras are.
+        :param turn: turns played so far.
+        :param turns: turns of the whole episode.
+        :raises SceneError: if the points are too few or too flat to be a room.
+        """
+        remember(self._history, positions, self.sight)
+        model, space = self._kept(cloud, positions, FINE if turn >= LATE * turns else FAST,
+                                  clearance_of(self.sight, self._clearance))
+        return ObservedTurn(model, self._history.unseen(model), space, positions, self.sight)

@@ -1,0 +1,64 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Episodes that online planners play: the time step of :mod:`ocp_ros.online.step`, repeated."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import time
+
+import numpy as np
+
+from ocp_ros.online.online_planner import Online
+from ocp_ros.online.rig_state import RigState
+from ocp_ros.online.step import Limits, OnlineStep
+from ocp_ros.simulation.episode import Episode
+
+
+def state_of(episode: Episode) -> RigState:
+    """Return how the cameras of an episode stand and what each sees, those in place included."""
+    problem, placement, count = episode.problem, episode.placement, len(episode.turn.positions)
+    if problem.rig is None:
+        return RigState(placement, problem.models[:count], count)
+    return RigState(placement, problem.models, count, problem.rig.pitch,
+                    clearance=problem.rig.clearance)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """
+    An episode that an online planner has played.
+
+    :ivar trajectory: (T + 1, K, 3) metres: where the cameras were, the start first.
+    :ivar depth_error: (T + 1,) metres, of the placement at each of these.
+    :ivar seconds: (T,) how long each step took.
+    """
+
+    trajectory: np.ndarray
+    depth_error: np.ndarray
+    seconds: np.ndarray
+
+
+def play(online: Online, episode: Episode, over: Callable[[int], bool] = lambda turn: False,
+         clock: Callable[[], float] = time.perf_counter) -> Outcome:
+    """
+    Play an episode to its end, the cameras of a rig file under all its constraints.
+
+    :param online: moves the cameras; it is reset first.
+    :param episode: a new one.
+    :param over: gets the turns played so far and tells whether to end before all are.
+    :param clock: tells the seconds.
+    """
+    config, rig = episode.config, episode.problem.rig
+    step = OnlineStep(online, Limits(config.max_step, config.max_turn, config.wall_margin,
+                                     config.clearance), rig)
+    step.reset()
+    states, seconds = [episode.turn], []
+    while not (episode.turn.truncated or over(episode.turn.step)):
+        state, cloud = state_of(episode), episode.observed_cloud
+        began = clock()
+        command = step(cloud, state, episode.turn.step, config.turns)
+        seconds.append(clock() - began)
+        move = (command.placement - state.placement)[:state.movable, :3]
+        states.append(episode.move(move, command.placement[:state.movable, 3:]))
+    return Outcome(np.array([state.positions for state in states]),
+                   np.array([state.depth_error for state in states]), np.array(seconds))

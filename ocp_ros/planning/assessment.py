@@ -1,0 +1,158 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A placement that was judged in a room: what reports show of it, each thing computed once."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ocp_ros.geometry.packed_bits import Subset
+from ocp_ros.planning.camera_words import Words, words_for
+from ocp_ros.planning.findings import scores_of, verdict
+from ocp_ros.planning.wall_references import ReferenceWall, WallReferences
+from ocp_ros.rig.placement_file import created_by, data_of, Placement
+from ocp_ros.rig.structure import floor_height
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.source_frame import SourceFrame
+from ocp_ros.simulation.objective import Objective
+from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.simulation_config import SimulationConfig
+
+#: Scores that differ by more than this are not the same.
+SAME = 1e-6
+#: What stands above the rows of an installer's table, but for the camera's number.
+COLUMNS = ('camera', 'sensor', 'place', 'height', 'pan', 'tilt', 'x, y, z')
+
+
+@dataclass(frozen=True, eq=False)
+class Assessment:
+    """
+    A placement in a room, and what was found of it.
+
+    :ivar objective: the engine in the room, and the rig.
+    :ivar placement: where the cameras hang.
+    :ivar found: what ``ocp score --json`` prints: scores, broken, missed, one_more, notes.
+    :ivar frame_asked: which frame files and pages are written in, ``'map'`` or ``'source'``; where
+        nobody asked, data is in that of the map and pages for people in that of the scan.
+    """
+
+    objective: Objective
+    placement: Placement
+    found: Mapping[str, Any]
+    frame_asked: str | None = None
+
+    @property
+    def frame(self) -> SourceFrame:
+        """Return the frame of coordinates on pages for people."""
+        return SourceFrame() if self.frame_asked == 'map' else self.scene.source
+
+    @property
+    def data_frame(self) -> SourceFrame:
+        """Return the frame of tables and files for programs."""
+        return self.scene.source if self.frame_asked == 'source' else SourceFrame()
+
+    @property
+    def scene(self) -> Scene:
+        """Return the room."""
+        return self.objective.simulator.scene
+
+    @property
+    def positions(self) -> np.ndarray:
+        """Return where all cameras are: (K, 3) metres, map frame."""
+        return np.array([placed.position for placed in self.placement.cameras])
+
+    @cached_property
+    def counts(self) -> np.ndarray:
+        """Return how many cameras see each point: (N,) int."""
+        objective, order = self.objective, self.objective.simulator.visibility.order
+        views = [*objective.look(self.placement.poses), *objective.fixed]
+        return np.sum([Subset(view.seen, order).mask for view in views], axis=0)
+
+    @property
+    def missed(self) -> np.ndarray:
+        """Return the points that fewer cameras see than the rig asks for: (N,) bool."""
+        return self.counts < self.objective.rig.seen_by
+
+    @cached_property
+    def lost(self) -> np.ndarray:
+        """Return where the depth error is: (N,) metres, whose sum is the error."""
+        simulator, lost = self.objective.simulator, np.empty(len(self.scene))
+        seen = self.objective.evaluate(self.placement.poses).seen
+        lost[seen.order] = simulator.depth_error.by_point(seen.bits)
+        return lost
+
+    @cached_property
+    def references(self) -> WallReferences:
+        """Return the walls that the cameras are measured from."""
+        return WallReferences(self.scene, self.positions)
+
+    @property
+    def walls(self) -> list[ReferenceWall]:
+        """Return the sides of the rectangle around the room, A to D."""
+        return self.references.sides
+
+    @cached_property
+    def floor(self) -> float:
+        """Return the height of the floor, metres, map frame."""
+        return floor_height(self.scene)
+
+    @cached_property
+    def words(self) -> list[Words]:
+        """Return how to hang up each camera."""
+        return [words_for(placed, distances, self.walls, self.floor, self.frame)
+                for placed, distances in zip(self.placement.cameras, self.references.distances)]
+
+    @property
+    def rows(self) -> list[list[str]]:
+        """Return what an installer is told of each camera: its number, then :data:`COLUMNS`."""
+        return [[str(number), f'{words.name} (fixed)' if placed.mount == 'fixed' else words.name,
+                 *words[1:]]
+                for number, (placed, words) in enumerate(
+                    zip(self.placement.cameras, self.words), start=1)]
+
+    @property
+    def upright(self) -> np.ndarray:
+        """Return the rotation (3, 3) from the map frame to one with wall A at the top."""
+        view = np.eye(3)
+        view[0, :2], view[1, :2] = self.walls[1].outward, self.walls[0].outward
+        return view
+
+
+def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str,
+          frame: str | None = None) -> Assessment:
+    """
+    Judge a placement in a room.
+
+    :param placement: it need not say what was asked for.
+    :param room: which room it is, from
+        :func:`~ocp_ros.rooms.scene_source.room_named`.
+    :param command: the command line, for the record.
+    :param frame: that files are asked for in, ``'map'`` or ``'source'``.
+    :raises ConfigurationError: if the placement's rig cannot be used in this room.
+    """
+    rig = placement.rig_in(scene)
+    problem = Problem.of(scene, rig, SimulationConfig(engine=placement.engine))
+    found = {'room': room, 'cameras': data_of(placement)['cameras'],
+             **verdict(problem, placement.poses)}
+    scores = found['scores']
+    if (planned := placement.planned_poses) is not None:
+        found['planned'] = scores_of(problem.objective, problem.look(planned))
+    found['notes'] += _notes(placement, room, scores)
+    created = created_by(command, placement.created.get('planner', ''))
+    return Assessment(problem.objective, replace(
+        placement, rig=rig, room=room, scores=scores, created=created), found, frame)
+
+
+def _notes(placement: Placement, room: dict[str, Any], scores: dict[str, Any]) -> list[str]:
+    """Say where the file is about something else than what was judged."""
+    before = placement.scores.get('loss')
+    if placement.room.get('sha256') not in (None, room['sha256']):
+        return ['the file was made for another scan; the scores in the file are not those of '
+                'this scan']
+    if isinstance(before, float) and abs(before - scores['loss']) > SAME:
+        return [f'the file has the objective value {before:.6f}; found {scores["loss"]:.6f}: '
+                'rig, points or engine are not those that it was scored with']
+    return []

@@ -1,0 +1,101 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+How to hang up a camera, in words that an installer can follow without knowing the map frame.
+
+A camera hangs so far from two walls that are near and so high, and is turned from facing a side of
+the room; its coordinates in the frame of the scan stand beside that.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ocp_ros.planning.wall_references import Distance, FAR, ReferenceWall
+from ocp_ros.rig.placement_file import Placed
+from ocp_ros.scenes.source_frame import SourceFrame
+
+#: Degrees: what is less is straight, level or upright; from where on a camera looks straight down.
+STRAIGHT, DOWN = 0.5, 85.0
+#: Decimals of a metre that coordinates have.
+DECIMALS = 3
+
+
+class Words(NamedTuple):
+    """How to hang up one camera."""
+
+    name: str
+    sensor: str
+    place: str
+    height: str
+    pan: str
+    tilt: str
+    coordinates: str
+
+
+def words_for(placed: Placed, distances: Sequence[Distance], sides: Sequence[ReferenceWall],
+              floor: float, frame: SourceFrame) -> Words:
+    """
+    Say how to hang up a camera.
+
+    :param distances: from walls that are near.
+    :param sides: of the room, one of which it is turned from.
+    :param floor: its height, metres, map frame.
+    :param frame: which coordinates are given in.
+    """
+    height = f'{100.0 * (placed.position[2] - floor):.0f} cm above the floor'
+    return Words(placed.camera.name, placed.camera.sensor or 'own', _place(distances), height,
+                 _pan(placed, sides), _tilt(placed), coordinates_of(placed, frame))
+
+
+def _place(distances: Sequence[Distance]) -> str:
+    """Say how far a camera is from walls, or that none is near."""
+    told = [f'{100.0 * one.away:.0f} cm {"beyond" if one.beyond else "from"} wall {one.letter}'
+            for one in distances]
+    if len(told) < 2:
+        told.append(f'no {"other " * len(told)}wall within {FAR:.0f} m: use x, y, z')
+    return ', '.join(told)
+
+
+def coordinates_of(placed: Placed, frame: SourceFrame) -> str:
+    """Write the position of a camera in a frame, to the millimetre."""
+    decimals = max(0, DECIMALS + round(np.log10(frame.scale)))
+    return ', '.join(f'{value + 0.0:.{decimals}f}' for value in np.round(
+        frame.to_source(placed.position), decimals))
+
+
+def _pan(placed: Placed, walls: Sequence[ReferenceWall]) -> str:
+    """Say where a camera faces, seen from above."""
+    if placed.camera.model.horizontal_fov >= 2.0 * np.pi - 1e-9:
+        return 'any heading'
+    yaw, pitch, _ = placed.angles
+    # Of a camera that looks straight down, the top of the picture shows where it faces.
+    turn = np.deg2rad(yaw + (180.0 if pitch < -DOWN else 0.0))
+    ahead = np.array([np.cos(turn), np.sin(turn)])
+    wall = max(walls, key=lambda wall: wall.outward @ ahead)
+    left = np.rad2deg(np.arctan2(wall.outward[0] * ahead[1] - wall.outward[1] * ahead[0],
+                                 wall.outward @ ahead))
+    facing = f'top of the picture to wall {wall.letter}' if abs(pitch) > DOWN else (
+        f'face wall {wall.letter} squarely')
+    if abs(left) < STRAIGHT:
+        return facing
+    return f'{facing}, then turn {_degrees(left)} to the {"left" if left > 0 else "right"}'
+
+
+def _degrees(angle: float) -> str:
+    """Say how large an angle is, degrees."""
+    return f'{abs(angle):.0f} degree{"" if round(abs(angle)) == 1 else "s"}'
+
+
+def _tilt(placed: Placed) -> str:
+    """Say how far a camera looks down and how far it is rolled."""
+    _, pitch, roll = placed.angles
+    if placed.camera.model.omnidirectional:
+        return 'upright'
+    tilt = 'level' if abs(pitch) < STRAIGHT else (
+        f'{_degrees(pitch)} {"down" if pitch > 0 else "up"}')
+    if abs(roll) >= STRAIGHT:
+        side = 'clockwise' if roll > 0 else 'anticlockwise'
+        tilt += f', rolled {_degrees(roll)} {side} seen from behind'
+    return tilt

@@ -1,0 +1,187 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What there is to say about a placement: scores, broken constraints, what is missed, one more."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ocp_ros.geometry.packed_bits import Subset
+from ocp_ros.planning.promise import expected, notes_on
+from ocp_ros.rig.feasible_region import apart, FeasibleRegion
+from ocp_ros.rig.plausibility import missing_surfaces, room_notes
+from ocp_ros.rig.rig_file import Camera
+from ocp_ros.simulation.objective import Objective
+from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.simulator import View
+from ocp_ros.util.settings import ConfigurationError
+
+#: Candidates that one more camera is chosen from.
+CANDIDATES = 480
+#: Metres: edge of the cells that what is missed is gathered in, and how many parts are named.
+CELL, NAMED = 1.0, 3
+#: Shares of the points that are too many to be missed: by all candidates, and by the cameras.
+HOPELESS, MISSED = 0.3, 0.9
+
+
+def verdict(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
+    """
+    Return all there is to say about a placement as plain data.
+
+    :param problem: the rig in the room.
+    :param poses: (K, 6) metres, map frame, and radians.
+    :returns: ``scores``, ``broken``, ``missed`` and ``one_more``; ``expected``: the depth error
+        in the room itself, see :func:`~ocp_ros.planning.promise.expected`; ``notes``: what makes
+        the room or the answer doubtful; and ``remarks``: what was mended.
+    """
+    views = problem.look(poses)
+    scores = scores_of(problem.objective, views)
+    better = improvements(problem, poses, views)
+    scene = problem.objective.simulator.scene
+    missing = missing_surfaces(scene)
+    return {'scores': scores, 'broken': broken_by(problem.region, poses, scores), **better,
+            'expected': expected(scores['depth_error'], scores['depth_error_of_nothing'], missing),
+            'notes': [*room_notes(scene), *notes_on(missing), *scene.notes,
+                      *_share_notes(better['missed'])],
+            'remarks': list(scene.remarks)}
+
+
+def _share_notes(missed: dict[str, Any]) -> list[str]:
+    """Say so where most of a room is out of sight."""
+    if missed['hopeless'] > HOPELESS:
+        return [f'found {100.0 * missed["hopeless"]:.0f} % of the points out of sight from '
+                'everywhere that cameras may be; expected one room that they are in; the scan may '
+                'have several, or cameras may be kept out of most of it']
+    if missed['share'] > MISSED:
+        return [f'found {100.0 * missed["share"]:.0f} % of the points seen by too few cameras; '
+                'expected most of them seen; use more cameras, or of longer range']
+    return []
+
+
+def scores_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
+    """
+    Return what a placement is worth as plain data, as placement files have it.
+
+    :param views: what the cameras to be placed see.
+    """
+    simulator, rig = objective.simulator, objective.rig
+    worth, points = objective.judge(views), len(simulator.scene)
+    overlap = dict(zip(('0', '1', '2', '3 or more'), objective.overlap(views)))
+    return {
+        'loss': worth.loss, 'depth_error': worth.depth_error,
+        'depth_error_of_nothing': simulator.depth_error.worst,
+        'space_coverage': worth.space_coverage, 'volume': simulator.volume,
+        'seen_by': rig.seen_by, 'seen': len(worth.seen) / points, 'points': points,
+        'overlap': overlap,
+        'regions': [{'name': region.name, 'seen': float(share), 'must_see': region.must_see,
+                     'weight': region.weight, 'met': bool(share >= region.must_see)}
+                    for region, share in zip(rig.regions, worth.regions)],
+        **_links_of(objective, views),
+        'cameras': [{'name': camera.name, 'depth_error': added.depth_error, 'only': added.only}
+                    for camera, added in zip(rig.all_cameras, objective.contributions(views))]}
+
+
+def _links_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
+    """Return which cameras can be calibrated to each other, where the rig asks for it."""
+    found, asked = objective.covisibility(views), objective.rig.calibratable
+    if found is None:
+        return {}
+    names, count = [camera.name for camera in objective.rig.all_cameras], len(found.shares)
+    movable = count - len(objective.fixed)
+    pairs = [(one, other) for one in range(min(movable, count)) for other in range(one + 1, count)]
+    tree = {tuple(sorted(link)) for link in found.tree}
+    return {'calibratable': {
+        'overlap': asked.overlap, 'angle': float(np.rad2deg(asked.angle)),
+        'groups': [[names[camera] for camera in group] for group in found.groups],
+        'pairs': [{'cameras': [names[one], names[other]],
+                   'overlap': float(found.shares[one, other]),
+                   'linked': found.linked(one, other)}
+                  for one, other in pairs if found.linked(one, other) or (one, other) in tree]}}
+
+
+def broken_by(region: FeasibleRegion, poses: np.ndarray, scores: dict[str, Any]) -> list[str]:
+    """
+    Return a sentence for each constraint that a placement breaks, those of regions included.
+
+    :param poses: (K, 6) metres, map frame, and radians.
+    :param scores: from :func:`scores_of`.
+    """
+    return region.broken(poses) + [
+        f'{part["name"]}: found {100.0 * part["seen"]:.1f} % of its points seen; expected '
+        f'{100.0 * part["must_see"]:.1f} % (must_see); turn or move a camera towards it'
+        for part in scores['regions'] if not part['met']] + _apart(scores)
+
+
+def _apart(scores: dict[str, Any]) -> list[str]:
+    """Say which cameras cannot be calibrated to the others."""
+    links = scores.get('calibratable', {'groups': []})
+    if len(links['groups']) < 2:
+        return []
+    lacking = [pair for pair in links['pairs'] if not pair['linked']]
+    nearest = max(lacking, key=lambda pair: pair['overlap'])
+    first, second = nearest['cameras']
+    groups = ' and '.join(f'({", ".join(group)})' for group in links['groups'])
+    return [f'calibratable: found {len(links["groups"])} groups of cameras, {groups}, between '
+            f'which no two share enough, at most {first} and {second} with '
+            f'{100.0 * nearest["overlap"]:.1f} % of their points; expected '
+            f'{100.0 * links["overlap"]:.0f} % under at most {links["angle"]:.0f} degrees; '
+            'let these two look at the same surfaces, or add a camera']
+
+
+def improvements(problem: Problem, poses: np.ndarray, views: Sequence[View]) -> dict[str, Any]:
+    """
+    Return what a placement misses and where one more camera helps most, as plain data.
+
+    :param problem: the rig in the room.
+    :param poses: (K, 6) metres, map frame, and radians.
+    :param views: what these cameras see.
+    :returns: ``missed``: share of the points, the share that no candidate would see either, and
+        where most of it is; ``one_more``: the best candidate, or None where none is allowed.
+    """
+    objective, simulator, rig = problem.objective, problem.simulator, problem.rig
+    worth = objective.judge(views)
+    seen = worth.seen
+    models = [rig.models.index(model) for model in rig.placed_models]
+    best, reachable = None, seen.bits.copy()
+    for camera in models:
+        try:
+            offered = problem.region.candidates(rig.models[camera], CANDIDATES // len(models))
+        except ConfigurationError:
+            continue
+        offered = offered[apart(offered[:, :3], poses[:, :3], rig.spacing)]
+        more = simulator.look_many(offered, camera)
+        for view in more:
+            reachable |= view.seen
+        errors = objective.with_one_more(views, more)
+        if len(errors) and (best is None or errors.min() < best[0]):
+            best = errors.min(), rig.cameras[camera], offered[int(errors.argmin())]
+    missed = ~seen.mask
+    hopeless = ~Subset(reachable, simulator.visibility.order).mask
+    return {'missed': {'share': float(missed.mean()), 'hopeless': float(hopeless.mean()),
+                       'places': _parts(simulator.scene.points[missed], len(simulator.scene))},
+            'one_more': best and _addition(*best, worth.depth_error)}
+
+
+def _addition(error: float, camera: Camera, pose: np.ndarray, before: float) -> dict[str, Any]:
+    """Describe one more camera."""
+    yaw, pitch, roll = np.round(np.rad2deg(pose[3:]), 1).tolist()
+    return {'sensor': camera.sensor or camera.name,
+            'position': np.round(pose[:3], 3).tolist(), 'yaw': yaw, 'pitch': pitch, 'roll': roll,
+            'depth_error': float(error), 'gain': float(before - error)}
+
+
+def _parts(points: np.ndarray, total: int) -> list[dict[str, Any]]:
+    """Return the fullest cells of some points (M, 3), metres, of so many in all."""
+    if len(points) == 0:
+        return []
+    points = points.astype(np.float64)
+    cells = np.floor((points - points.min(axis=0)) / CELL).astype(int)
+    _, cell, sizes = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    found = []
+    for number in np.argsort(-sizes, kind='stable')[:NAMED]:
+        inside = points[cell.ravel() == number]
+        found.append({'share': float(sizes[number] / total),
+                      'low': np.round(inside.min(axis=0), 2).tolist(),
+                      'high': np.round(inside.max(axis=0), 2).tolist()})
+    return found

@@ -1,0 +1,196 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A rig planned in a room: the search, the proof, and the verdict on what was found."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from math import ceil
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ocp_ros.geometry.engine_config import PROMISING
+from ocp_ros.planning.assessment import Assessment, COLUMNS
+from ocp_ros.planning.findings import verdict
+from ocp_ros.rig.placement_file import created_by, data_of, Placement, placement_of
+from ocp_ros.rig.rig_file import Rig, with_count
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.search.budget import Budget
+from ocp_ros.search.rig_methods import check_planner, RIG_SEARCH
+from ocp_ros.search.rig_plan import RigPlan, RigPlanner
+from ocp_ros.search.rig_search import Progress
+
+#: Cameras where nobody says how many, and seconds of search for each number of cameras where one
+#: is planned and where several are.
+CAMERAS, SECONDS, SECONDS_EACH = 4, 60.0, 15.0
+#: What cameras are mounted on where nobody says: nobody mounts them in mid-air.
+MOUNT = 'walls'
+#: Share of the seconds for proving how good an answer is.
+PROVING = 0.25
+#: Per cent: no bound is closer to a proof than this.
+LEAST_PERCENT = 0.1
+
+
+class Counting(NamedTuple):
+    """
+    How many cameras are needed: what tells that there are enough.
+
+    :ivar target: share of what can be reached at all, above 0, at most 1.
+    :ivar by: share of what: ``error``, ``seen`` or ``coverage``.
+    :ivar most: the most cameras to try.
+    """
+
+    target: float = 0.95
+    by: str = 'error'
+    most: int = 12
+
+
+@dataclass(frozen=True)
+class PlanTask:
+    """
+    What is asked of a search.
+
+    :ivar planner: one of :func:`~ocp_ros.search.rig_methods.planner_names`.
+    :ivar seconds: of search for each number of cameras; 60, or 15 where cameras are counted,
+        unless evaluations are given.
+    :ivar evaluations: judge so many placements; the same seed finds the same answer.
+    :ivar seed: random seed.
+    :ivar counting: whether the search finds out how many cameras are needed, and by what.
+    :raises ConfigurationError: if there is no such planner, or it compares no numbers of cameras.
+    """
+
+    planner: str = RIG_SEARCH
+    seconds: float | None = None
+    evaluations: int | None = None
+    seed: int = 0
+    counting: Counting | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a planner that cannot do this."""
+        check_planner(self.planner, self.counting is not None)
+
+    def budgets(self) -> tuple[Budget, float | None]:
+        """Return how long the search may take, and the seconds for proving its answer."""
+        seconds = self.seconds
+        if seconds is None and self.evaluations is None:
+            seconds = SECONDS if self.counting is None else SECONDS_EACH
+        if seconds is None or self.planner == RIG_SEARCH:
+            # It proves its answer itself.
+            return Budget(seconds, self.evaluations), seconds
+        return Budget((1.0 - PROVING) * seconds, self.evaluations), PROVING * seconds
+
+
+class PlannedRig:
+    """
+    A rig that is planned in a room.
+
+    :param scene: the room.
+    :param rig: with :class:`Counting`, the least number of its cameras is counted up.
+    :param task: what is asked.
+    :param budget: of the search, from :meth:`PlanTask.budgets`; whoever holds it may stop it.
+    :param proving: seconds of the proof.
+    :param progress: called several times a second.
+    :ivar plans: one, or one for each number of cameras; the last one is the answer.
+    :raises ConfigurationError: if the rig has no placement in this room.
+    """
+
+    def __init__(self, scene: Scene, rig: Rig, task: PlanTask, budget: Budget,
+                 proving: float | None = None, progress: Progress | None = None) -> None:
+        self.task, self.budget = task, budget
+        self.planner = RigPlanner(scene, rig, PROMISING, budget, task.seed, progress, task.planner)
+        self.plans = list(self._counted(rig, task.counting) if task.counting
+                          else [self.planner.plan(rig)])
+        self.plans[-1] = self.planner.certified(self.plans[-1], budget.again(proving))
+
+    @property
+    def best(self) -> RigPlan:
+        """Return the answer."""
+        return self.plans[-1]
+
+    def _counted(self, rig: Rig, counting: Counting) -> Iterator[RigPlan]:
+        """Yield plans with ever more cameras until one reaches the target."""
+        first = max(rig.seen_by - len(rig.fixed), 1)
+        for plan in self.planner.count_up(lambda count: with_count(rig, count), first,
+                                          max(counting.most, first)):
+            yield plan
+            if plan.reaches(counting.by, counting.target):
+                return
+
+    def placement(self, room: dict[str, Any], command: str) -> Placement:
+        """
+        Return where the cameras hang, before it is judged.
+
+        :param room: which room it is, as placement files say it.
+        :param command: for the record.
+        """
+        return placement_of(self.best.rig, self.best.answer.poses, room=room, engine=PROMISING,
+                            created=created_by(command, self.best.planner))
+
+    def judged(self, placement: Placement, frame: str | None = None) -> Assessment:
+        """
+        Judge the placement.
+
+        :param placement: from :meth:`placement`.
+        :param frame: that files are asked for in, ``'map'`` or ``'source'``.
+        """
+        problem = self.planner.problem(self.best.rig)
+        found = {'room': placement.room, 'cameras': data_of(placement)['cameras'],
+                 **verdict(problem, placement.poses), 'search': self._search()}
+        if self.task.counting is not None:
+            found |= {'curve': rows_of_curve(self.plans), 'count': self._count()}
+        judged = Assessment(problem.objective, replace(placement, scores=found['scores']), found,
+                            frame)
+        found['installer'] = [dict(zip(['number', *COLUMNS], row)) for row in judged.rows]
+        return judged
+
+    def _count(self) -> dict[str, Any]:
+        """Return how many cameras are needed, as plain data."""
+        target, by, _ = self.task.counting
+        return {'cameras': len(self.best.rig.cameras), 'by': by, 'target': target,
+                'reached': self.best.reaches(by, target)}
+
+    def _search(self) -> dict[str, Any]:
+        """Return how the answer was found and what it compares with, as plain data."""
+        plan, answer, random = self.best, self.best.answer, self.best.random
+        return {'planner': plan.planner, 'seed': self.task.seed,
+                'loss': plan.worth.loss, 'searches': sorted(answer.losses),
+                'evaluations': answer.evaluations, 'seconds': round(plan.seconds, 2),
+                'stopped': self.budget.stopped, 'candidates': plan.candidates,
+                'random': {'placements': len(random),
+                           'median': float(np.median(random)) if len(random) else None,
+                           'best': float(random.min()) if len(random) else None},
+                'everywhere': {'loss': plan.everywhere.loss,
+                               'depth_error': plan.everywhere.depth_error},
+                'certificate': certificate_data(plan)}
+
+
+def certificate_data(plan: RigPlan) -> dict[str, Any]:
+    """
+    Return how much better than a plan other placements may be, as plain data.
+
+    :returns: ``sentence``, and what it is made of; ``gap`` is None where nothing was proved.
+    """
+    known = plan.certificate
+    if known is None:
+        return {'sentence': f'The optimality gap is unknown: {plan.uncertain}.', 'gap': None}
+    apart = f'{known.step:.2g} m' + (f' and {known.turn:g} degrees' if known.turn else '')
+    gained = (f'; moving off this grid gained {100.0 * known.moved:.1f} %'
+              if known.moved >= LEAST_PERCENT / 100.0 else '')
+    return {'sentence': f'No placement on {known.candidates:,} candidate poses ({apart} apart, '
+                        f'closer around the cameras) is better by more than '
+                        f'{max(gap_percent(known.gap), LEAST_PERCENT):.1f} %{gained} (computed on '
+                        f'depth maps of {known.rows} rows).',
+            'gap': known.gap, 'moved': known.moved, **asdict(known)}
+
+
+def rows_of_curve(plans: Sequence[RigPlan]) -> list[dict[str, Any]]:
+    """Return what each number of cameras is worth, as plain data."""
+    return [{'cameras': len(plan.rig.cameras), 'loss': plan.worth.loss,
+             'depth_error': plan.worth.depth_error, 'space_coverage': plan.worth.space_coverage,
+             **{f'share_{name}': share for name, share in plan.shares.items()},
+             'seconds': round(plan.seconds, 2)} for plan in plans]
+
+
+def gap_percent(gap: float) -> float:
+    """Return a gap in per cent, rounded up to tenths, so that it stays true."""
+    return ceil(1000.0 * gap - 0.01) / 10.0

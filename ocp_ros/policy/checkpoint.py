@@ -1,0 +1,165 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Weights as one safetensors blob with its JSON inside, on disk and on the wire.
+
+Nothing is ever unpickled. The JSON holds what is needed to run the weights (the agent's sizes and
+length scale), their version (updates so far) and their provenance.
+"""
+
+from dataclasses import dataclass, field
+import json
+from pathlib import Path
+import struct
+from typing import Any
+
+from safetensors import SafetensorError
+import safetensors.torch
+import torch
+
+from ocp_ros.policy.agent_config import AgentConfig
+from ocp_ros.policy.errors import CheckpointError
+from ocp_ros.policy.networks import actor_of
+from ocp_ros.util.files import LARGEST, read_regular, write_atomically
+from ocp_ros.util.settings import from_nested, to_nested
+
+FORMAT = 'ocp_ros-actor-2'
+KEY = 'ocp_ros'
+#: The largest weight: those that are learned stay below 100, and much larger ones make the numbers
+#: in the network overflow.
+LARGEST_WEIGHT = 1e4
+#: The most letters of a run's name, and the most gradient steps that are counted.
+LONGEST_RUN, MOST_UPDATES = 100, 1 << 53
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """
+    An actor's weights and what is known about them.
+
+    :ivar config: sizes of the network.
+    :ivar weights: tensors by name, those of :func:`~ocp_ros.policy.networks.actor_of`.
+    :ivar updates: gradient steps so far; within one run, more of them replace fewer.
+    :ivar run: identity of the training run.
+    :ivar provenance: how the weights were made: command, seed, date, rooms, results.
+    """
+
+    config: AgentConfig
+    weights: dict[str, torch.Tensor]
+    updates: int = 0
+    run: str = ''
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse weights that do not fit the network, or overflow in it."""
+        # On the meta device: only shapes are compared, nothing is allocated.
+        with torch.device('meta'):
+            expected = actor_of(self.config).state_dict()
+        missing, extra = (expected.keys() - self.weights.keys(),
+                          self.weights.keys() - expected.keys())
+        if missing or extra:
+            raise CheckpointError(
+                f'weights: found other layers than the network has; missing {sorted(missing)}, '
+                f'unknown {sorted(extra)}; expected weights made with the same agent settings')
+        for name, tensor in self.weights.items():
+            if tensor.shape != expected[name].shape or tensor.dtype != torch.float32:
+                raise CheckpointError(
+                    f'weights: found {name} as {tensor.dtype} {tuple(tensor.shape)}; expected '
+                    f'float32 {tuple(expected[name].shape)}')
+            # NaN is within nothing, and refused as well.
+            if not (tensor.abs() <= LARGEST_WEIGHT).all():
+                raise CheckpointError(
+                    f'weights: found NaN, inf or more than {LARGEST_WEIGHT:g} in {name}; expected '
+                    'smaller finite numbers; the training that made them has diverged')
+
+    def to_bytes(self) -> bytes:
+        """Write the checkpoint as one safetensors blob."""
+        tensors = {name: value.detach().cpu().contiguous() for name, value in self.weights.items()}
+        return safetensors.torch.save(tensors, metadata={KEY: json.dumps(self.card())})
+
+    def card(self) -> dict[str, Any]:
+        """Return all but the weights, as JSON can hold it."""
+        return {'format': FORMAT, 'run': self.run, 'updates': self.updates,
+                'config': to_nested(self.config), 'provenance': self.provenance}
+
+    def check_replaces(self, running: 'Checkpoint') -> None:
+        """
+        Refuse to replace weights of another network, or newer ones of the same run.
+
+        :raises CheckpointError: if so.
+        """
+        if self.config != running.config:
+            raise CheckpointError(f'weights: found {self.config}; expected those of the running '
+                                  f'policy, {running.config}')
+        if self.run == running.run and self.updates <= running.updates:
+            raise CheckpointError(
+                f'weights: found {self.updates} updates; expected more than the '
+                f'{running.updates} of the running policy, which are of the same run')
+
+    @classmethod
+    def from_bytes(cls, blob: bytes, what: str = 'weights') -> 'Checkpoint':
+        """
+        Read and check a blob.
+
+        :param blob: safetensors with the JSON of :meth:`card` in its metadata.
+        :param what: where it comes from, for messages.
+        :raises CheckpointError: if it is torn, of another format or network, or not finite.
+        """
+        try:
+            card = json.loads(read_metadata(blob)[KEY])
+            if card['format'] != FORMAT:
+                raise ValueError(f'its format is {card["format"]!r}, not {FORMAT!r}')
+            config = from_nested(AgentConfig, card['config'], what)
+            updates, run = card['updates'], card['run']
+            if (type(updates) is not int or not 0 <= updates <= MOST_UPDATES
+                    or not isinstance(run, str) or len(run) > LONGEST_RUN):
+                raise ValueError(f'its updates are {updates!r} and its run is {str(run)[:50]!r}')
+            known = {'updates': updates, 'run': run, 'provenance': dict(card['provenance'])}
+            weights = safetensors.torch.load(bytes(blob))
+        except (SafetensorError, KeyError, TypeError, ValueError, AttributeError, ArithmeticError,
+                RecursionError) as error:
+            raise CheckpointError(
+                f'{what}: found no readable checkpoint ({type(error).__name__}: {error}); '
+                'expected a whole safetensors file written by this package') from error
+        try:
+            return cls(config, weights, **known)
+        except CheckpointError as error:
+            raise CheckpointError(f'{what}: {str(error).removeprefix("weights: ")}') from error
+
+    def save(self, path: Path) -> None:
+        """
+        Write ``path`` and its card beside it as ``.json``; each file is whole or absent.
+
+        :param path: ends in ``.safetensors``.
+        """
+        write_atomically(path, self.to_bytes())
+        card = json.dumps(self.card(), indent=2) + '\n'
+        write_atomically(card_of(path), card)
+
+    @classmethod
+    def load(cls, path: Path) -> 'Checkpoint':
+        """
+        Read a ``.safetensors`` file.
+
+        :raises CheckpointError: if there is none or it cannot be used.
+        """
+        try:
+            blob = read_regular(path)
+        except OSError as error:
+            raise CheckpointError(f'{path}: found no file that can be read ({error.strerror}); '
+                                  'expected weights ending in .safetensors, of '
+                                  f'{LARGEST:,} bytes at most') from error
+        return cls.from_bytes(blob, str(path))
+
+
+def card_of(path: Path) -> Path:
+    """Return where the card of some weights stands."""
+    return Path(path).with_suffix('.json')
+
+
+def read_metadata(blob: bytes) -> dict[str, str]:
+    """Return the metadata of a safetensors blob, whose header is length-prefixed JSON."""
+    (length,) = struct.unpack('<Q', blob[:8].ljust(8, b'\0'))
+    if length > len(blob) - 8:
+        raise ValueError(f'{len(blob)} bytes are too few for a header of {length}')
+    return json.loads(blob[8:8 + length])['__metadata__']

@@ -1,0 +1,44 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The online planner that moves cameras as a trained policy says."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ocp_ros.online.online_planner import Online
+from ocp_ros.online.rig_state import RigState
+from ocp_ros.rig.motion import bounded_moves
+
+if TYPE_CHECKING:
+    from ocp_ros.policy.policy import Policy
+
+
+class Learned(Online):
+    """
+    The moves that a trained policy finds best.
+
+    :param policy: chooses them in units of ``max_step``.
+    :param settings: of :class:`Online`.
+    """
+
+    def __init__(self, policy: 'Policy', *settings) -> None:
+        super().__init__(*settings)
+        self.policy = policy
+
+    def know(self, sight: RigState | None) -> None:
+        """Tell what the policy reads; see :meth:`Online.know`."""
+        super().know(sight)
+        self.policy.encoder.turns.sight = sight
+
+    def reset(self) -> None:
+        """Forget the last episode."""
+        self.policy.reset()
+
+    def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
+        """Choose the next moves; see :meth:`Online.move`."""
+        if len(cloud) == 0:
+            return self.wander(cloud, positions)
+        flat = positions[:, :2]
+        moves = bounded_moves(self.policy.act(cloud, positions, turn, turns), self.max_step)
+        return self.space(cloud, positions).moved(flat, moves, self.max_step) - flat

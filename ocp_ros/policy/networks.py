@@ -1,0 +1,154 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The networks that read the observed cloud: three extraction units and an actor's head.
+
+``paper`` reads the cloud, its bounding box and all cameras, and one head answers for all cameras,
+as stable-baselines3 builds it: section III-C of arXiv 2110.11106. ``cloud`` is asked for one
+camera after the other; its weights serve any number of them.
+"""
+
+import torch
+from torch import nn, Tensor
+
+from ocp_ros.policy.agent_config import AgentConfig, PAPER
+from ocp_ros.policy.observation import MARKS, OF_OTHERS, OF_TURN
+from ocp_ros.policy.value_network import ValueMapNetwork
+
+#: Bounds of the logarithm of the standard deviation of a move, as stable-baselines3 has them.
+LOG_STD_MIN, LOG_STD_MAX = -20.0, 2.0
+CAMERA_CHANNELS = 32
+#: What a camera knows of its own place: where it is between the walls and in the cloud, how far
+#: the four walls are, and how large the room is.
+OWN_FEATURES = 2 + 3 + 4 + 3
+
+
+def perceptron(*widths: int) -> nn.Sequential:
+    """Stack linear layers, each with a ReLU behind it."""
+    layers = []
+    for width_in, width_out in zip(widths[:-1], widths[1:]):
+        layers += [nn.Linear(width_in, width_out), nn.ReLU()]
+    return nn.Sequential(*layers)
+
+
+def gather(values: Tensor, indices: Tensor) -> Tensor:
+    """Pick rows per batch entry: values (B, N, C), indices (B, ...) -> (B, ..., C)."""
+    batch = torch.arange(len(values), device=values.device)
+    return values[batch.view(-1, *[1] * (indices.dim() - 1)), indices.long()]
+
+
+class ExtractionUnit(nn.Module):
+    """
+    Features of groups of points around key points: section III-C of arXiv 2110.11106.
+
+    :param features: channels of each input point besides its position.
+    :param channels: channels C' of the three layers.
+    :param normed: whether the maximum over a group is normalised.
+    """
+
+    def __init__(self, features: int, channels: int, normed: bool) -> None:
+        super().__init__()
+        self.layers = perceptron(3 + features, channels, channels, channels)
+        self.norm = nn.LayerNorm(channels) if normed else nn.Identity()
+
+    def forward(self, points: Tensor, features: Tensor | None, centres: Tensor,
+                groups: Tensor) -> Tensor:
+        """
+        Extract one feature vector per key point.
+
+        :param points: (B, N, 3).
+        :param features: (B, N, C) or None.
+        :param centres: (B, K, 3), the key points.
+        :param groups: (B, K, G), indices into the points.
+        :returns: (B, K, C').
+        """
+        grouped = gather(points, groups) - centres[:, :, None]
+        if features is not None:
+            grouped = torch.cat([grouped, gather(features, groups)], dim=-1)
+        # The last ReLU and the maximum commute; in this order it has G times less to do.
+        return self.layers[-1](self.norm(self.layers[:-1](grouped).amax(dim=2)))
+
+
+class Extractor(nn.Module):
+    """
+    Features of an encoded observation; see :mod:`ocp_ros.policy.observation`.
+
+    The single key point of the last unit is the mean of those before, or, in ``cloud``, the
+    camera.
+
+    :param config: which network, and its sizes.
+    :ivar width: F.
+    """
+
+    def __init__(self, config: AgentConfig) -> None:
+        super().__init__()
+        self.paper, channels = config.inputs == PAPER, config.channels
+        self.unit_1 = ExtractionUnit(0 if self.paper else MARKS, channels, not self.paper)
+        self.unit_2 = ExtractionUnit(channels, channels, not self.paper)
+        self.unit_3 = ExtractionUnit(channels, config.pooled, not self.paper)
+        self.width = config.pooled + 3
+        if self.paper:
+            self.width += 3 + 3 * config.cameras
+        else:
+            self.others = perceptron(OF_OTHERS, CAMERA_CHANNELS, CAMERA_CHANNELS)
+            self.width += OWN_FEATURES + 2 * CAMERA_CHANNELS + OF_TURN
+
+    def forward(self, observation: dict[str, Tensor]) -> Tensor:
+        """Return (B, F)."""
+        cameras, half = observation['cameras'], observation['half_size']
+        if self.paper:
+            return torch.cat([self._cloud(observation, None), half, cameras.flatten(1)], dim=-1)
+        camera, told = cameras[:, 0], observation['others']
+        others = pooled(self.others(told), told[..., 3])
+        return torch.cat([
+            self._cloud(observation, cameras), camera[:, :2] / half[:, :2].clamp(min=1e-3), camera,
+            half[:, :2] - camera[:, :2], half[:, :2] + camera[:, :2], half, others,
+            observation['turn']], dim=-1)
+
+    def _cloud(self, observation: dict[str, Tensor], centre: Tensor | None) -> Tensor:
+        """Return features of the whole cloud around a centre (B, 1, 3): (B, C' + 3)."""
+        points = observation['points']
+        marks = None if self.paper else observation['marks'].to(points.dtype)
+        centres_1 = gather(points, observation['keys_1'])
+        features_1 = self.unit_1(points, marks, centres_1, observation['groups_1'])
+        centres_2 = gather(centres_1, observation['keys_2'])
+        features_2 = self.unit_2(centres_1, features_1, centres_2, observation['groups_2'])
+        centre = centres_2.mean(dim=1, keepdim=True) if centre is None else centre
+        everything = torch.arange(centres_2.shape[1], device=points.device)
+        features = self.unit_3(centres_2, features_2, centre,
+                               everything.expand(*centre.shape[:2], -1))
+        return torch.cat([features, centre], dim=-1)[:, 0]
+
+
+def pooled(features: Tensor, present: Tensor) -> Tensor:
+    """Pool features (..., N, C), not below 0, of what there is (..., N): (..., 2 C)."""
+    features = features * present[..., None]
+    count = present.sum(dim=-1, keepdim=True).clamp(min=1.0)
+    return torch.cat([features.sum(dim=-2) / count, features.amax(dim=-2)], dim=-1)
+
+
+class Actor(nn.Module):
+    """The whole actor, what a robot runs: the layers of stable-baselines3's on the extractor."""
+
+    def __init__(self, config: AgentConfig) -> None:
+        super().__init__()
+        cameras = config.cameras if config.inputs == PAPER else 1
+        self.extractor = Extractor(config)
+        self.latent_pi = perceptron(self.extractor.width, config.hidden, config.hidden)
+        self.mu = nn.Linear(config.hidden, 2 * cameras)
+        self.log_std = nn.Linear(config.hidden, 2 * cameras)
+
+    def forward(self, observation: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """
+        Choose moves from an encoded observation.
+
+        :returns: mean and logarithm of the standard deviation, (B, 2 C) each, of the moves of C
+            cameras before the hyperbolic tangent.
+        """
+        latent = self.latent_pi(self.extractor(observation))
+        return self.mu(latent), self.log_std(latent).clamp(LOG_STD_MIN, LOG_STD_MAX)
+
+
+def actor_of(config: AgentConfig) -> nn.Module:
+    """Return what a robot runs, with random weights."""
+    return ValueMapNetwork(config) if config.map else Actor(config)

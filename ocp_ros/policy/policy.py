@@ -1,0 +1,133 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The policy: a trained network that turns what was seen into where each camera goes next."""
+
+import numpy as np
+import torch
+
+from ocp_ros.policy.checkpoint import Checkpoint
+from ocp_ros.policy.encoder import Encoder
+from ocp_ros.policy.networks import Actor
+from ocp_ros.policy.observation import encode
+from ocp_ros.policy.value_network import CellChoices, valued, ValueMap, ValueMapNetwork
+from ocp_ros.rig.motion import order_of
+
+
+class Policy:
+    """
+    Run a checkpoint that reads the observed cloud; stable-baselines3 is not needed.
+
+    :param checkpoint: weights and sizes.
+    :param encoder: what the rig is; by default that of the weights' own training.
+    """
+
+    def __init__(self, checkpoint: Checkpoint, encoder: Encoder | None = None) -> None:
+        self.checkpoint = checkpoint
+        self.encoder = Encoder(checkpoint.config) if encoder is None else encoder
+        self.actor = Actor(checkpoint.config)
+        self.actor.load_state_dict(checkpoint.weights)
+        self.actor.eval()
+
+    def reset(self) -> None:
+        """Forget the last episode."""
+        self.encoder.turns.reset()
+
+    def replaced(self, checkpoint: Checkpoint) -> 'Policy':
+        """Return what runs other weights; what the encoder remembers is the episode's."""
+        return type(self)(checkpoint, self.encoder)
+
+    def act(self, cloud: np.ndarray, camera_positions: np.ndarray, turn: int = 0, turns: int = 30,
+            rng: np.random.Generator | None = None) -> np.ndarray:
+        """
+        Choose the next move of each camera.
+
+        :param cloud: (N, 3) float32, metres, map frame: all points seen so far.
+        :param camera_positions: (K, 3), metres, map frame.
+        :param turn: turns played so far.
+        :param turns: turns of the whole episode.
+        :param rng: draw the moves from the policy's distribution; None for the best ones.
+        :returns: (K, 2) float32, in units of the longest step.
+        :raises ConfigurationError: if the weights serve another number of cameras alone.
+        """
+        self.checkpoint.config.check_cameras(len(camera_positions))
+        if not self.checkpoint.config.one_by_one:
+            return self.choose(encode(cloud, camera_positions, self.checkpoint.config), rng)
+        moves = np.empty((len(camera_positions), 2), dtype=np.float32)
+        encoded = self.encoder.turn(cloud, camera_positions, turn, turns)
+        for camera in order_of(turn, len(moves)):
+            (chosen,) = self.choose(encoded.inputs(camera), rng)
+            moves[camera] = encoded.move(camera, chosen)
+        return moves
+
+    def choose(self, encoded: dict[str, np.ndarray], rng: np.random.Generator | None = None
+               ) -> np.ndarray:
+        """Choose the next moves of C cameras, (C, 2), from an encoded observation."""
+        batch = {name: torch.from_numpy(value)[None] for name, value in encoded.items()}
+        with torch.inference_mode():
+            mean, log_std = self.actor(batch)
+            if rng is not None:
+                with torch.random.fork_rng(devices=[]):
+                    torch.manual_seed(int(rng.integers(1 << 62)))
+                    mean = mean + log_std.exp() * torch.randn_like(mean)
+            return torch.tanh(mean)[0].unflatten(0, (-1, 2)).numpy()
+
+
+class ValuePolicy:
+    """
+    Run a checkpoint of the map actor; stable-baselines3 is not needed.
+
+    :param checkpoint: weights and sizes.
+    """
+
+    def __init__(self, checkpoint: Checkpoint) -> None:
+        self.checkpoint = checkpoint
+        network = ValueMapNetwork(checkpoint.config)
+        network.load_state_dict(checkpoint.weights)
+        self._network = network.eval().to(memory_format=torch.channels_last)
+
+    def replaced(self, checkpoint: Checkpoint) -> 'ValuePolicy':
+        """Return what runs other weights."""
+        return type(self)(checkpoint)
+
+    def values(self, room: np.ndarray, others: np.ndarray, numbers: np.ndarray, lens: np.ndarray
+               ) -> np.ndarray:
+        """
+        Value all cells for one camera, given the others.
+
+        :param room: of :class:`~ocp_ros.online.observation_map.ObservationMap`.
+        :param others: of its :meth:`~ocp_ros.online.observation_map.ObservationMap.others`.
+        :param numbers: of the same.
+        :param lens: of the camera; see :func:`~ocp_ros.online.observation_map.told_of`.
+        :returns: (D, 64, 64) float32: ln((E with the camera + e) / (E of the others + e)) of the
+            depth error E, for each heading of
+            :func:`~ocp_ros.online.observation_map.yaws_of`; inf beyond what was seen.
+        """
+        aimed = self._network.aimed
+        network = self._network if aimed is None or lens.min() >= 1.0 else aimed
+        return _valued(network, {'room': room, 'others': others, 'numbers': numbers,
+                                 'lens': lens})[0].numpy()
+
+    def draw(self, inputs: dict[str, np.ndarray], rng: np.random.Generator) -> np.ndarray:
+        """
+        Draw where a camera goes from the distribution that soft actor-critic trains.
+
+        :param inputs: of :meth:`values`, and ``choices`` (64, 64), not 0 where it may go.
+        :param rng: the only source of chance.
+        :returns: (2,) float32, from the map's middle in units of half its side.
+        """
+        free = torch.from_numpy(inputs['choices'])[None]
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(int(rng.integers(1 << 62)))
+            return CellChoices(_valued(self._network, inputs), free).sample()[0].numpy()
+
+
+def _valued(network: ValueMap, inputs: dict[str, np.ndarray]) -> torch.Tensor:
+    """Value all cells: (1, D, 64, 64)."""
+    with torch.inference_mode():
+        return valued(network, {name: torch.from_numpy(value)[None]
+                                for name, value in inputs.items()})
+
+
+def make_policy(checkpoint: Checkpoint) -> Policy | ValuePolicy:
+    """Return what runs a checkpoint."""
+    return ValuePolicy(checkpoint) if checkpoint.config.map else Policy(checkpoint)

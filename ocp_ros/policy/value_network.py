@@ -1,0 +1,191 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The network of the map actor: from a map of what was observed to what each place is worth.
+
+A small U-shaped network of convolutions (Ronneberger et al., 2015) of residual blocks; it is asked
+for one camera at a time, given the others, and answers for every cell at once.
+"""
+
+import torch
+from torch import nn, Tensor
+from torch.nn.functional import pixel_shuffle, pixel_unshuffle, relu
+
+from ocp_ros.online.observation_map import (
+    CELLS,
+    NUMBERS,
+    OF_LENS,
+    OF_OTHERS,
+    OF_ROOM,
+    used_part,
+)
+from ocp_ros.policy.agent_config import AgentConfig
+
+#: Channels at half, a quarter and an eighth of the resolution, and the blocks on the way down.
+WIDTHS, DOWN = (32, 64, 96), (1, 2, 2)
+#: Cells along each side that the network takes together.
+TOGETHER = 2
+#: Differences of values by which the likelihoods of two cells differ by the factor e.
+TEMPERATURE = 0.05
+
+
+class ResidualBlock(nn.Module):
+    """Two convolutions whose result is added to what they read; at first they add nothing."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.first = nn.Conv2d(width, width, 3, padding=1)
+        self.second = nn.Conv2d(width, width, 3, padding=1)
+        nn.init.zeros_(self.second.weight)
+        nn.init.zeros_(self.second.bias)
+
+    def forward(self, values: Tensor) -> Tensor:
+        """Map (B, C, H, W) to as much."""
+        return values + self.second(relu(self.first(relu(values))))
+
+
+class ValueMap(nn.Module):
+    """
+    What the depth error becomes if a camera goes to each cell of the map, by its heading there.
+
+    :param headings: D, how many there are; see
+        :func:`~ocp_ros.online.observation_map.yaws_of`.
+    :param told: names of what it reads besides ``room`` and ``others``, and how many numbers each
+        of these is.
+    """
+
+    def __init__(self, headings: int, told: dict[str, int]) -> None:
+        super().__init__()
+        self._told = tuple(told)
+        half, quarter, eighth = WIDTHS
+        self.enter = nn.Conv2d((OF_ROOM + OF_OTHERS) * TOGETHER ** 2 + sum(told.values()), half, 3,
+                               padding=1)
+        self.down_1 = _blocks(half, DOWN[0])
+        self.to_quarter = nn.Conv2d(half, quarter, 3, stride=2, padding=1)
+        self.down_2 = _blocks(quarter, DOWN[1])
+        self.to_eighth = nn.Conv2d(quarter, eighth, 3, stride=2, padding=1)
+        self.down_3 = _blocks(eighth, DOWN[2])
+        self.whole = nn.Linear(eighth, eighth)
+        self.from_eighth = nn.Conv2d(eighth, quarter * 4, 1)
+        self.up_2 = _blocks(quarter, 1)
+        self.from_quarter = nn.Conv2d(quarter, half * 4, 1)
+        self.up_1 = _blocks(half, 1)
+        self.leave = nn.Conv2d(half, headings * TOGETHER ** 2, 3, padding=1)
+
+    def forward(self, observation: dict[str, Tensor]) -> Tensor:
+        """
+        Value all cells.
+
+        :param observation: ``room`` (B, ``OF_ROOM``, H, W) and ``others`` (B, ``OF_OTHERS``, H, W)
+            uint8, ``numbers`` (B, ``NUMBERS``), and ``lens`` (B, ``OF_LENS``) where it is told.
+        :returns: (B, D, H, W): ln((E + e) / (E of the others + e)) of the depth error E; less is
+            better.
+        """
+        numbers = torch.cat([observation[name] for name in self._told], dim=1)
+        maps = torch.cat([observation['room'], observation['others']], dim=1).to(numbers.dtype)
+        maps = pixel_unshuffle(maps / 255.0, TOGETHER)
+        told = numbers[:, :, None, None].expand(-1, -1, *maps.shape[2:])
+        half = self.down_1(self.enter(torch.cat([maps, told], dim=1)))
+        quarter = self.down_2(self.to_quarter(relu(half)))
+        eighth = self.down_3(self.to_eighth(relu(quarter)))
+        eighth = eighth + self.whole(relu(eighth).mean(dim=(2, 3)))[:, :, None, None]
+        quarter = self.up_2(quarter + pixel_shuffle(self.from_eighth(relu(eighth)), 2))
+        half = self.up_1(half + pixel_shuffle(self.from_quarter(relu(quarter)), 2))
+        return pixel_shuffle(self.leave(relu(half)), TOGETHER)
+
+
+class ValueMapNetwork(ValueMap):
+    """
+    The map actor's network: a value map for cameras that see all around, and one for all others.
+
+    :param config: how many headings the other one has, if there is one; the sizes in it are those
+        of other networks.
+    :ivar aimed: it; None without.
+    """
+
+    def __init__(self, config: AgentConfig) -> None:
+        super().__init__(1, {'numbers': NUMBERS})
+        self.aimed = ValueMap(config.headings, {'numbers': NUMBERS, 'lens': OF_LENS}) \
+            if config.headings else None
+
+    def begin_aimed(self) -> None:
+        """Let the one for all other cameras begin as the one for those that see all around."""
+        own = self.state_dict()
+        with torch.no_grad():
+            for name, value in self.aimed.named_parameters():
+                begun = own[name]
+                if name == 'enter.weight':
+                    value[:, :begun.shape[1]] = begun
+                    value[:, begun.shape[1]:] = 0.0
+                else:
+                    # Only the last layer differs: it is the same for each heading.
+                    value.copy_(begun.repeat(len(value) // len(begun), *[1] * (value.dim() - 1)))
+
+
+def valued(network: nn.Module, observation: dict[str, Tensor]) -> Tensor:
+    """
+    Value whole maps; the network reads no more of them than is used.
+
+    :param network: :class:`ValueMap`.
+    :param observation: of it, with maps of 64 x 64 cells, batched.
+    :returns: (B, D, 64, 64): inf beyond what was seen in any of the maps.
+    """
+    rows, columns = used_part(observation['room'].amax(dim=0).cpu().numpy())
+    part = network(observation | {name: observation[name][:, :, rows, columns]
+                                  for name in ('room', 'others')})
+    values = part.new_full((*part.shape[:2], CELLS, CELLS), torch.inf)
+    values[:, :, rows, columns] = part
+    return values
+
+
+class CellChoices:
+    """
+    How likely a camera goes to each cell: the softmax of what the network says, among some cells.
+
+    :param values: (B, 1, 64, 64) from :func:`valued`.
+    :param free: (B, 64, 64), not 0 where it may go.
+    """
+
+    def __init__(self, values: Tensor, free: Tensor) -> None:
+        # Cells beyond the map of a batch that was cut are as bad as they can be said to be.
+        logits = (-values / TEMPERATURE).clamp(min=-1e4).flatten(1)
+        self._log = logits.masked_fill(free.flatten(1) == 0, -1e9).log_softmax(dim=1)
+
+    @property
+    def shares(self) -> Tensor:
+        """Return the likelihood of each cell: (B, 64 * 64)."""
+        return self._log.exp()
+
+    @property
+    def entropy(self) -> Tensor:
+        """Return the entropy: (B,), in nats."""
+        return -(self.shares * self._log).sum(dim=1)
+
+    def divergence(self, other: 'CellChoices') -> Tensor:
+        """Return the Kullback-Leibler divergence of others from these: (B,), in nats."""
+        return (self.shares * (self._log - other._log)).sum(dim=1)
+
+    def best(self) -> Tensor:
+        """Return the likeliest cells as actions: (B, 2)."""
+        return action_of(self._log.argmax(dim=1))
+
+    def sample(self) -> Tensor:
+        """Draw cells and return them as actions: (B, 2)."""
+        return action_of(torch.multinomial(self.shares, 1)[:, 0])
+
+
+def action_of(cells: Tensor) -> Tensor:
+    """Return the middles (B, 2) of cells (B,), from the map's middle in units of half its side."""
+    at = torch.stack([cells // CELLS, cells % CELLS], dim=-1)
+    return (2.0 * at + 1.0) / CELLS - 1.0
+
+
+def cell_of(actions: Tensor) -> Tensor:
+    """Return the numbers (B,) of the cells that actions (B, 2) mean."""
+    at = ((actions + 1.0) * (0.5 * CELLS)).long().clamp(0, CELLS - 1)
+    return at[:, 0] * CELLS + at[:, 1]
+
+
+def _blocks(width: int, count: int) -> nn.Sequential:
+    """Put residual blocks one behind the other."""
+    return nn.Sequential(*(ResidualBlock(width) for _ in range(count)))

@@ -1,0 +1,53 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Generated rooms: offices and what is around them, scanned, with the mesh behind the points."""
+
+import numpy as np
+
+from ocp_ros.geometry.cameras import rotation_matrix
+from ocp_ros.rooms.room_kinds import draw_plan
+from ocp_ros.rooms.room_plan import RoomPlan
+from ocp_ros.rooms.scanning import sample, scan
+from ocp_ros.scenes.scene import Mesh, MIN_POINTS, Scene
+from ocp_ros.util.settings import check_whole
+
+#: The triangles of a box whose corners are numbered by the bits x, y, z.
+TRIANGLES = np.array([(0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6), (0, 1, 4), (1, 5, 4),
+                      (2, 6, 3), (3, 6, 7), (0, 4, 2), (2, 4, 6), (1, 3, 5), (3, 7, 5)])
+
+
+def plan_of(seed: int) -> RoomPlan:
+    """Return the plan of the room that :func:`generate_room` scans."""
+    return draw_plan(np.random.default_rng(seed))
+
+
+def generate_room(seed: int, n_points: int = 15000, scanned: bool = True) -> Scene:
+    """
+    Make an office, a conference room, a lounge, a hallway, a storage room or an open office.
+
+    The same seed gives the same room, whatever the number of points.
+
+    :param seed: any non-negative integer.
+    :param n_points: how many points the scan has, to a few per cent.
+    :param scanned: whether the points are those of a scan, with noise and shadows, or exactly and
+        evenly on all surfaces.
+    :returns: a scene with its mesh, called ``room-<seed>``.
+    :raises ConfigurationError: for a seed below 0 or too few points.
+    """
+    check_whole('seed', seed, 0)
+    check_whole('n_points', n_points, MIN_POINTS)
+    plan = plan_of(seed)
+    rng = np.random.default_rng([seed, 1])
+    points = scan(plan, n_points, rng)[0] if scanned else sample(plan, n_points, rng)
+    return Scene(points, f'room-{seed}', mesh=mesh_of(plan))
+
+
+def mesh_of(plan: RoomPlan) -> Mesh:
+    """Build the triangles of a room's shell and of every solid in it."""
+    bits = np.array([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)]) - 0.5
+    vertices = [(bits + 0.5) * plan.size]
+    for part in plan.solids:
+        vertices.append(bits * part.size @ rotation_matrix(part.yaw).T + part.centre)
+    triangles = TRIANGLES + 8 * np.arange(len(vertices))[:, None, None]
+    return Mesh(np.concatenate(vertices).astype(np.float32),
+                triangles.reshape(-1, 3).astype(np.int32))

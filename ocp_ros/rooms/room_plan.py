@@ -1,0 +1,138 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The plan of a room: its walls, what was put where, and what of the floor is still free.
+
+All lengths are metres; a room spans from the origin to its size.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from ocp_ros.rooms.furniture import Piece, placed, Solid
+
+#: Free floor around what stands in the room, and air between furniture and the wall behind it.
+CLEARANCE, WALL_GAP = 0.12, 0.03
+#: How often a place is sought before a piece is left out.
+TRIES = 25
+
+
+class RoomWall(NamedTuple):
+    """
+    An inner side of a wall.
+
+    :ivar start: (2,) where it begins.
+    :ivar along: (2,) unit vector; the room is on its left.
+    :ivar length: metres.
+    """
+
+    start: np.ndarray
+    along: np.ndarray
+    length: float
+
+    @property
+    def inward(self) -> np.ndarray:
+        """Return the (2,) unit vector into the room."""
+        return np.array([-self.along[1], self.along[0]])
+
+
+@dataclass
+class RoomPlan:
+    """
+    A room.
+
+    :ivar kind: one of :data:`ocp_ros.rooms.room_kinds.ROOMS`.
+    :ivar size: (3,) metres.
+    :ivar rng: draws what is put into it.
+    :ivar solids: what is built and stands in it.
+    :ivar windows: (2, 3) boxes around parts of walls that return no light.
+    :ivar walls: inner sides to lean things against.
+    """
+
+    kind: str
+    size: np.ndarray
+    rng: np.random.Generator
+    solids: list[Solid] = field(default_factory=list)
+    windows: list[np.ndarray] = field(default_factory=list)
+    walls: list[RoomWall] = field(default_factory=list)
+    _taken: list[np.ndarray] = field(default_factory=list)
+
+    def claim(self, low: np.ndarray, high: np.ndarray, clearance: float = CLEARANCE) -> bool:
+        """Reserve a rectangle of the floor if it is in the room and free."""
+        low, high = np.minimum(low, high), np.maximum(low, high)
+        if (low < -1e-9).any() or (high > self.size[:2] + 1e-9).any():
+            return False
+        for other in self._taken:
+            if (low - clearance < other[1]).all() and (high + clearance > other[0]).all():
+                return False
+        self._taken.append(np.stack([low, high]))
+        return True
+
+    def stand(self, make: Callable[[], Piece], width: float, depth: float,
+              turns: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5)) -> bool:
+        """
+        Stand a piece somewhere free.
+
+        :param make: builds it.
+        :param width: of its footprint along its own x, metres.
+        :param depth: the same along y.
+        :param turns: yaws to choose from, in units of pi.
+        """
+        for _ in range(TRIES):
+            yaw = float(self.rng.choice(turns)) * np.pi
+            half = 0.5 * footprint(width, depth, yaw)
+            if (2.0 * half > self.size[:2] - 0.2).any():
+                continue
+            at = self.rng.uniform(0.1 + half, self.size[:2] - 0.1 - half)
+            if self.claim(at - half, at + half):
+                self.solids += placed(make(), at, yaw)
+                return True
+        return False
+
+    def lean(self, make: Callable[[], Piece], width: float, depth: float,
+             front: float = 0.0) -> bool:
+        """
+        Stand a piece with its back to a wall.
+
+        :param make: builds it.
+        :param width: along the wall, metres.
+        :param depth: away from it.
+        :param front: metres of floor before it that stay free.
+        """
+        for _ in range(TRIES):
+            wall = self.walls[self.rng.integers(len(self.walls))]
+            if wall.length < width + 0.1:
+                continue
+            shift = self.rng.uniform(0.05, wall.length - width - 0.05)
+            corner = wall.start + shift * wall.along + WALL_GAP * wall.inward
+            far = corner + width * wall.along + (depth + front) * wall.inward
+            if self.claim(corner, far, 0.05):
+                at = corner + 0.5 * width * wall.along + 0.5 * depth * wall.inward
+                self.solids += placed(make(), at, np.arctan2(wall.along[1], wall.along[0]))
+                return True
+        return False
+
+
+def footprint(width: float, depth: float, yaw: float) -> np.ndarray:
+    """Return the edges (2,) of the axis-aligned rectangle around a turned one."""
+    c, s = abs(np.cos(yaw)), abs(np.sin(yaw))
+    return np.array([c * width + s * depth, s * width + c * depth])
+
+
+def mirrored(plan: RoomPlan, flip: np.ndarray) -> RoomPlan:
+    """Return a finished room mirrored along x, y or both, (2,) bool; nothing can be added."""
+    size, sign = plan.size[:2], np.where(flip, -1.0, 1.0)
+    solids = []
+    for part in plan.solids:
+        centre = part.centre.copy()
+        centre[:2] = np.where(flip, size - centre[:2], centre[:2])
+        solids.append(part._replace(centre=centre, yaw=part.yaw * sign[0] * sign[1]))
+    windows = []
+    for window in plan.windows:
+        corners = window.copy()
+        corners[:, :2] = np.where(flip, size - corners[:, :2], corners[:, :2])
+        windows.append(np.stack([corners.min(axis=0), corners.max(axis=0)]))
+    return RoomPlan(plan.kind, plan.size, plan.rng, solids, windows)

@@ -1,0 +1,107 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where a scene comes from: a file or the generator."""
+
+from dataclasses import dataclass
+import hashlib
+from typing import Any
+
+from ocp_ros.rooms.generator import generate_room
+from ocp_ros.scenes.scene import Scene, SceneError, turned
+from ocp_ros.scenes.scene_cache import load_cached
+from ocp_ros.scenes.scene_files import load_scene
+from ocp_ros.scenes.up_axis import UP_CHOICES
+from ocp_ros.util.files import sha256_of_file
+from ocp_ros.util.settings import FEWEST_POINTS, LARGEST_SEED, MOST_POINTS, setting
+
+#: Points of a room that placements are judged in, where nobody says.
+ROOM_POINTS = 60_000
+
+
+@dataclass(frozen=True)
+class SceneConfig:
+    """A room from a file, or from the generator where no file is named."""
+
+    file: str = setting('', 'scan to read; empty for a generated room')
+    seed: int = setting(1, 'seed of the generated room', 0, LARGEST_SEED)
+    points: int = setting(15000, 'points of a generated room; a larger scan is thinned to this '
+                                 'number',
+                          FEWEST_POINTS, MOST_POINTS)
+    voxel_size: float = setting(
+        0.0, 'edge of the grid that thins a scan, metres; 0: use scene.points', 0.0, 10.0)
+    scale: float = setting(1.0, 'metres per unit of the file', 1e-6, 1e6)
+    up: str = setting('z', 'direction of the file that points up; auto: guess it',
+                      choices=UP_CHOICES)
+    drop_nonfinite: bool = setting(False, 'leave out points with NaN or inf')
+
+
+def make_scene(config: SceneConfig) -> Scene:
+    """
+    Read or generate a room.
+
+    :raises SceneError: if the file cannot be used.
+    """
+    if not config.file:
+        return generate_room(config.seed, config.points)
+    return load_scene(config.file, voxel_size=config.voxel_size, max_points=config.points,
+                      scale=config.scale, up=config.up, drop_nonfinite=config.drop_nonfinite)
+
+
+def seed_named(name: str) -> int:
+    """
+    Read the seed of a generated room.
+
+    :raises SceneError: if it is too large.
+    """
+    # Thousands of digits are more than Python reads.
+    if len(name) > 20 or int(name) > LARGEST_SEED:
+        shown = name if len(name) <= 20 else f'{name[:20]}...'
+        raise SceneError(f'{shown}: found no seed of a room; expected one of at most '
+                         f'{LARGEST_SEED}, or the path of a scan; name another')
+    return int(name)
+
+
+def make_room(name: str, rotation: float, points: int = 15000, scale: float = 1.0, up: str = 'z',
+              drop_nonfinite: bool = False) -> Scene:
+    """
+    Make one of many rooms.
+
+    :param name: the seed of a generated room, or the path of a scan.
+    :param rotation: degrees about the vertical axis.
+    :param points: of a generated room; a larger scan is thinned to as many.
+    :param scale: metres per unit of a scan.
+    :param up: the direction of a scan that points up, or ``'auto'``.
+    :param drop_nonfinite: leave out points with NaN or inf rather than refuse the scan.
+    :raises SceneError: if the scan cannot be used.
+    """
+    if name.isdecimal():
+        scene = generate_room(seed_named(name), points)
+    else:
+        scene = load_cached(name, max_points=points, scale=scale, up=up,
+                            drop_nonfinite=drop_nonfinite)
+    return turned(scene, rotation) if rotation else scene
+
+
+def room_named(name: str, points: int = ROOM_POINTS, **reading: Any
+               ) -> tuple[Scene, dict[str, Any]]:
+    """
+    Read or generate a room, and say which it is as placement files do.
+
+    :param name: path of a scan, or seed of a generated room.
+    :param reading: of a scan: scale, up, drop_nonfinite; see :func:`make_room`.
+    :raises SceneError: if the scan cannot be used.
+    """
+    scene = make_room(name, 0.0, points, **reading)
+    if name.isdecimal():
+        return scene, {'seed': int(name), 'points': points,
+                       'sha256': sha256_of(scene)}
+    room = {'file': name, 'sha256': sha256_of_file(name), 'points': points, 'scale': 1.0,
+            **reading, 'up': scene.source.up}
+    if not scene.source.is_map:
+        room['source_from_map'] = scene.source.matrix.tolist()
+    return scene, room
+
+
+def sha256_of(scene: Scene) -> str:
+    """Return the SHA-256 of a room's points, for rooms without a file."""
+    return hashlib.sha256(scene.points.tobytes()).hexdigest()

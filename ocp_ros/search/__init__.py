@@ -1,0 +1,3 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Planners that know the scan."""

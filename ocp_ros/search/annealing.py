@@ -1,0 +1,100 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Trans-dimensional simulated annealing (TDSA), after Liu, Sridharan and Fookes (2013).
+
+The chain lives on placements of any number of cameras up to K, with the target density
+lambda^n / n! exp(-E / T) over n cameras placed uniformly: a Poisson process when E is 0. Each step
+proposes a birth, a death or a move, and accepts
+
+    birth  n -> n + 1   (p_d / p_b) lambda / (n + 1) exp(-dE / T)
+    death  n -> n - 1   (p_b / p_d) n / lambda       exp(-dE / T)
+    move                                             exp(-dE / T)
+
+with p_b and p_d as they are at the number of cameras that the proposal starts and ends at: there
+is no death at 0 and no birth at K. T falls by a constant factor from one step to the next.
+
+The source's text was not at hand; the moves and the acceptance are those of reversible-jump
+annealing as this project's design states them. No claim of being line for line.
+"""
+
+import numpy as np
+
+from ocp_ros.search.planner import Planner, Scores, Search
+
+#: First and last temperature, in multiples of the spread of random placements' errors.
+HOT, COLD = 0.5, 2e-4
+#: Standard deviation of a move's first and last steps, as shares of the longer edge.
+FAR, NEAR = 0.25, 0.01
+#: Random placements that the temperature is taken from.
+PILOTS = 16
+
+
+class FixedAnnealing(Planner):
+    """Simulated annealing of K cameras: moves alone."""
+
+    births = 0.0
+
+    def search(self) -> Search:
+        """Anneal once, for as long as the budget lasts."""
+        count = min(PILOTS, max(self.budget // 5, 2))
+        pilots = [self.space.random(self.rng) for _ in range(count)]
+        scores = yield pilots
+        placed, error = pilots[np.argmin(scores.error)], scores.error.min()
+        spread = max(float(np.std(scores.error)), 1e-9)
+        steps = max(self.budget - len(pilots), 2)
+        for step in range(steps):
+            share = step / (steps - 1)
+            temperature = spread * HOT * (COLD / HOT) ** share
+            sigma = self.space.size.max() * FAR * (NEAR / FAR) ** share
+            placed, error = yield from self.step(placed, error, temperature, sigma)
+
+    def step(self, placed: np.ndarray, error: float, temperature: float, sigma: float):
+        """Propose one change and accept or refuse it; returns positions and their error."""
+        trial, ratio = self.propose(placed, sigma)
+        scores: Scores = yield [trial]
+        fall = (error - scores.error[0]) / temperature
+        if np.log(max(self.rng.random(), 1e-300)) < fall + np.log(ratio):
+            return trial, scores.error[0]
+        return placed, error
+
+    def propose(self, placed: np.ndarray, sigma: float) -> tuple[np.ndarray, float]:
+        """Return other positions and the acceptance ratio without the energy's part."""
+        choice, count = self.rng.random(), len(placed)
+        birth, death = self.probabilities(count)
+        if choice < birth:
+            trial = np.vstack([placed, self.space.random(self.rng, 1)])
+            back = self.probabilities(count + 1)[1]
+            return trial, back / birth * self.rate / (count + 1)
+        if choice < birth + death:
+            trial = np.delete(placed, self.rng.integers(count), axis=0)
+            back = self.probabilities(count - 1)[0]
+            return trial, back / death * count / self.rate
+        trial = placed.copy()
+        if count:
+            camera = self.rng.integers(count)
+            moved = self.space.folded(trial[camera] + self.rng.normal(0.0, sigma, 2))
+            # Where no camera may be the density is 0.
+            trial[camera] = moved if self.space.contains(moved) else trial[camera]
+        return trial, 1.0
+
+    @property
+    def rate(self) -> float:
+        """Return lambda, the expected number of cameras where nothing is to be gained."""
+        return float(self.space.cameras)
+
+    def probabilities(self, count: int) -> tuple[float, float]:
+        """Return the probabilities of proposing a birth and a death at a number of cameras."""
+        either = 2.0 * self.births
+        if count == 0:
+            return either, 0.0
+        if count >= self.space.cameras:
+            return 0.0, either
+        return self.births, self.births
+
+
+class TransDimensionalAnnealing(FixedAnnealing):
+    """TDSA: births, deaths and moves."""
+
+    #: p_b and p_d away from the bounds; the rest are moves.
+    births = 0.1

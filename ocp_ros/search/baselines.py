@@ -1,0 +1,40 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What needs no search: chance, and the way an installer hangs cameras."""
+
+import numpy as np
+
+from ocp_ros.search.planner import Planner, Search
+
+BATCH = 32
+
+
+class Random(Planner):
+    """The best of placements drawn uniformly."""
+
+    descends = False
+
+    def search(self) -> Search:
+        """Draw until the budget ends."""
+        while True:
+            yield [self.space.random(self.rng) for _ in range(BATCH)]
+
+
+class RegularGrid(Planner):
+    """The best of the regular arrangements in rows and columns, full or with cameras left out."""
+
+    descends = False
+
+    def search(self) -> Search:
+        """Try every number of columns once."""
+        cameras, low, size = self.space.cameras, self.space.low, self.space.size
+        arrangements = []
+        for columns in range(1, cameras + 1):
+            rows = -(-cameras // columns)
+            x, y = np.meshgrid((np.arange(columns) + 0.5) / columns,
+                               (np.arange(rows) + 0.5) / rows)
+            cells = np.stack([x, y], axis=-1).reshape(-1, 2)
+            # Where there are more cells than cameras, those in the middle are left out.
+            keep = np.argsort(-np.abs(cells - 0.5).max(axis=1), kind='stable')[:cameras]
+            arrangements.append(self.space.inside(low + cells[np.sort(keep)] * size))
+        yield arrangements

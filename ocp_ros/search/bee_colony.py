@@ -1,0 +1,54 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Artificial bee colony (ABC), after Karaboga and Basturk (2007).
+
+Each food source is a placement. Employed bees try v = x + phi (x - other) in one camera of each
+source, phi uniform in [-1, 1]; onlookers do the same at sources drawn by their fitness
+1 / (1 + E); a source that was tried in vain too often is left for a random one. Before a
+difference is taken, the other source's cameras are matched with this one's: their numbers mean
+nothing.
+"""
+
+import numpy as np
+
+from ocp_ros.search.evolution import matched
+from ocp_ros.search.planner import Planner, Search
+
+SOURCES = 12
+
+
+class BeeColony(Planner):
+    """ABC over positions."""
+
+    def search(self) -> Search:
+        """Forage until the budget ends."""
+        space, rng = self.space, self.rng
+        count = min(SOURCES, max(self.budget // 8, 2))
+        limit = 5 * count * space.cameras
+        sources = np.array([space.random(rng) for _ in range(count)])
+        scores = yield list(sources)
+        errors, tried = scores.error.copy(), np.zeros(count, dtype=int)
+        while True:
+            fitness = 1.0 / (1.0 + errors)
+            for visited in (np.arange(count), rng.choice(count, count, p=fitness / fitness.sum())):
+                trials = np.array([self._neighbour(sources, i) for i in visited])
+                scores = yield list(trials)
+                for i, trial, error in zip(visited, trials, scores.error):
+                    tried[i] += 1
+                    if error < errors[i]:
+                        sources[i], errors[i], tried[i] = trial, error, 0
+            worn = int(np.argmax(tried))
+            if tried[worn] > limit:
+                sources[worn] = space.random(rng)
+                scores = yield [sources[worn]]
+                errors[worn], tried[worn] = scores.error[0], 0
+
+    def _neighbour(self, sources: np.ndarray, i: int) -> np.ndarray:
+        """Move one camera of a source along its difference to another source."""
+        other = sources[(i + self.rng.integers(1, len(sources))) % len(sources)]
+        trial, camera = sources[i].copy(), self.rng.integers(self.space.cameras)
+        difference = trial[camera] - matched(sources[i], other)[camera]
+        trial[camera] = self.space.reflected(
+            trial[camera] + self.rng.uniform(-1.0, 1.0, 2) * difference)
+        return trial

@@ -1,0 +1,287 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Poses that a rig's cameras may take in a room, what each sees, and first choices of them."""
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.geometry.clouds import corners_of
+from ocp_ros.rig.feasible_region import apart, FeasibleRegion
+from ocp_ros.rig.placement_file import as_written
+from ocp_ros.rig.rig_file import Rig
+from ocp_ros.search.pose_grid import MOST, PoseGrid
+from ocp_ros.simulation.objective import Objective
+from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.simulator import Simulator, View
+from ocp_ros.util.settings import ConfigurationError
+
+#: Poses that are looked from at a time, and those that are in any case.
+CHUNK, LEAST = 64, 256
+#: Metres that a turn by a radian counts as, where nearest poses are looked for.
+TURN = 1.0
+#: Places that a close packing of cameras is begun at.
+STARTS = 48
+#: Rows of depth maps that put placements in nearly the same order in a quarter of the time.
+QUICK_ROWS = 32
+
+
+class Site(NamedTuple):
+    """
+    A camera where it may hang.
+
+    :ivar pose: (6,) metres, map frame, and radians, as its file will have it.
+    :ivar view: what it sees from there.
+    """
+
+    pose: np.ndarray
+    view: View
+
+
+class PoseSet(NamedTuple):
+    """
+    Where cameras of one model may hang.
+
+    :ivar poses: (M, 6) metres, map frame, and radians, M >= 1.
+    :ivar views: what each sees.
+    :ivar tree: positions and viewing directions, for queries of the nearest.
+    """
+
+    poses: np.ndarray
+    views: list[View]
+    tree: cKDTree
+
+    def near(self, pose: np.ndarray, count: int) -> np.ndarray:
+        """Return the numbers of so many poses that are nearest to one and look alike."""
+        count = min(count, len(self.poses))
+        here, ranks = features_of(pose[None])[0], np.arange(1, count + 1)
+        return np.atleast_1d(self.tree.query(here, ranks)[1])
+
+
+def features_of(poses: np.ndarray) -> np.ndarray:
+    """
+    Return what is near for poses that see alike.
+
+    :param poses: (M, 3) or (M, 6) metres, map frame, and radians.
+    :returns: positions (M, 3), or positions and viewing directions (M, 6).
+    """
+    if poses.shape[1] == 3:
+        return poses
+    yaw, pitch = poses[:, 3], poses[:, 4]
+    ahead = np.stack([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), -np.sin(pitch)])
+    return np.hstack([poses[:, :3], TURN * ahead.T])
+
+
+def _offered(allowed: FeasibleRegion, model: CameraModel, most: int) -> np.ndarray:
+    """Return allowed poses of a camera, those of any beginning spread over the room: (M, 6)."""
+    poses = as_written(allowed.candidates(model, most))
+    # Rounding may have moved some into a zone.
+    poses = poses[allowed.allowed(poses, model)]
+    if len(poses) == 0:
+        raise allowed.rig.document.error(
+            ('mount',), f'no feasible pose in {allowed.scene.name} after rounding to 0.1 mm',
+            'more room', 'lower keep_clear, or change the mount or its height')
+    return np.random.default_rng(0).permutation(poses)
+
+
+def _sees_nothing(problem: Problem, camera: int, poses: int) -> ConfigurationError:
+    """Return the error that a camera sees no point of a room, with what may be the cause."""
+    model, scene = problem.rig.models[camera], problem.simulator.scene
+    across = float(np.linalg.norm(np.ptp(corners_of(scene.points), axis=0)))
+    return problem.rig.document.error(
+        ('cameras',), f'{problem.rig.cameras[camera].name}, which sees from '
+        f'{model.min_range:g} m to {model.max_range:g} m and {np.rad2deg(model.horizontal_fov):g}'
+        f' x {np.rad2deg(model.vertical_fov):g} degrees: no point of {scene.name}, a room '
+        f'{across:.3g} m across, from any of {poses:,} feasible poses',
+        'a camera that sees some', 'change its ranges, its field of view, the mount or keep_clear')
+
+
+class Pool:
+    """
+    Candidates for each model of a rig, and what they see.
+
+    :param problem: a rig of these models in the room.
+    :param most: how many poses to look from, those of all models together.
+    :param among: of how many, spread over the room, they are drawn.
+    :param threads: how many to use.
+    :param over: tells whether to stop looking; the first poses of each model are looked from
+        in any case.
+    :param dense: how many poses :meth:`grid` has at most.
+    :raises ConfigurationError: if a camera may hang nowhere, or sees nothing from anywhere.
+    """
+
+    def __init__(self, problem: Problem, most: int, among: int = 0, threads: int = 1,
+                 over: Callable[[], bool] = lambda: False, dense: int = MOST) -> None:
+        rig, simulator, self._kinds = problem.rig, problem.simulator, {}
+        self._found: dict[CameraModel, list[View]] = defaultdict(list)
+        self._grids: dict[CameraModel, PoseGrid] = {}
+        self._dense = dense
+        models = rig.placed_models
+        #: Whether all that are spread over the room were looked from.
+        self.complete = True
+        with ThreadPoolExecutor(threads) as workers:
+            for model in models:
+                camera, count = rig.models.index(model), max(most // len(models), 1)
+                offered = _offered(problem.region, model, max(count, among // len(models)))
+                poses, views = offered[:count], []
+                while len(views) < len(poses) and (len(views) < LEAST or not over()):
+                    part = poses[len(views):len(views) + CHUNK]
+                    views += workers.map(
+                        lambda pose, camera=camera: simulator.look(pose, camera), part)
+                self.complete &= len(views) == len(offered)
+                poses = poses[:len(views)]
+                if not any(view.seen.any() for view in views):
+                    raise _sees_nothing(problem, camera, len(views))
+                self._kinds[model] = PoseSet(poses, views, cKDTree(features_of(poses)))
+
+    def __len__(self) -> int:
+        """Return the number of poses, those of all models together."""
+        return sum(len(kind.poses) for kind in self._kinds.values())
+
+    def kind(self, model: CameraModel) -> PoseSet:
+        """Return the candidates of a model."""
+        return self._kinds[model]
+
+    def grid(self, problem: Problem, model: CameraModel, over: Callable[[], bool]) -> PoseGrid:
+        """Return the dense grid of a model, which is looked from at the first call."""
+        if model not in self._grids:
+            self._grids[model] = PoseGrid.of(problem.region, problem.simulator, model,
+                                             problem.rig.models.index(model), self._dense, over)
+        return self._grids[model]
+
+    def left(self, rig: Rig, sites: Sequence[Site]) -> np.ndarray:
+        """
+        Return the numbers of the candidates that are left for the next camera of a rig.
+
+        :param sites: of the cameras before it, from which it has to be far enough.
+        """
+        poses = self.kind(rig.cameras[len(sites)].model).poses
+        return np.flatnonzero(clear(poses, sites, rig.spacing))
+
+    def add(self, rig: Rig, sites: Sequence[Site]) -> None:
+        """Let :meth:`everywhere` know of a placement of a rig that was found beside these."""
+        for camera, site in zip(rig.cameras, sites):
+            self._found[camera.model].append(site.view)
+
+    def everywhere(self, rig: Rig) -> list[View]:
+        """
+        Return what the cameras of a rig would see if each was everywhere at once.
+
+        No choice of the candidates and of what was added is worth more: it sees no point that
+        these views do not hold as often.
+        """
+        found = []
+        for camera in rig.cameras:
+            views = [*self.kind(camera.model).views, *self._found[camera.model]]
+            found.append(View(np.bitwise_or.reduce([view.seen for view in views]),
+                              np.bitwise_or.reduce([view.covered for view in views])))
+        return found
+
+    def site(self, model: CameraModel, number: int) -> Site:
+        """Return a candidate of a model."""
+        kind = self.kind(model)
+        return Site(kind.poses[number], kind.views[number])
+
+
+def quick_of(objective: Objective) -> Objective:
+    """Return the same objective with smaller depth maps; it judges the same views."""
+    simulator = objective.simulator
+    engine = replace(simulator.config.engine, error_rows=QUICK_ROWS)
+    quick = replace(simulator.config, engine=engine)
+    return Objective(Simulator(simulator.scene, quick, simulator.models), objective.rig)
+
+
+def clear(poses: np.ndarray, sites: Sequence[Site], spacing: float) -> np.ndarray:
+    """
+    Tell which poses are far enough from all cameras.
+
+    :param poses: (M, 6) metres and radians.
+    :param spacing: metres.
+    :returns: (M,) bool.
+    """
+    others = np.array([site.pose[:3] for site in sites]).reshape(-1, 3)
+    return apart(poses[:, :3], others, spacing)
+
+
+def best_addition(objective: Objective, pool: Pool, sites: Sequence[Site],
+                  among: np.ndarray | None = None) -> Site | None:
+    """
+    Choose the candidate for the next camera of a rig that helps most.
+
+    :param sites: of the cameras before it.
+    :param among: numbers of candidates to choose from; all unless named.
+    :returns: None where all are too near to the others.
+    """
+    rig = objective.rig
+    model, views = rig.cameras[len(sites)].model, [site.view for site in sites]
+    kind = pool.kind(model)
+    if among is None:
+        among = pool.left(rig, sites)
+    else:
+        among = among[clear(kind.poses[among], sites, rig.spacing)]
+    if len(among) == 0:
+        return None
+    worth = [objective.promise([*views, kind.views[number]]) for number in among]
+    return pool.site(model, among[int(np.argmin(worth))])
+
+
+def packed(rig: Rig, pool: Pool) -> list[Site]:
+    """
+    Hang the cameras of a rig as close together as they may be, to find out whether all fit.
+
+    :returns: sites of the first cameras of the rig, of all of them where they fit.
+    """
+    best: list[Site] = []
+    first = pool.kind(rig.cameras[0].model)
+    for start in np.unique(np.linspace(0, len(first.poses) - 1, STARTS).astype(int)):
+        sites = [pool.site(rig.cameras[0].model, start)]
+        for camera in rig.cameras[1:]:
+            left = pool.left(rig, sites)
+            if len(left) == 0:
+                break
+            places = pool.kind(camera.model).poses[left, None, :3]
+            others = np.array([site.pose[:3] for site in sites])
+            away = np.linalg.norm(places - others, axis=2).sum(axis=1)
+            sites.append(pool.site(camera.model, left[int(np.argmin(away))]))
+        best = max(best, sites, key=len)
+        if len(best) == len(rig.cameras):
+            break
+    return best
+
+
+def check_room(objective: Objective, pool: Pool) -> None:
+    """
+    Refuse a rig whose cameras do not all find room.
+
+    :raises ConfigurationError: if the spacing leaves too few places.
+    """
+    rig = objective.rig
+    if len(sites := packed(rig, pool)) < len(rig.cameras):
+        raise rig.document.error(
+            ('spacing',), f'{rig.spacing:g} m, at which only {len(sites)} of the '
+            f'{len(rig.cameras)} cameras find room in {objective.simulator.scene.name}',
+            'a distance at which all do', 'lower it or use fewer cameras')
+
+
+def random_site(rig: Rig, pool: Pool, sites: Sequence[Site], rng: np.random.Generator
+                ) -> Site | None:
+    """Draw a candidate for the next camera of a rig; None where it finds no room."""
+    left = pool.left(rig, sites)
+    return pool.site(rig.cameras[len(sites)].model, rng.choice(left)) if len(left) else None
+
+
+def random_sites(rig: Rig, pool: Pool, rng: np.random.Generator) -> tuple[Site, ...]:
+    """Draw a placement of a rig among the candidates; () where the last camera finds no room."""
+    sites: list[Site] = []
+    while len(sites) < len(rig.cameras):
+        site = random_site(rig, pool, sites, rng)
+        if site is None:
+            return ()
+        sites.append(site)
+    return tuple(sites)

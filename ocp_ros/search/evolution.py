@@ -1,0 +1,93 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Differential evolution (DE), after Storn and Price (1997), and CMA-ES with restarts.
+
+A placement is a set: which camera has which number means nothing. So before DE takes a difference,
+the cameras of the other placements are matched with those of the base by the least sum of squared
+distances.
+"""
+
+import logging
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from ocp_ros.search.planner import Planner, Search
+
+#: Placements of a generation, how many of the best may lead, and the chance to take a camera over.
+POPULATION, LEADERS, CROSSOVER = 24, 0.2, 0.5
+#: Metres: placements that differ by less are the same.
+ALIKE = 1e-3
+#: Standard deviation that CMA-ES starts with, as a share of the rectangle's edges.
+SIGMA = 0.25
+
+
+def matched(base: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return the other's positions (K, 2) in the order in which they belong to the base's."""
+    cost = ((base[:, None] - other[None]) ** 2).sum(axis=-1)
+    return other[linear_sum_assignment(cost)[1]]
+
+
+class DifferentialEvolution(Planner):
+    """DE/current-to-pbest/1/bin, camera by camera."""
+
+    def search(self) -> Search:
+        """Evolve until the budget ends."""
+        space, rng = self.space, self.rng
+        count = int(np.clip(self.budget // 10, 5, POPULATION))
+        placed = np.array([space.random(rng) for _ in range(count)])
+        scores = yield list(placed)
+        errors = scores.error.copy()
+        while True:
+            trials = np.array([self._trial(placed, errors, i) for i in range(count)])
+            scores = yield list(trials)
+            better = scores.error <= errors
+            placed[better], errors[better] = trials[better], scores.error[better]
+            if np.ptp([matched(placed[0], other) for other in placed], axis=0).max() < ALIKE:
+                # Nothing differs any more, so all but the best begin anew.
+                best = int(np.argmin(errors))
+                for i in range(count):
+                    placed[i] = placed[best] if i == best else space.random(rng)
+                scores = yield list(placed)
+                errors = scores.error.copy()
+
+    def _trial(self, placed: np.ndarray, errors: np.ndarray, i: int) -> np.ndarray:
+        """Cross a placement with its mutant."""
+        leaders = np.argsort(errors)[:max(int(LEADERS * len(placed)), 2)]
+        base = placed[i]
+        lead, one, two = (matched(base, placed[k]) for k in (
+            self.rng.choice(leaders), *self.rng.choice(len(placed), 2, replace=False)))
+        weight = self.rng.uniform(0.3, 0.9)
+        mutant = base + weight * (lead - base) + weight * (one - two)
+        take = self.rng.random(len(base)) < CROSSOVER
+        take[self.rng.integers(len(base))] = True
+        return np.where(take[:, None], self.space.reflected(mutant), base)
+
+
+class CmaEs(Planner):
+    """CMA-ES by pycma, restarted from elsewhere with a larger population when it has converged."""
+
+    def search(self) -> Search:
+        """Run and restart until the budget ends."""
+        # It brings all of matplotlib: nobody waits for that who does not search with it.
+        import cma
+        logging.getLogger('cma').setLevel(logging.ERROR)
+        space, restarts = self.space, 0
+        scale = np.maximum(space.size, 1e-9)
+        while True:
+            mean = ((space.random(self.rng) - space.low) / scale).ravel()
+            size = int(4 + 3 * np.log(len(mean))) * 2 ** min(restarts, 3)
+            strategy = cma.CMAEvolutionStrategy(mean, SIGMA, {
+                'bounds': [0.0, 1.0], 'verbose': -9, 'popsize': size, 'tolfun': 1e-4,
+                'tolx': 1e-4, 'seed': np.nan, 'randn': self._normal})
+            while not strategy.stop():
+                shares = strategy.ask()
+                scores = yield [space.inside(space.low + scale * row.reshape(-1, 2))
+                                for row in shares]
+                strategy.tell(shares, list(scores.error))
+            restarts += 1
+
+    def _normal(self, *shape: int) -> np.ndarray:
+        """Draw for pycma, which would otherwise draw from NumPy's global generator."""
+        return self.rng.standard_normal(shape)

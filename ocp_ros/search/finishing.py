@@ -1,0 +1,135 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Search on a lattice of places, finish between them.
+
+To look from a place is what costs time, and more of it the more points there are. So a planner
+searches most of its budget as if cameras stood at places of a lattice, each of which is looked
+from once. The best of what it finds is evaluated again at the end and descends to places between.
+Of the best of these the one is taken that is best as the mean over cameras that are mounted a
+little off. A placement that owes its score to the cells of a map does not keep it.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+import time
+
+import numpy as np
+
+from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.rig.motion import mounted
+from ocp_ros.search.evolution import matched
+from ocp_ros.search.greedy import descend
+from ocp_ros.search.planner import Planner, Scores, Search
+from ocp_ros.search.scorer import LatticeScorer
+from ocp_ros.search.solve import Result, solve
+
+#: Share of the evaluations for the end, and how many of these go to the elites.
+FINISHING, JUDGED_ANEW = 0.15, 0.1
+#: Metres: elites differ by this much in the place of one camera at least, and so do those of the
+#: last choice.
+APART, LAST_APART = 0.25, 0.06
+#: Share of the evaluations at the end for the last choice, ways of mounting the cameras of each
+#: placement, how far these are off, metres, and the most placements to choose from.
+CHOOSING, MOUNTINGS, MOUNTING, CHOICES = 0.15, 8, 0.05, 24
+#: Of the ways of being off.
+SEED = 1
+
+Score = Callable[[Sequence[np.ndarray]], Scores]
+
+
+class FinishingDescent(Planner):
+    """
+    Judge the elites of another search anew, and descend from the best ones.
+
+    :param elites: positions (n, 2) each, the best first.
+    :param settings: of :class:`~ocp_ros.search.planner.Planner`.
+    """
+
+    def __init__(self, elites: Sequence[np.ndarray], space: FreePlane, rng: np.random.Generator,
+                 budget: int) -> None:
+        self._elites = list(elites)
+        super().__init__(space, rng, budget)
+
+    def search(self) -> Search:
+        """Descend from one elite after the other, the best by this judgement first."""
+        scores = yield self._elites
+        for number in np.argsort(scores.error, kind='stable'):
+            yield from descend(self, self._elites[number], scores.error[number])
+
+
+def distinct(placements: Sequence[np.ndarray], most: int, apart: float = APART
+             ) -> list[np.ndarray]:
+    """
+    Choose placements that differ.
+
+    :param placements: positions (n, 2) each, the best first.
+    :param most: how many to choose.
+    :param apart: how far one camera of a placement is from that of another at least, metres.
+    """
+    chosen: list[np.ndarray] = []
+    for placement in placements:
+        if len(chosen) >= most:
+            break
+        if all(len(other) != len(placement) or differ(placement, other) >= apart
+               for other in chosen):
+            chosen.append(placement)
+    return chosen
+
+
+def differ(one: np.ndarray, other: np.ndarray) -> float:
+    """Return how far two placements (n, 2) differ in the place of one camera, metres."""
+    return float(np.linalg.norm(matched(one, other) - one, axis=1).max(initial=0.0))
+
+
+def search_and_finish(planner: Planner, score: Score, evaluations: int,
+                      clock: Callable[[], float] = time.perf_counter) -> Result:
+    """
+    Run a planner on a lattice of places, and finish between them.
+
+    :param planner: the method; one whose :attr:`~ocp_ros.search.planner.Planner.descends` is
+        false is only evaluated again.
+    :param score: judges placements (n, 3).
+    :param evaluations: the most placements to judge.
+    :param clock: tells the seconds.
+    :returns: the placement; the trace is that of the search, then of the end, without the last
+        choice.
+    """
+    lattice = LatticeScorer(score, planner.space)
+    last = max(int(FINISHING * evaluations), 1)
+    found = solve(planner, lattice, max(evaluations - last, 1), clock=clock)
+    choices = int(CHOOSING * last) // MOUNTINGS if planner.descends else 0
+    most = max(int(JUDGED_ANEW * last), 1) if planner.descends else last
+    elites = distinct([lattice.snapped(one) for one in found.best], most)
+    finish = FinishingDescent(elites, planner.space, planner.rng, last)
+    limit = last - MOUNTINGS * choices if planner.descends else len(elites)
+    end = solve(finish, score, limit, clock=clock)
+    trace = np.vstack([found.trace, end.trace + [found.evaluations, found.seconds, 0.0]])
+    end = replace(end, evaluations=found.evaluations + end.evaluations,
+                  seconds=found.seconds + end.seconds, trace=trace)
+    return steadiest(end, planner.space, score, choices, clock)
+
+
+def steadiest(found: Result, space: FreePlane, score: Score, most: int,
+              clock: Callable[[], float]) -> Result:
+    """
+    Choose the placement that is best as the mean over cameras that are mounted a little off.
+
+    :param found: what a search has found.
+    :param space: of its cameras.
+    :param score: judges placements (n, 3).
+    :param most: placements to choose from; none unless there are two.
+    :param clock: tells the seconds.
+    """
+    choices = distinct(found.best, min(most, CHOICES), LAST_APART)
+    if len(choices) < 2:
+        return found
+    began, placements = clock(), [space.placement(choice) for choice in choices]
+    off = [float(np.mean(score(list(mounted(placement, MOUNTING, MOUNTINGS, SEED))).error))
+           for placement in placements]
+    chosen = placements[int(np.argmin(off))]
+    scores = score([chosen])
+    return replace(found, placement=chosen, depth_error=float(scores.error[0]),
+                   space_coverage=float(scores.space_coverage[0]),
+                   evaluations=found.evaluations + MOUNTINGS * len(choices),
+                   seconds=found.seconds + clock() - began)

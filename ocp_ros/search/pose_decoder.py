@@ -1,0 +1,110 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+From places on a plane to cameras that hang where their rig allows.
+
+Most planners know of a camera only where it is, seen from above. A decoder hangs it there, or as
+near as the rig allows, at the mount's height, and turns it to where it helps most.
+"""
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+
+from ocp_ros.rig.placement_file import as_written
+from ocp_ros.search.candidate_pool import best_addition, clear, packed, Pool, quick_of, Site
+from ocp_ros.search.scorer import remembered_looks
+from ocp_ros.simulation.problem import Problem
+
+#: Candidates near a place whose heights and headings are compared.
+NEAREST = 24
+
+
+class Decoder:
+    """
+    Hang the cameras of a rig where a planner puts them, or as near as is allowed.
+
+    Camera k of the rig takes row k. Of the candidates of its model that are far enough from the
+    cameras before it, the nearest are compared by what they see, and the best addition gives
+    height and heading. With these, or with the heading that is asked for, the camera hangs at the
+    place itself where that is allowed, else where the candidate does. Where no candidate is left
+    all cameras hang packed together, so whatever is proposed, every constraint holds.
+
+    :param problem: the rig in the room.
+    :param pool: candidates of all its models.
+    """
+
+    def __init__(self, problem: Problem, pool: Pool) -> None:
+        self.pool, self.objective, self.region = pool, problem.objective, problem.region
+        self.rig, self._quick = problem.rig, quick_of(problem.objective)
+        self._look = remembered_looks(problem.simulator)
+
+    def __call__(self, positions: np.ndarray, headings: np.ndarray | None = None
+                 ) -> tuple[Site, ...]:
+        """
+        Hang up cameras.
+
+        :param positions: (n, 2) metres, n at most the number of cameras to be placed; (n, 3) where
+            the height is asked for as well.
+        :param headings: (n, 3) yaw, pitch and roll in radians; None to turn each where it helps.
+        :returns: n sites, all of them allowed together.
+        """
+        sites: list[Site] = []
+        for number, place in enumerate(positions):
+            site = self._near(place, sites, None if headings is None else headings[number])
+            if site is None:
+                return self._packed[:len(positions)]
+            sites.append(site)
+        return tuple(sites)
+
+    def completed(self, sites: Sequence[Site]) -> tuple[Site, ...]:
+        """Hang up the cameras of the rig that a planner has left out, each where it helps most."""
+        sites = list(sites)
+        while len(sites) < len(self.rig.cameras):
+            more = best_addition(self.objective, self.pool, sites)
+            if more is None:
+                return self._packed
+            sites.append(more)
+        return tuple(sites)
+
+    @cached_property
+    def _packed(self) -> tuple[Site, ...]:
+        """Return all cameras as close together as they may be."""
+        return tuple(packed(self.rig, self.pool))
+
+    def _near(self, place: np.ndarray, sites: Sequence[Site], heading: np.ndarray | None
+              ) -> Site | None:
+        """Hang the next camera near a place (2,) or (3,); None where no candidate is left."""
+        model = self.rig.cameras[len(sites)].model
+        poses = self.pool.kind(model).poses
+        far = self.pool.left(self.rig, sites)
+        away = np.linalg.norm(poses[far, :2] - place[:2], axis=1)
+        near = far[np.argsort(away, kind='stable')[:self._count(len(sites))]]
+        site = best_addition(self._quick, self.pool, sites, near)
+        if site is None:
+            return None
+        asked = site.pose.copy()
+        asked[:len(place)] = place
+        if heading is not None:
+            asked[3:] = heading
+        found = self._there(asked, sites)
+        if found is None and heading is not None:
+            found = self._there(np.concatenate([place[:2], site.pose[2:]]), sites)
+        return found or site
+
+    def _count(self, camera: int) -> int:
+        """Return how many candidates are compared: one where they differ in place alone."""
+        on, heights = self.rig.mount
+        level = on in ('plane', 'ceiling')
+        return 1 if level and self.rig.cameras[camera].model.omnidirectional else NEAREST
+
+    def _there(self, pose: np.ndarray, sites: Sequence[Site]) -> Site | None:
+        """Hang the next camera in a pose (6,), at its mount's height; None if it must not."""
+        camera, pose = len(sites), pose.copy()
+        pose[:3] = self.region.onto_mount(pose[None, :3])[0]
+        poses = as_written(pose[None])
+        model = self.rig.cameras[camera].model
+        if not (clear(poses, sites, self.rig.spacing) & self.region.allowed(poses, model))[0]:
+            return None
+        return Site(poses[0], self._look(poses[0], camera))

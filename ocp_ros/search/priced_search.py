@@ -1,0 +1,271 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The default search of ``ocp plan``: dense grids are priced, near optima polished, and proved.
+
+Column generation over a dense grid of poses gives a bound and several good choices. Small moves,
+by annealing, take each of these off the grid. Poses near the best answers then join the grid, ever
+nearer ones, and the steps are taken again; at last all poses together are priced for the
+certificate.
+"""
+
+from collections.abc import Callable, Sequence
+from copy import copy
+import logging
+from typing import NamedTuple
+
+import numpy as np
+
+from ocp_ros.rig.feasible_region import DENSE
+from ocp_ros.search.budget import Budget
+from ocp_ros.search.candidate_pool import packed, Pool, Site
+from ocp_ros.search.pose_grid import PoseGrid
+from ocp_ros.search.proof.certificate import Certificate
+from ocp_ros.search.proof.column_generation import Choice, Column, ColumnGeneration
+from ocp_ros.search.proof.loss_trees import LossTrees
+from ocp_ros.search.rig_search import Answer, in_background, moved, Progress, views_of
+from ocp_ros.simulation.problem import Problem
+from ocp_ros.util.annealing import annealed, between
+from ocp_ros.util.threads import mapped
+
+#: Shares of the time at which the grid, the polishing and the moves near the answer are done; the
+#: rest is for the proof.
+GRID, POLISHED, NEARER = 0.4, 0.6, 0.8
+#: Choices of the grid that are polished, and choices near the answers, each time.
+STARTS, AGAIN = 8, 4
+#: Moves of a choice, and of how many evaluations one is polished where these are counted.
+MOVES, EACH = 700, 250
+#: Metres: how far from the answers poses join the grid, time after time; answers near which they
+#: do, places for each camera, and radians between their headings for each metre.
+NEAR, ANSWERS, PLACES, TURN = (0.3, 0.12, 0.05), 3, 10, np.deg2rad(20.0)
+#: Headings on either side of the pose itself: yaw and pitch.
+YAWS, PITCHES = 4, 2
+#: Metres: answers that differ by less in the place of each camera are one.
+APART = 0.2
+#: First and last temperature of the moves, in multiples of the loss, and their last steps in
+#: metres and radians.
+WARM, COOL, LAST = 0.01, 1e-4, 0.01
+#: Temperatures are taken from this loss at least.
+LEAST = 1e-3
+
+_log = logging.getLogger(__name__)
+
+
+class Polished(NamedTuple):
+    """A placement and its loss."""
+
+    loss: float
+    sites: tuple[Site, ...]
+
+
+class PricedSearch:
+    """
+    One search.
+
+    :param problem: the rig in the room; one camera has to see a place, and pairs do not matter.
+    :param pool: candidates, with the grids of the rig's models.
+    :param budget: where it counts evaluations and no seconds, the answer is the same every time.
+    :param seed: random seed.
+    :param start: a placement that the answer is to be no worse than, where there is one.
+    """
+
+    def __init__(self, problem: Problem, pool: Pool, budget: Budget, seed: int,
+                 start: Sequence[Site] = ()) -> None:
+        self.problem, self.pool, self.budget, self.seed = problem, pool, budget, seed
+        self.start, self.evaluations, self.least = tuple(start), 0, np.inf
+        self._rng = np.random.default_rng([seed, 0])
+        most = budget.evaluations
+        #: Choices that are polished at first and again, and the moves of each.
+        self._starts, self._again, self._moves, self._moves_again = STARTS, AGAIN, MOVES, MOVES
+        if most is not None:
+            self._starts = int(np.clip(most // EACH, 1, STARTS))
+            self._again = max(self._starts // 2, 1)
+            self._moves = max(most // (2 * self._starts), 1)
+            self._moves_again = max(most // (2 * len(NEAR) * self._again), 1)
+
+    def used(self) -> float:
+        """Return how much of the budget is used up, about."""
+        return self.budget.share(self.evaluations, self.budget.evaluations)
+
+    def _by(self, share: float) -> Callable[[], bool]:
+        """Return what tells that a share of the time is over."""
+        return lambda: self.budget.share(0, None) >= share
+
+    def run(self) -> Answer:
+        """Return the best placement that is found."""
+        relaxation = relaxation_of(self.problem, self.pool, self._by(0.5 * GRID))
+        relaxation.close(self._by(GRID))
+        choices = relaxation.choices(self._starts, self._rng, self._by(GRID))
+        starts = [self._sites(relaxation, choice) for choice in choices]
+        found = self._polish([*starts, self.start] if self.start else starts, NEAR[0],
+                             self._moves, POLISHED)
+        on_grid = min((choice.loss for choice in choices), default=np.inf)
+        first = found
+        for step in NEAR if found else ():
+            if self._by(NEARER)():
+                break
+            found = self._nearer(relaxation, found, step)
+        if not found:
+            found = [self._judged(packed(self.problem.rig, self.pool))]
+        best = found[0]
+        losses = (best.loss, *(one.loss for one in first[1:]))
+        return Answer(best.sites, best.loss, losses, self.evaluations, *certified(
+            self.problem, lambda: relaxation, best.loss, on_grid, self.budget))
+
+    def _judged(self, sites: Sequence[Site]) -> Polished:
+        """Return a placement with its loss."""
+        return Polished(self.problem.objective.loss(views_of(sites)), tuple(sites))
+
+    def _sites(self, relaxation: ColumnGeneration, choice: Choice) -> tuple[Site, ...]:
+        """Return a choice as sites, in the order of the rig's cameras."""
+        left = [[one for one in choice.columns if one.grid == number]
+                for number in range(len(relaxation.grids))]
+        models = self.problem.rig.placed_models
+        poses = [relaxation.pose(left[models.index(camera.model)].pop(0))
+                 for camera in self.problem.rig.cameras]
+        return tuple(Site(pose, self.problem.simulator.look(pose, camera))
+                     for camera, pose in enumerate(poses))
+
+    def _polish(self, starts: Sequence[tuple[Site, ...]], far: float, moves: int, share: float
+                ) -> list[Polished]:
+        """Move placements a little, ever less; return the answers and the start, best first."""
+        seeds = self._rng.integers(2 ** 32, size=len(starts))
+        found = mapped(lambda one: self._moved(one[0], far, moves, np.random.default_rng(one[1]),
+                                               self._by(share)), list(zip(starts, seeds)))
+        if self.start:
+            found.append(self._judged(self.start))
+        return sorted(found, key=lambda one: one.loss)
+
+    def _moved(self, sites: tuple[Site, ...], far: float, moves: int, rng: np.random.Generator,
+               over: Callable[[], bool]) -> Polished:
+        """Move the cameras of a placement by annealing, in steps that begin with some metres."""
+        objective, turn, share = self.problem.objective, 0.5 * far, 0.0
+        loss = max(objective.loss(views_of(sites)), LEAST)
+
+        def judge(sites: tuple[Site, ...]) -> float:
+            value = objective.loss(views_of(sites))
+            self.least = min(self.least, value)
+            return value
+
+        def temperatures():
+            nonlocal share
+            for move in range(moves):
+                if over():
+                    return
+                share = move / moves
+                self.evaluations += 1
+                yield loss * between(WARM, COOL, share)
+
+        best = annealed(sites, judge, lambda sites: moved(
+            self.problem, sites, between(far, LAST, share), between(turn, LAST, share), rng),
+            temperatures(), rng)
+        return Polished(judge(best), best)
+
+    def _nearer(self, relaxation: ColumnGeneration, found: list[Polished], step: float
+                ) -> list[Polished]:
+        """Let poses near the best answers join the grid, choose among them, and polish again."""
+        before = [len(grid.places) for grid in relaxation.grids]
+        best = distinct(found, ANSWERS)
+        for one in best:
+            relaxation.join([self._add_near(relaxation, site.pose, camera, step)
+                             for camera, site in enumerate(one.sites)])
+        relaxation.close(self._by(NEARER), [np.arange(first, len(grid.places))
+                                            for first, grid in zip(before, relaxation.grids)])
+        choices = relaxation.choices(self._again, self._rng, self._by(NEARER))
+        again = self._polish([self._sites(relaxation, choice) for choice in choices], step,
+                             self._moves_again, NEARER)
+        return sorted([*best, *again], key=lambda one: one.loss)
+
+    def _add_near(self, relaxation: ColumnGeneration, pose: np.ndarray, camera: int, step: float
+                  ) -> Column:
+        """Add places and headings near a pose to the grid of its camera; return the pose."""
+        region, rig, model = self.problem.region, self.problem.rig, self.problem.rig.models[camera]
+        number = self.problem.rig.placed_models.index(model)
+        grid, first = relaxation.grids[number], len(relaxation.grids[number].places)
+        poses = np.repeat(pose[None], 2 * PLACES, axis=0)
+        poses[1:, :3] += self._rng.uniform(-step, step, (len(poses) - 1, 3))
+        poses[1:, :3] = region.onto_mount(poses[1:, :3])
+        good = region.allowed(poses, model)
+        good[0] = True
+        headings = pose[None, 3:]
+        if not model.omnidirectional:
+            yaws, pitches = (sorted(range(-count, count + 1), key=abs)
+                             for count in (YAWS, PITCHES))
+            headings = pose[3:] + TURN * step * np.array(
+                [(yaw, pitch, 0.0) for pitch in pitches for yaw in yaws])
+            headings[:, 1] = np.clip(headings[:, 1], *rig.pitch)
+        places = poses[good][:PLACES, :3]
+        grid.add(places, [headings] * len(places))
+        return Column(number, first, 0)
+
+
+def relaxation_of(problem: Problem, pool: Pool, over: Callable[[], bool]) -> ColumnGeneration:
+    """Return the relaxed choice of a rig's poses on dense grids."""
+    models = problem.rig.placed_models
+    grids: list[PoseGrid] = [copy(pool.grid(problem, model, over)) for model in models]
+    counts = [sum(camera.model == model for camera in problem.rig.cameras) for model in models]
+    return ColumnGeneration(LossTrees.of(problem.objective), grids, counts, problem.rig.spacing,
+                            len(problem.simulator.scene))
+
+
+def certified(problem: Problem, relax: Callable[[], ColumnGeneration], found: float,
+              on_grid: float, budget: Budget) -> tuple[Certificate | None, str]:
+    """
+    Prove how much better than a placement others on the grids may be.
+
+    :param relax: returns the relaxed choice.
+    :param found: the loss of the placement.
+    :param on_grid: that of the best one on the grids, before some poses were added.
+    :param budget: of the search and the proof.
+    :returns: a certificate, or None, and why there is none.
+    """
+    try:
+        relaxation = relax()
+        relaxation.close(lambda: budget.share(0, None) >= 1.0)
+        if relaxation.bound <= 0.0 < found:
+            return None, ('the bound is 0, for these poses together miss almost nothing'
+                          if relaxation.closed else 'there was no time to prove one')
+        return _certificate(problem, relaxation, found, on_grid, budget.elapsed), ''
+    except Exception as error:  # Whatever it is, the plan is not to be lost.
+        _log.exception('the proof failed')
+        return None, f'its proof failed ({type(error).__name__}: {error})'
+
+
+def _certificate(problem: Problem, relaxation: ColumnGeneration, found: float, on_grid: float,
+                 seconds: float) -> Certificate:
+    """Return what was proved, in units of the loss."""
+    bound = max(relaxation.bound - relaxation.trees.rounding, 0.0)
+    turns = any(not model.omnidirectional for model in problem.rig.placed_models)
+    return Certificate(
+        len(relaxation), max(grid.step for grid in relaxation.grids),
+        round(float(np.rad2deg(DENSE[0])), 1) if turns else 0.0,
+        problem.simulator.config.engine.error_rows, found, bound, relaxation.closed, on_grid,
+        seconds)
+
+
+def distinct(found: Sequence[Polished], most: int) -> list[Polished]:
+    """Choose answers, the best first, that differ in the place of a camera."""
+    chosen: list[Polished] = []
+    for one in found:
+        places = np.array([site.pose[:3] for site in one.sites])
+        if all(np.linalg.norm(places - [site.pose[:3] for site in other.sites], axis=1).max()
+               >= APART for other in chosen):
+            chosen.append(one)
+    return chosen[:most]
+
+
+def search(problem: Problem, pool: Pool, budget: Budget, seed: int, start: Sequence[Site] = (),
+           progress: Progress | None = None) -> Answer:
+    """
+    Find the best placement of a rig's cameras, and prove how much better others may be.
+
+    :param problem: see :class:`PricedSearch`.
+    :param pool: candidates of all its models.
+    :param budget: how long to go on.
+    :param seed: random seed.
+    :param start: a placement that the answer is to be no worse than, where there is one.
+    :param progress: called several times a second.
+    """
+    one = PricedSearch(problem, pool, budget, seed, start)
+    report = progress and (lambda: progress(one.used(), one.least))
+    return in_background([one.run], budget, report)[0]

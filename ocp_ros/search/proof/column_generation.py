@@ -1,0 +1,299 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+A bound for all poses of dense grids, and good choices of them, by column generation.
+
+A linear program chooses among a pool of some hundred poses; its loss is bounded from below by
+Benders cuts (:mod:`ocp_ros.search.proof.loss_trees`), made at its optima and half way from them to
+a core point. Its multipliers price all poses of the grids: they prove a bound that holds for every
+choice of these (a Lagrangian bound), and the poses that gain most join the pool, until none is
+left that would help.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from ocp_ros.search.pose_grid import PoseGrid
+from ocp_ros.search.proof.cut_program import CutProgram
+from ocp_ros.search.proof.loss_trees import LossTrees, NOTHING, seers_of
+from ocp_ros.util.threads import mapped
+
+#: Poses that the pool begins with, poses that join it at a time, and those of one place.
+BEGINNING, JOINING, OF_A_PLACE = 300, 150, 3
+#: Poses leave the pool that gain less than this share of what a chosen one gains.
+LEAVING = 0.5
+#: Share of the loss that a program's optimum may be below that of its cuts: first, then later.
+HASTY, PATIENT = 0.01, 0.002
+#: Optima of a program, and programs, at most.
+ROUNDS, PROGRAMS = 60, 12
+#: A bound this near to the program's optimum is as good as that, relative to it; and the loss from
+#: which on losses count as small: what is left of them is noise, which takes long to prove.
+CLOSED, SMALL = 0.004, 0.02
+#: Losses, relative, that differ by less are equal.
+EQUAL = 1e-6
+#: Metres: how far from a place of the best choice others stay.
+APART = 0.6
+
+
+class Column(NamedTuple):
+    """A pose in the pool, by the numbers of its grid, its place and its heading."""
+
+    grid: int
+    place: int
+    heading: int
+
+
+class Choice(NamedTuple):
+    """
+    A choice of poses.
+
+    :ivar loss: of these.
+    :ivar columns: of the poses, those of one grid after the other.
+    """
+
+    loss: float
+    columns: tuple[Column, ...]
+
+
+class ColumnGeneration:
+    """
+    The relaxed choice of poses of grids, of which more places may be added later.
+
+    :param trees: of the loss.
+    :param grids: one for each camera model.
+    :param counts: how many poses of each grid are chosen.
+    :param spacing: least distance of two cameras, metres.
+    :param points: N, of the scene.
+    :ivar bound: no choice of the poses that were priced loses less; of all grids, unless places
+        have been added since.
+    :ivar closed: whether the bound is as good as the relaxation can be.
+    """
+
+    def __init__(self, trees: LossTrees, grids: Sequence[PoseGrid], counts: Sequence[int],
+                 spacing: float, points: int) -> None:
+        self.trees, self.grids, self.counts = trees, grids, np.array(counts)
+        self.spacing, self._points = spacing, points
+        self.bound, self.closed = 0.0, False
+        self._pool: list[Column] = []
+        self._seers = seers_of((), points)
+        self._share = np.zeros(0)
+        #: Which customers were served by less than 1 where the cuts that matter were made.
+        self._cuts: list[np.ndarray] = []
+        rng = np.random.default_rng(0)
+        for number, grid in enumerate(grids):
+            poses = [Column(number, place, heading) for place, some in enumerate(grid.headings)
+                     for heading in range(len(some))]
+            some = rng.choice(len(poses), min(BEGINNING, len(poses)), replace=False)
+            self.join([poses[k] for k in some])
+
+    def __len__(self) -> int:
+        """Return how many poses the grids have."""
+        return sum(map(len, self.grids))
+
+    def pose(self, column: Column) -> np.ndarray:
+        """Return a pose: (6,) metres, map frame, and radians."""
+        return self.grids[column.grid].pose(column.place, column.heading)
+
+    def join(self, columns: Iterable[Column]) -> None:
+        """Let poses join the pool."""
+        known = set(self._pool)
+        self._set_pool([*self._pool, *(column for column in columns if column not in known)])
+
+    def _set_pool(self, pool: list[Column]) -> None:
+        """Let the pool be these poses."""
+        self._pool = pool
+        self._seers = seers_of([self.grids[one.grid].points(one.place, one.heading)
+                                for one in pool], self._points)
+        self._group = np.array([one.grid for one in pool])
+        places = np.array([self.pose(one)[:3] for one in pool])
+        self._near = cdist(places, places) < self.spacing
+        self._share = np.zeros(len(pool))
+
+    def close(self, over: Callable[[], bool], places: Sequence[np.ndarray] | None = None) -> None:
+        """
+        Raise the bound until no pose would help, or there is no time left.
+
+        :param over: tells whether there is no time left.
+        :param places: numbers of the places of each grid that poses are priced of; all unless
+            named. Then the bound says nothing of the others.
+        """
+        self.bound, self.closed = 0.0, False
+        places = [np.arange(len(grid.places)) for grid in self.grids] if places is None else places
+        for program in range(PROGRAMS):
+            value, multipliers, lost = self._relaxed(PATIENT if program else HASTY, over)
+            gains = self._gains(multipliers, places, over)
+            if gains is None:
+                return
+            self.bound = max(self.bound, lost - sum(
+                self._most(of_grid, count) for of_grid, count in zip(gains, self.counts)))
+            own, needed = self._needed(gains)
+            better = self._better(gains, needed)
+            self.closed = bool(program and value - self.bound <= CLOSED * max(value, SMALL)) or (
+                not better)
+            if self.closed or over():
+                return
+            self._set_pool([*self._staying(own, needed), *better])
+
+    def _most(self, gains: dict[int, np.ndarray], count: int) -> float:
+        """Return the most that ``count`` poses of a grid gain, by the gains of its places."""
+        # With a spacing, one camera is at a place.
+        each = [best[:1] if self.spacing > 0.0 else best
+                for best in (-np.sort(-values) for values in gains.values())]
+        return float(np.sort(np.concatenate([*each, np.zeros(count)]))[-count:].sum())
+
+    def _relaxed(self, tolerance: float, over: Callable[[], bool]
+                 ) -> tuple[float, np.ndarray, float]:
+        """
+        Solve the program of the pool.
+
+        :param tolerance: share of the loss by which its cuts may be below the loss.
+        :returns: its optimum, the multipliers (T,) of all customers and what they lose together
+            where nothing is chosen.
+        """
+        trees, count = self.trees, len(self._pool)
+        program = CutProgram(self._group, self.counts, len(trees.slack))
+        core = (self.counts / np.bincount(self._group))[self._group]
+        made = self._cuts or [trees.unserved(self._seers, core)]
+        for number, unserved in enumerate(made):
+            program.add(number, *trees.cut(self._seers, count, unserved))
+        made = list(made)
+        for _ in range(ROUNDS):
+            found = program.solve(over)
+            value, above = found.losses.sum(), 0.0
+            for share in (found.share, 0.5 * (core + found.share)):
+                unserved = trees.unserved(self._seers, share)
+                consts, gains = trees.cut(self._seers, count, unserved)
+                losses = np.maximum(consts - gains @ found.share, 0.0)
+                above = max(above, losses.sum())
+                raised = losses > found.losses + EQUAL * above / len(losses)
+                program.add(len(made), consts, gains, raised)
+                made.append(unserved)
+            core = 0.5 * (core + found.share)
+            if above - value <= tolerance * max(above, SMALL) or not found.optimal or over():
+                break
+        # Cuts of the last round have no multipliers yet.
+        cuts, multipliers = program.cuts, found.multipliers
+        active = np.flatnonzero(multipliers > NOTHING)
+        weights, lost = np.zeros(len(trees.weight)), 0.0
+        for k in active:
+            number, part = cuts[k]
+            first, last = trees.parts[part], trees.parts[part + 1]
+            weights[first:last] += multipliers[k] * made[number][first:last]
+            lost -= multipliers[k] * trees.slack[part]
+        self._cuts = [made[number] for number in dict.fromkeys(cuts[active, 0].tolist())]
+        self._share = found.share
+        weights *= trees.weight
+        return float(value), weights, float(weights.sum() + lost)
+
+    def _gains(self, multipliers: np.ndarray, places: Sequence[np.ndarray],
+               over: Callable[[], bool]) -> list[dict[int, np.ndarray]] | None:
+        """Return for each grid what the headings of each place gain; None if time ran out."""
+        trees = self.trees.priced(multipliers)
+
+        def priced(grid: PoseGrid, batch: list[int]) -> list[tuple[int, np.ndarray]]:
+            if over():
+                return []
+            ends = np.cumsum([len(grid.headings[place]) for place in batch])
+            return list(zip(batch, np.split(trees.gains(grid.seers(batch))[:ends[-1]], ends[:-1])))
+
+        gains = [dict(chain(*mapped(partial(priced, grid), grid.batches(some))))
+                 for grid, some in zip(self.grids, places)]
+        return None if over() else gains
+
+    def _needed(self, gains: Sequence[dict[int, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the gains (n,) of the pool, and for each grid what a chosen pose gains."""
+        own = np.array([gains[one.grid][one.place][one.heading]
+                        if one.place in gains[one.grid] else 0.0 for one in self._pool])
+        return own, np.array([np.sort(own[self._group == group])[::-1][:count].min(initial=np.inf)
+                              for group, count in enumerate(self.counts)])
+
+    def _better(self, gains: Sequence[dict[int, np.ndarray]], needed: np.ndarray) -> list[Column]:
+        """Return the poses that gain more than what is chosen, the best of each place."""
+        known, found = set(self._pool), []
+        for number, of_grid in enumerate(gains):
+            least = needed[number] * (1.0 + EQUAL) + NOTHING
+            for place, values in of_grid.items():
+                best = np.argsort(-values, kind='stable')[:2 * OF_A_PLACE]
+                columns = [(values[k], Column(number, place, int(k))) for k in best
+                           if values[k] > least]
+                found += [pair for pair in columns if pair[1] not in known][:OF_A_PLACE]
+        found.sort(key=lambda pair: -pair[0])
+        return [column for _, column in found[:JOINING]]
+
+    def _staying(self, own: np.ndarray, needed: np.ndarray) -> list[Column]:
+        """Return the poses of the pool that are chosen or might be, by their gains."""
+        stays = (self._share > NOTHING) | (own >= LEAVING * needed[self._group])
+        for group, count in enumerate(self.counts):
+            members = np.flatnonzero(self._group == group)
+            stays[members[np.argsort(-own[members], kind='stable')[:2 * count]]] = True
+        return [one for one, stay in zip(self._pool, stays) if stay]
+
+    def choices(self, count: int, rng: np.random.Generator, over: Callable[[], bool]
+                ) -> list[Choice]:
+        """
+        Round what the program chose, and exchange one pose after another for better ones.
+
+        After the first choice, others do without poses near one of its places.
+
+        :param count: of different choices at most.
+        :returns: the best first; none where the spacing leaves too few places.
+        """
+        found: dict[tuple[int, ...], float] = {}
+        allowed = np.ones(len(self._share), dtype=bool)
+        places = np.array([self.pose(one)[:3] for one in self._pool])
+        for attempt in range(2 * count):
+            share = self._share * (rng.exponential(size=len(self._share)) if attempt else 1.0)
+            if found:
+                best = min(found, key=lambda chosen: found[chosen])
+                centre = places[best[attempt // 2 % len(best)]]
+                least = APART if attempt % 2 else 0.0
+                allowed = np.linalg.norm(places - centre, axis=1) >= least
+            chosen = self._rounded(share, allowed)
+            if chosen is None:
+                continue
+            chosen, loss = self._exchanged(chosen, allowed, over)
+            found[tuple(sorted(chosen))] = loss
+            if len(found) == count or over():
+                break
+        return sorted(Choice(loss, tuple(self._pool[k] for k in chosen))
+                      for chosen, loss in found.items())
+
+    def _rounded(self, share: np.ndarray, allowed: np.ndarray) -> list[int] | None:
+        """Return a choice of the allowed poses with the largest shares; None if there is none."""
+        chosen: list[int] = []
+        left = self.counts.copy()
+        for k in np.argsort(-share, kind='stable'):
+            if allowed[k] and left[self._group[k]] and not self._near[k, chosen].any():
+                chosen.append(int(k))
+                left[self._group[k]] -= 1
+        return None if left.any() else chosen
+
+    def _exchanged(self, chosen: list[int], allowed: np.ndarray, over: Callable[[], bool]
+                   ) -> tuple[list[int], float]:
+        """Exchange the pose whose exchange helps most until none does; return it and its loss."""
+        loss = np.inf
+        while True:
+            best = (loss * (1.0 - EQUAL), None, None)
+            for number, own in enumerate(chosen):
+                others = chosen[:number] + chosen[number + 1:]
+                share = np.zeros(len(self._pool))
+                share[others] = 1.0
+                consts, gains = self.trees.cut(self._seers, len(share),
+                                               self.trees.unserved(self._seers, share))
+                losses = np.maximum(consts[:, None] - gains, 0.0).sum(axis=0)
+                good = (self._group == self._group[own]) & ~self._near[others].any(axis=0)
+                good[others] = False
+                losses[~(good & allowed)] = np.inf
+                if losses.min() < best[0]:
+                    best = (float(losses.min()), number, int(np.argmin(losses)))
+            if best[1] is None:
+                return chosen, loss
+            loss = best[0]
+            chosen[best[1]] = best[2]
+            if over():
+                return chosen, loss

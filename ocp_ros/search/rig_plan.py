@@ -1,0 +1,220 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where to hang the cameras of a rig in a room, how good that is, and how many are needed."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+import os
+
+import numpy as np
+
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.rig.rig_file import Rig
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.search.budget import Budget
+from ocp_ros.search.candidate_pool import best_addition, Pool, random_sites
+from ocp_ros.search.pose_grid import MOST
+from ocp_ros.search.priced_search import certified, relaxation_of
+from ocp_ros.search.proof.certificate import Certificate, not_covered
+from ocp_ros.search.proof.column_generation import ColumnGeneration
+from ocp_ros.search.rig_methods import check_planner, find, RIG_SEARCH
+from ocp_ros.search.rig_search import Answer, Progress
+from ocp_ros.simulation.objective import Objective, RigEvaluation
+from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.util.resources import DEFAULT_MODEL
+from ocp_ros.util.settings import ConfigurationError
+
+#: Candidates, the fewest where evaluations are counted, and the share of the time that they get.
+CANDIDATES, FEWEST, LOOKING = 2000, 64, 0.2
+#: Poses of a dense grid, at least and for each evaluation where these are counted.
+DENSE, DENSE_EACH = 500, 10
+#: Share of the time of a proof for looking from the poses of the grid.
+LOOKED = 0.5
+#: Random placements that an answer is compared with.
+RANDOM = 64
+#: Shares that fall short by less are reached.
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class RigPlan:
+    """
+    A placement of a rig in a room and what tells how good it is.
+
+    :ivar rig: the rig.
+    :ivar answer: the placement.
+    :ivar worth: what it is worth.
+    :ivar everywhere: what each camera at all candidates and at all places found so far at once
+        would be worth; no choice among them is worth more.
+    :ivar worst: the depth error of seeing nothing, metres.
+    :ivar random: (R,) losses of random allowed placements; empty where hardly any is.
+    :ivar candidates: how many there were.
+    :ivar seconds: how long it took.
+    :ivar planner: who found it.
+    :ivar certificate: how much better other placements may be, where that was proved.
+    :ivar uncertain: why it was not, where it was not.
+    """
+
+    rig: Rig
+    answer: Answer
+    worth: RigEvaluation
+    everywhere: RigEvaluation
+    worst: float
+    random: np.ndarray
+    candidates: int
+    seconds: float
+    planner: str
+    certificate: Certificate | None = None
+    uncertain: str = ''
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """
+        Return how much of what can be reached at all the placement reaches.
+
+        :returns: points ``seen``, space for ``coverage`` and depth ``error`` taken away, each as
+            a share of what cameras at all candidates at once reach; 1 where that is nothing.
+        """
+        worth, most = self.worth, self.everywhere
+        pairs = {'seen': (len(worth.seen), len(most.seen)),
+                 'coverage': (worth.space_coverage, most.space_coverage),
+                 'error': (self.worst - worth.depth_error, self.worst - most.depth_error)}
+        return {name: float(part / whole) if whole > 0.0 else 1.0
+                for name, (part, whole) in pairs.items()}
+
+    def reaches(self, by: str, target: float) -> bool:
+        """Tell whether one of the shares is as large, and all that the rig asks for is met."""
+        met = all(share >= region.must_see
+                  for region, share in zip(self.rig.regions, self.worth.regions))
+        return met and self.worth.connected and self.shares[by] >= target - ROUNDING
+
+
+class RigPlanner:
+    """
+    Plan rigs of the same models in one room.
+
+    :param scene: the room.
+    :param rig: a rig; others that are planned may differ in the number of cameras alone.
+    :param engine: settings.
+    :param budget: how long a search may take; that of the first plan pays for the candidates.
+    :param seed: random seed.
+    :param progress: called several times a second.
+    :param planner: one of :func:`~ocp_ros.search.rig_methods.planner_names`.
+    :param model: weights of planners that have learned: path or name.
+    :param simulator: what engines are made by.
+    :raises ConfigurationError: if there is no place for a camera, or too little of a region can
+        be seen, or there is no such planner.
+    """
+
+    def __init__(self, scene: Scene, rig: Rig, engine: EngineConfig, budget: Budget, seed: int = 0,
+                 progress: Progress | None = None, planner: str = RIG_SEARCH,
+                 model: str = DEFAULT_MODEL, simulator: type[Simulator] = Simulator) -> None:
+        check_planner(planner)
+        self._simulator = simulator
+        self.planner, self.model = planner, model
+        self.scene, self.engine, self.budget, self.seed = scene, engine, budget, seed
+        self._progress, self._problems = progress, {}
+        problem = self.problem(rig)
+        most, dense = CANDIDATES, MOST
+        if budget.evaluations is not None:
+            most = int(np.clip(budget.evaluations // 2, FEWEST, CANDIDATES))
+            dense = int(np.clip(budget.evaluations * DENSE_EACH, DENSE, MOST))
+        self.pool = Pool(problem, most, CANDIDATES, os.cpu_count() or 1, self._looked, dense)
+        self._check_regions(problem.objective)
+
+    def problem(self, rig: Rig) -> Problem:
+        """Put a rig into the room."""
+        if rig not in self._problems:
+            # The last one alone is kept: an engine holds some ten megabytes.
+            config = SimulationConfig(engine=self.engine)
+            self._problems = {rig: Problem.of(self.scene, rig, config, self._simulator)}
+        return self._problems[rig]
+
+    def _looked(self) -> bool:
+        """Tell whether candidates have had their share of the time."""
+        return self.budget.share(0, None) >= LOOKING
+
+    def _check_regions(self, objective: Objective) -> None:
+        """Refuse a rig that asks for more of a region than all candidates see together."""
+        rig = objective.rig
+        shares = objective.judge(self.pool.everywhere(rig)).regions
+        for k, (region, share) in enumerate(zip(rig.regions, shares)):
+            if self.pool.complete and share < region.must_see:
+                raise rig.document.error(
+                    ('regions', k, 'must_see'), f'{100.0 * region.must_see:.1f} % of '
+                    f'{region.name}, of which all {len(self.pool)} candidates together see '
+                    f'{100.0 * share:.1f} %', 'a share that can be seen',
+                    'lower it, or change the mount or the pitch')
+
+    def plan(self, rig: Rig, before: Answer | None = None) -> RigPlan:
+        """
+        Find the best placement of a rig.
+
+        :param before: of a rig with one camera less; what is found is worth no less.
+        :raises ConfigurationError: if its cameras do not find room.
+        """
+        problem, start = self.problem(rig), ()
+        if before is not None:
+            more = best_addition(problem.objective, self.pool, before.sites)
+            # Where it finds no room, all begin anew.
+            start = () if more is None else (*before.sites, more)
+        answer = find(self.planner, problem, self.pool, self.budget, self.seed, start,
+                      self._progress, self.model)
+        return self._compared(rig, answer)
+
+    def _compared(self, rig: Rig, answer: Answer) -> RigPlan:
+        """Return what an answer is worth and what it compares with."""
+        objective = self.problem(rig).objective
+        self.pool.add(rig, answer.sites)
+        rng = np.random.default_rng([self.seed, RANDOM])
+        drawn = [random_sites(rig, self.pool, rng) for _ in range(RANDOM)]
+        return RigPlan(
+            rig, answer, objective.evaluate(answer.poses),
+            objective.judge(self.pool.everywhere(rig)), objective.simulator.depth_error.worst,
+            np.array([objective.loss([site.view for site in sites]) for sites in drawn if sites]),
+            len(self.pool), self.budget.elapsed, self.planner, answer.certificate,
+            answer.uncertain)
+
+    def certified(self, plan: RigPlan, budget: Budget) -> RigPlan:
+        """
+        Prove how much better than a plan others may be, unless that was tried already.
+
+        :param budget: of the proof.
+        :returns: the plan with a certificate, or with the reason why there is none.
+        """
+        problem = self.problem(plan.rig)
+        if plan.certificate is not None or plan.uncertain:
+            return plan
+        if (reason := not_covered(problem.objective)) is not None:
+            return replace(plan, uncertain=reason)
+
+        def relax() -> ColumnGeneration:
+            return relaxation_of(problem, self.pool, lambda: budget.share(0, None) >= LOOKED)
+
+        known, reason = certified(problem, relax, plan.worth.loss, plan.worth.loss, budget)
+        return replace(plan, certificate=known, uncertain=reason,
+                       seconds=plan.seconds + budget.elapsed)
+
+    def count_up(self, rig_of_count: Callable[[int], Rig], first: int, most: int
+                 ) -> Iterator[RigPlan]:
+        """
+        Plan with ever more cameras, each time from the plan before: the loss never rises.
+
+        :param rig_of_count: returns the rig with so many cameras.
+        :param first: how many to begin with.
+        :param most: how many to end with; sooner where no more find room or the budget is stopped.
+        """
+        before = None
+        for count in range(first, most + 1):
+            try:
+                plan = self.plan(rig_of_count(count), before)
+            except ConfigurationError:
+                if before is None:
+                    raise
+                return
+            yield plan
+            if self.budget.stopped:
+                return
+            before, self.budget = plan.answer, self.budget.again()

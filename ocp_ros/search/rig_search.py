@@ -1,0 +1,284 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Where to hang the cameras of a rig where no bound is known: annealing.
+
+Exchanges among candidates come first, then small moves. Several searches begin anew, each with a
+source of chance of its own: how far their answers agree says how good the best of them may be.
+Every proposal is rounded as its file will be and held to the rig's constraints before it is
+judged, so the answer is judged as it will be read.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.rig.feasible_region import FeasibleRegion
+from ocp_ros.rig.placement_file import as_written
+from ocp_ros.search.budget import Budget
+from ocp_ros.search.candidate_pool import (
+    best_addition,
+    clear,
+    packed,
+    Pool,
+    quick_of,
+    random_site,
+    Site,
+)
+from ocp_ros.search.proof.certificate import Certificate
+from ocp_ros.simulation.objective import Objective
+from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.simulator import View
+from ocp_ros.util.annealing import annealed, between
+
+#: Searches that begin anew, and candidates that each begins from.
+SEARCHES, BEGINNINGS = 4, 300
+#: Share of the budget for exchanges among candidates, judged by smaller depth maps.
+EXCHANGING = 0.35
+#: First and last temperature of the exchanges and of the moves, in multiples of the loss that a
+#: search begins with.
+HOT, COLD = 0.06, 5e-4
+WARM, COOL = 0.01, 1e-4
+#: Share of exchanges that go anywhere; the others go to one of so many nearest candidates.
+ANYWHERE, NEIGHBOURS = 0.3, 12
+#: Share of exchanges among the moves.
+EXCHANGED = 0.1
+#: Standard deviation of a move's first and last steps: metres and radians.
+FAR, NEAR = np.array([0.4, 0.3]), np.array([0.01, 0.01])
+#: Share of the moves whose roll is drawn anew, where the mount offers several.
+FLIPPED = 0.2
+#: Moves that are drawn at once, of which the first that is allowed is taken.
+DRAWN = 4
+#: Temperatures are taken from this loss at least.
+LEAST = 1e-3
+#: Seconds between two reports of progress.
+REPORTED = 0.2
+T = TypeVar('T')
+#: Gets the share of the budget that is used up and the least loss so far.
+Progress = Callable[[float, float], None]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """
+    The best placement that was found.
+
+    :ivar sites: the cameras where they hang, in the rig's order.
+    :ivar loss: what it is worth; less is better.
+    :ivar losses: what the answer of each search is worth.
+    :ivar evaluations: how many placements were judged, or refused for where a camera hung.
+    :ivar certificate: how much better others may be, where that was proved on the way.
+    :ivar uncertain: why it was not, where that was tried.
+    """
+
+    sites: tuple[Site, ...]
+    loss: float
+    losses: tuple[float, ...]
+    evaluations: int
+    certificate: Certificate | None = None
+    uncertain: str = ''
+
+    @property
+    def poses(self) -> np.ndarray:
+        """Return (K, 6) metres, map frame, and radians, as files have them."""
+        return np.array([site.pose for site in self.sites])
+
+
+def views_of(sites: Sequence[Site]) -> list[View]:
+    """Return what cameras see."""
+    return [site.view for site in sites]
+
+
+def answered(objective: Objective, sites: Sequence[Site], evaluations: int) -> Answer:
+    """Return a placement as the answer of a single search."""
+    loss = objective.loss(views_of(sites))
+    return Answer(tuple(sites), loss, (loss,), evaluations)
+
+
+class Search:
+    """
+    One search.
+
+    :param problem: the rig in the room.
+    :param quick: judges placements with smaller depth maps.
+    :param pool: candidates.
+    :param budget: of all searches.
+    :param rng: the only source of chance.
+    :param start: a placement to begin with, where there is one.
+    """
+
+    def __init__(self, problem: Problem, quick: Objective, pool: Pool, budget: Budget,
+                 rng: np.random.Generator, start: Sequence[Site] = ()) -> None:
+        self.problem, self.objective, self.quick = problem, problem.objective, quick
+        self.rig, self.pool, self.budget = problem.rig, pool, budget
+        self.rng, self.start = rng, tuple(start)
+        self.most = budget.evaluations and max(budget.evaluations // SEARCHES, 1)
+        self.evaluations, self.share, self.least = 0, 0.0, np.inf
+
+    def run(self) -> tuple[Site, ...]:
+        """Return the best placement that is found."""
+        first = self.start or self.fill()
+        self.judge(first)
+        loss = max(self.quick.loss(views_of(first)), LEAST)
+        chosen = annealed(
+            first, lambda sites: self.quick.loss(views_of(sites)), self._exchanged,
+            self._temperatures(loss * HOT, loss * COLD, 0.0, EXCHANGING), self.rng)
+        if self.start and self.objective.loss(views_of(first)) < self.objective.loss(
+                views_of(chosen)):
+            # What larger depth maps say counts.
+            chosen = first
+        return self.descend(chosen, loss, EXCHANGING)
+
+    def descend(self, sites: tuple[Site, ...], loss: float, begin: float, end: float = 1.0
+                ) -> tuple[Site, ...]:
+        """
+        Move and turn the cameras of a placement by ever smaller steps.
+
+        :param loss: that temperatures are shares of.
+        :param begin: the share of the budget from which on steps become smaller.
+        :param end: the share at which it ends.
+        """
+        return annealed(sites, self.judge, self._moved,
+                        self._temperatures(loss * WARM, loss * COOL, begin, end), self.rng)
+
+    def fill(self) -> tuple[Site, ...]:
+        """Hang one camera after the other where it helps most, each among some candidates."""
+        sites: list[Site] = []
+        count = BEGINNINGS
+        if self.most is not None:
+            count = int(np.clip(self.most // (4 * len(self.rig.cameras)), 1, BEGINNINGS))
+        for camera in self.rig.cameras:
+            total = len(self.pool.kind(camera.model).poses)
+            # Where there is no time left, any placement will do.
+            some = max(min(count if self.used() < 1.0 else 8, total), 1)
+            among = np.sort(self.rng.choice(total, some, replace=False))
+            self.evaluations += some
+            site = (best_addition(self.quick, self.pool, sites, among)
+                    or random_site(self.rig, self.pool, sites, self.rng))
+            if site is None:
+                return tuple(packed(self.rig, self.pool))
+            sites.append(site)
+        return tuple(sites)
+
+    def judge(self, sites: Sequence[Site]) -> float:
+        """Return the loss."""
+        loss = self.objective.loss(views_of(sites))
+        self.least = min(self.least, loss)
+        return loss
+
+    def used(self) -> float:
+        """Return how much of the budget is used up."""
+        return self.budget.share(self.evaluations, self.most)
+
+    def _temperatures(self, first: float, last: float, begin: float, end: float
+                      ) -> Iterator[float]:
+        """Yield one temperature for each step, between two shares of the budget."""
+        while (used := self.used()) < end:
+            self.share = max(used - begin, 0.0) / (end - begin)
+            self.evaluations += 1
+            yield between(first, last, self.share)
+
+    def _exchanged(self, sites: tuple[Site, ...]) -> tuple[Site, ...] | None:
+        """Exchange a camera's pose for a candidate, any one or a near one."""
+        camera = int(self.rng.integers(len(sites)))
+        model = self.rig.cameras[camera].model
+        kind = self.pool.kind(model)
+        if self.rng.random() < ANYWHERE:
+            number = int(self.rng.integers(len(kind.poses)))
+        else:
+            number = int(self.rng.choice(kind.near(sites[camera].pose, NEIGHBOURS + 1)))
+        others = (*sites[:camera], *sites[camera + 1:])
+        site = self.pool.site(model, number)
+        if not clear(site.pose[None], others, self.rig.spacing)[0]:
+            return None
+        return (*sites[:camera], site, *sites[camera + 1:])
+
+    def _moved(self, sites: tuple[Site, ...]) -> tuple[Site, ...] | None:
+        """Move and turn a camera a little, or exchange its pose now and then."""
+        if self.rng.random() < EXCHANGED:
+            return self._exchanged(sites)
+        far, turn = between(FAR, NEAR, self.share)
+        return moved(self.problem, sites, far, turn, self.rng)
+
+
+def moved(problem: Problem, sites: tuple[Site, ...], far: float, turn: float,
+          rng: np.random.Generator) -> tuple[Site, ...] | None:
+    """
+    Move and turn one camera of a placement by chance; None where none of some draws is allowed.
+
+    :param far: standard deviation of the move along each axis, metres.
+    :param turn: that of yaw and pitch, radians.
+    """
+    camera = int(rng.integers(len(sites)))
+    others = (*sites[:camera], *sites[camera + 1:])
+    model = problem.rig.cameras[camera].model
+    poses = poses_around(problem.region, sites[camera].pose, model, far, turn, DRAWN, rng)
+    good = problem.region.allowed(poses, model) & clear(poses, others, problem.rig.spacing)
+    if not good.any():
+        return None
+    pose = poses[int(np.argmax(good))]
+    site = Site(pose, problem.simulator.look(pose, camera))
+    return (*sites[:camera], site, *sites[camera + 1:])
+
+
+def poses_around(region: FeasibleRegion, pose: np.ndarray, model: CameraModel, far: float,
+                 turn: float, count: int, rng: np.random.Generator) -> np.ndarray:
+    """
+    Draw poses on the mount near one, allowed or not, as files will have them.
+
+    :param pose: (6,) metres, map frame, and radians.
+    :param far: standard deviation of the place along each axis, metres.
+    :param turn: that of yaw and pitch, radians, where the camera is not omnidirectional.
+    :returns: (count, 6).
+    """
+    poses = np.repeat(pose[None], count, axis=0)
+    poses[:, :3] += rng.normal(0.0, far, (count, 3))
+    poses[:, :3] = region.onto_mount(poses[:, :3])
+    if not model.omnidirectional:
+        poses[:, 3:5] += rng.normal(0.0, turn, (count, 2))
+        poses[:, 4] = np.clip(poses[:, 4], *region.rig.pitch)
+        if len(rolls := region.rig.rolls) > 1:
+            flipped = rng.random(count) < FLIPPED
+            poses[flipped, 5] = rng.choice(rolls, np.count_nonzero(flipped))
+    return as_written(poses)
+
+
+def anneal(problem: Problem, pool: Pool, budget: Budget, seed: int, start: Sequence[Site] = (),
+           progress: Progress | None = None) -> Answer:
+    """
+    Find the best placement of a rig's cameras by annealing; see :func:`in_background`.
+
+    :param start: a placement that the answer is to be no worse than, where there is one.
+    """
+    quick = quick_of(problem.objective)
+    searches = [Search(problem, quick, pool, budget, np.random.default_rng([seed, k]),
+                       start if k == 0 else ()) for k in range(SEARCHES)]
+    found = in_background([one.run for one in searches], budget, progress and (lambda: progress(
+        min(one.used() for one in searches), min(one.least for one in searches))))
+    losses = [one.judge(sites) for one, sites in zip(searches, found)]
+    best = int(np.argmin(losses))
+    return Answer(found[best], losses[best], tuple(losses),
+                  sum(one.evaluations for one in searches))
+
+
+def in_background(tasks: Sequence[Callable[[], T]], budget: Budget,
+                  report: Callable[[], None] | None) -> list[T]:
+    """
+    Run tasks, each in a thread, and report several times a second.
+
+    :param budget: that the tasks obey; it is stopped where reporting fails or is interrupted.
+    """
+    with ThreadPoolExecutor(len(tasks)) as workers:
+        runs = [workers.submit(task) for task in tasks]
+        try:
+            while wait(runs, REPORTED).not_done:
+                if report is not None:
+                    report()
+        except BaseException:
+            budget.stop()
+            raise
+    return [run.result() for run in runs]

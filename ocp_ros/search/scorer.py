@@ -1,0 +1,81 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Scores of placements, where a camera that stands where one stood before costs no look."""
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.search.planner import Scores
+from ocp_ros.simulation.simulator import Simulator, View
+
+#: Bytes of views that are kept: 16,000 of them in a room of 25,000 points.
+REMEMBERED = 64_000_000
+#: Metres between the places of a lattice.
+LATTICE = 0.25
+
+
+def remembered_looks(simulator: Simulator) -> Callable[[np.ndarray, int], View]:
+    """Return ``look`` of an engine, which remembers what was seen: by pose and camera."""
+    nothing = simulator.nothing().bits.nbytes + len(simulator.grid) // 8
+
+    @lru_cache(max(REMEMBERED // nothing, 64))
+    def look(kind: int, pose: bytes) -> View:
+        return simulator.look(np.frombuffer(pose), kind)
+
+    # Where cameras are alike, who stands where makes no difference.
+    return lambda pose, camera: look(
+        simulator.kind(camera), np.asarray(pose, dtype=np.float64).tobytes())
+
+
+class Scorer:
+    """
+    Judge placements by the engine.
+
+    :param simulator: the engine for a scene.
+    """
+
+    def __init__(self, simulator: Simulator) -> None:
+        self.simulator, self._look = simulator, remembered_looks(simulator)
+
+    def __call__(self, placements: Sequence[np.ndarray]) -> Scores:
+        """
+        Judge placements.
+
+        :param placements: B placements of the simulator, (n, 3) or (n, 6), n >= 0.
+        """
+        judged = np.array([self._judged(placement) for placement in placements])
+        return Scores(*judged.reshape(-1, 2).T)
+
+    def _judged(self, placement: np.ndarray) -> tuple[float, float]:
+        """Return the depth error, metres, and the space coverage, cubic metres."""
+        if len(placement) == 0:
+            return self.simulator.depth_error.worst, 0.0
+        result = self.simulator.judge([
+            self._look(pose, camera) for camera, pose in enumerate(placement)])
+        return result.depth_error, result.space_coverage
+
+
+class LatticeScorer:
+    """
+    Judge placements as if each camera stood at the place of a lattice that is nearest to it.
+
+    A room has some hundred such places. Each is looked from once, whatever a search asks.
+
+    :param score: judges placements (n, 3).
+    :param space: where cameras may be.
+    """
+
+    def __init__(self, score: Callable[[Sequence[np.ndarray]], Scores], space: FreePlane) -> None:
+        self._score, self._space = score, space
+
+    def __call__(self, placements: Sequence[np.ndarray]) -> Scores:
+        """Judge B placements (n, 3)."""
+        return self._score([self._space.placement(self.snapped(placement[:, :2]))
+                            for placement in placements])
+
+    def snapped(self, positions: np.ndarray) -> np.ndarray:
+        """Move positions (n, 2) to places of the lattice, or near them where no camera may be."""
+        return self._space.inside((np.floor(positions / LATTICE) + 0.5) * LATTICE)

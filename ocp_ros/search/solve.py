@@ -1,0 +1,117 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The loop that every planner runs in: it owns the clock, the count, the best and the trace."""
+
+from bisect import insort
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+import itertools
+import time
+
+import numpy as np
+
+from ocp_ros.search.planner import Planner, Scores
+
+#: Placements that are kept for a second judgement.
+KEPT = 500
+
+
+@dataclass(frozen=True)
+class Result:
+    """
+    The best placement that a planner found.
+
+    :ivar placement: (K, 3) metres, map frame.
+    :ivar depth_error: metres, as it was judged during the search.
+    :ivar space_coverage: cubic metres.
+    :ivar evaluations: how many placements were judged.
+    :ivar seconds: how long the search took.
+    :ivar trace: (T, 3) evaluations, seconds (when the batch had been judged) and depth error at
+        each improvement.
+    :ivar best: positions (n, 2) of the best placements, the best first.
+    """
+
+    placement: np.ndarray
+    depth_error: float
+    space_coverage: float
+    evaluations: int
+    seconds: float
+    trace: np.ndarray
+    best: tuple[np.ndarray, ...]
+
+
+class Archive:
+    """The best placements that came by, as many as are kept."""
+
+    def __init__(self) -> None:
+        self._kept: list[tuple] = []
+        self._numbers = itertools.count()
+
+    def add(self, rank: tuple[float, ...], positions: np.ndarray) -> None:
+        """Keep a placement (n, 2) if it is among the best; the least rank is best."""
+        # Of equals, the first one: no number comes twice, so positions are never compared.
+        insort(self._kept, (*rank, next(self._numbers), positions))
+        del self._kept[KEPT:]
+
+    @property
+    def best(self) -> tuple[np.ndarray, ...]:
+        """Return what was kept, the best first."""
+        return tuple(item[-1] for item in self._kept)
+
+
+def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], evaluations: int,
+          seconds: float = np.inf, progress: Callable[[int, float], None] | None = None,
+          clock: Callable[[], float] = time.perf_counter) -> Result:
+    """
+    Run a planner until its budget is used up or it has nothing more to ask.
+
+    :param planner: the method.
+    :param score: judges placements (n, 3); where it returns fewer scores than it got placements,
+        the search ends with these.
+    :param evaluations: the most placements to judge.
+    :param seconds: the most time to take; the batch that is being judged is finished.
+    :param progress: called after each batch with the evaluations so far and the best error.
+    :param clock: tells the seconds.
+    :raises ValueError: if a planner places cameras outside its space or too many of them, or
+        never judged a placement.
+    """
+    began, count = clock(), 0
+    best, found, trace = (np.inf, 0, 0.0), None, []
+    archive = Archive()
+    while (batch := planner.ask()) is not None and count < evaluations:
+        if count and clock() - began >= seconds:
+            break
+        batch = batch[:evaluations - count]
+        for positions in batch:
+            _check(planner, positions)
+        scores = score([planner.space.placement(positions) for positions in batch])
+        now = clock() - began
+        for k, energy in enumerate(planner.energy(scores)):
+            # Of equals, the one with more cameras and more coverage is the safer answer.
+            rank = float(energy), -len(batch[k]), -float(scores.space_coverage[k])
+            archive.add(rank, batch[k])
+            if rank < best:
+                best, found = rank, (batch[k].copy(), float(scores.error[k]),
+                                     float(scores.space_coverage[k]))
+                trace.append((count + k + 1, now, found[1]))
+        count += len(scores.error)
+        if progress is not None:
+            progress(count, found[1])
+        if len(scores.error) < len(planner.ask()):
+            break
+        planner.tell(scores)
+    if found is None:
+        raise ValueError(f'{type(planner).__name__}: found no placement in {count} evaluations; '
+                         'expected at least one; give it a budget of 1 or more')
+    return Result(planner.space.placement(found[0]), *found[1:], count,
+                  clock() - began, np.array(trace), archive.best)
+
+
+def _check(planner: Planner, positions: np.ndarray) -> None:
+    """Refuse positions that the planner's own space does not allow."""
+    space = planner.space
+    if len(positions) > space.cameras or not space.contains(positions).all():
+        raise ValueError(
+            f'{type(planner).__name__}: found the positions {positions.tolist()}; expected at '
+            f'most {space.cameras}, from {space.low.tolist()} to {space.high.tolist()}, over the '
+            'floor')
