@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from benchmarks.benchmark_report import main as write_report
-from ocp_ros.cli import compare_commands
 from ocp_ros.cli import main as cli
 from ocp_ros.compare import comparison
 from ocp_ros.compare.protocol import (
@@ -279,7 +278,7 @@ def test_cameras_and_sensor_say_what_is_compared(tmp_path, monkeypatch, argument
         asked.append(protocol)
         raise ConfigurationError('enough')
 
-    monkeypatch.setattr(compare_commands, 'compare', stop)
+    monkeypatch.setattr(comparison, 'compare', stop)
     assert cli.main(['benchmark', *arguments]) == 2
     count, path = expected
     simulation = asked[0].simulation

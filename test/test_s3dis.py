@@ -6,7 +6,7 @@ import numpy as np
 from plyfile import PlyData, PlyElement
 import pytest
 
-from ocp_ros.cli.compare_commands import protocol_of
+from ocp_ros.cli.benchmark_command import protocol_of
 from ocp_ros.cli.main import parser
 from ocp_ros.compare.protocol import PRESETS, rooms_of_s3dis
 from ocp_ros.rooms.generator import generate_room

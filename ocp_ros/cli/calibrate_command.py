@@ -5,23 +5,18 @@
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
-import numpy as np
-from rich.console import Console
-from rich.table import Table
-
-from ocp_ros.cli.common import claim_folder, document, Found
-from ocp_ros.cli.score_command import room_asked
-from ocp_ros.geometry.cameras import OPTICAL_TO_BODY
-from ocp_ros.registration.calibration import answer_of, as_built, calibrate
-from ocp_ros.registration.scan_surfaces import ScanSurfaces
-from ocp_ros.rig.placement_file import load_placement, Placement, save_placement
-from ocp_ros.rig.rig_file import load_rig
-from ocp_ros.scenes.scene_files import load_cloud
-from ocp_ros.util.files import FileSet, folder_to_write, write_atomically
+from ocp_ros.cli.arguments import add_overwrite, add_reading, frame_prefix
+from ocp_ros.cli.common import claim_folder, command_of, Commands, document, Found, JUDGE
+from ocp_ros.util.resources import find_config
 from ocp_ros.util.settings import check_known, ConfigurationError
 from ocp_ros.util.shown_text import printable
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ocp_ros.rig.placement_file import Placement
 
 #: Files that are written.
 WRITTEN = ('placement.yaml', 'cameras.launch.py', 'calibration.json')
@@ -29,7 +24,71 @@ WRITTEN = ('placement.yaml', 'cameras.launch.py', 'calibration.json')
 POINTS = 120_000
 
 
-def clouds_of(arguments: argparse.Namespace, names: Sequence[str]) -> dict[str, np.ndarray]:
+def add_arguments(commands: Commands) -> None:
+    """Add ``ocp calibrate``."""
+    made = commands.add(
+        JUDGE, 'calibrate', 'find where cameras hang by what they see',
+        'ocp calibrate room.ply placement.yaml --clouds door.ply window.ply --out out/built')
+    made.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
+    made.add_argument('placement', type=Path, metavar='PLACEMENT',
+                      help='planned or measured poses of the cameras: docs/reference/placement.md')
+    seen = made.add_mutually_exclusive_group(required=True)
+    seen.add_argument('--clouds', nargs='+', metavar='[CAMERA=]FILE',
+                      help='one cloud of each camera, in metres; without CAMERA=, the name of '
+                      'the file is the name of the camera')
+    seen.add_argument('--bag', type=Path, help='a ROS bag with a topic of clouds for each camera')
+    made.add_argument('--topics', nargs='+', default=(), metavar='CAMERA=TOPIC',
+                      help='topics of the bag; default: the topics whose names contain the names '
+                      'of the cameras, otherwise all topics in their order')
+    made.add_argument('--cloud-frame', choices=('optical', 'body'),
+                      help='frame of the clouds: optical (z forward, x right, y down) or body (x '
+                      'forward, y left, z up); default: optical for files, and the frame that '
+                      'a bag names')
+    made.add_argument('--rig', type=find_config,
+                      help='constraints, instead of those in the placement: docs/reference/rig.md')
+    made.add_argument('--out', type=Path, default=Path('out/built'), metavar='DIR',
+                      help='write the placement as built, a launch file of static transforms and '
+                      'the figures here')
+    made.add_argument('--frame-prefix', type=frame_prefix, default='', metavar='NAME',
+                      help='before the names of frames in the launch file')
+    add_overwrite(made)
+    add_reading(made)
+    made.set_defaults(run=run, show=show)
+
+
+def run(arguments: argparse.Namespace) -> Found:
+    """Register each camera that has a cloud, and write where it hangs."""
+    from ocp_ros.cli.placement_files import room_asked
+    from ocp_ros.registration.calibration import as_built, calibrate
+    from ocp_ros.registration.scan_surfaces import ScanSurfaces
+    from ocp_ros.rig.placement_file import load_placement
+    from ocp_ros.rig.rig_file import load_rig
+    from ocp_ros.util.files import FileSet, folder_to_write
+    read = [arguments.bag] if arguments.bag else [
+        text.partition('=')[2] or text for text in arguments.clouds]
+    claim_folder(arguments, arguments.out, WRITTEN, WRITTEN[-1], read)
+    rig = load_rig(arguments.rig) if arguments.rig else None
+    placement = load_placement(arguments.placement, rig)
+    clouds = clouds_of(arguments, [placed.camera.name for placed in placement.cameras])
+    folder_to_write(arguments.out)
+    points = POINTS if arguments.room.isdecimal() else 0
+    scene, _ = room_asked(arguments, {**placement.room, 'points': points})
+    found, broken = calibrate(ScanSurfaces(scene), placement, clouds)
+    built = as_built(placement, found, command_of(arguments.argv))
+    rows = [_row(placed, found, broken) for placed in placement.cameras]
+    answer: Found = {'cameras': rows,
+                     'written': [str(arguments.out / name) for name in WRITTEN]}
+    with FileSet(arguments.out, WRITTEN, WRITTEN[-1]) as files:
+        _write([files.aside / name for name in WRITTEN], built, answer, arguments.frame_prefix)
+    if all(row['refused'] for row in rows):
+        answer['error'] = (
+            f'{arguments.placement}: found no camera that could be calibrated ('
+            + '; '.join(f'{row["camera"]}: {row["refused"]}' for row in rows)
+            + '); expected one at least; scan more of the room, or correct the placement')
+    return answer
+
+
+def clouds_of(arguments: argparse.Namespace, names: Sequence[str]) -> 'dict[str, np.ndarray]':
     """
     Read what cameras see.
 
@@ -38,6 +97,8 @@ def clouds_of(arguments: argparse.Namespace, names: Sequence[str]) -> dict[str, 
     :returns: (N, 3) metres, body frame, by camera.
     :raises ConfigurationError: if it is not clear which cloud is whose, or there is none.
     """
+    from ocp_ros.geometry.cameras import OPTICAL_TO_BODY
+    from ocp_ros.scenes.scene_files import load_cloud
     if arguments.bag:
         try:
             from ocp_ros.ros.bags.recorded_clouds import recorded_clouds
@@ -72,49 +133,20 @@ def _named(text: str, option: str, what: str) -> tuple[str, str]:
     return name, value
 
 
-def calibrated(arguments: argparse.Namespace, command: str) -> Found:
-    """
-    Register each camera that has a cloud, and write where it hangs.
-
-    :param arguments: of ``ocp calibrate``.
-    :param command: the command line, for the record.
-    :returns: what ``--json`` prints.
-    """
-    read = [arguments.bag] if arguments.bag else [
-        text.partition('=')[2] or text for text in arguments.clouds]
-    claim_folder(arguments, arguments.out, WRITTEN, WRITTEN[-1], read)
-    rig = load_rig(arguments.rig) if arguments.rig else None
-    placement = load_placement(arguments.placement, rig)
-    clouds = clouds_of(arguments, [placed.camera.name for placed in placement.cameras])
-    folder_to_write(arguments.out)
-    points = POINTS if arguments.room.isdecimal() else 0
-    scene, _ = room_asked(arguments, {**placement.room, 'points': points})
-    found, broken = calibrate(ScanSurfaces(scene), placement, clouds)
-    built = as_built(placement, found, command)
-    rows = [_row(placed, found, broken) for placed in placement.cameras]
-    answer: Found = {'cameras': rows,
-                     'written': [str(arguments.out / name) for name in WRITTEN]}
-    with FileSet(arguments.out, WRITTEN, WRITTEN[-1]) as files:
-        _write([files.aside / name for name in WRITTEN], built, answer, arguments.frame_prefix)
-    if all(row['refused'] for row in rows):
-        answer['error'] = (
-            f'{arguments.placement}: found no camera that could be calibrated ('
-            + '; '.join(f'{row["camera"]}: {row["refused"]}' for row in rows)
-            + '); expected one at least; scan more of the room, or correct the placement')
-    return answer
-
-
 def _row(placed: Any, found: dict, broken: dict[str, str]) -> dict[str, Any]:
     """Return what was found of a camera as plain data."""
+    from ocp_ros.registration.calibration import answer_of
     name = placed.camera.name
     if name in found:
         return answer_of(placed, found[name])
     return {'camera': name, 'refused': broken.get(name, 'it has no cloud')}
 
 
-def _write(paths: Sequence[Path], built: Placement, answer: Found, prefix: str) -> None:
+def _write(paths: Sequence[Path], built: 'Placement', answer: Found, prefix: str) -> None:
     """Write the placement as built, static transforms, and what was found."""
     from ocp_ros.report.exports import launch_of
+    from ocp_ros.rig.placement_file import save_placement
+    from ocp_ros.util.files import write_atomically
     refused = [row['camera'] for row in answer['cameras'] if row['refused']]
     save_placement(paths[0], built)
     write_atomically(paths[1], launch_of(built, (), prefix, refused))
@@ -123,6 +155,8 @@ def _write(paths: Sequence[Path], built: Placement, answer: Found, prefix: str) 
 
 def show(found: Found) -> None:
     """Print what was found of each camera."""
+    from rich.console import Console
+    from rich.table import Table
     console = Console(width=100)
     table = Table('camera', 'position (m)', 'yaw, pitch, roll', 'moved', 'standard deviation',
                   'residual', 'overlap', title='As built')

@@ -9,9 +9,9 @@ from ocp_ros.cli.arguments import add_overwrite, add_points, add_reading
 from ocp_ros.cli.common import claim_file, Commands, Found, LOOK, show_written
 
 
-def _info(arguments: argparse.Namespace) -> Found:
+def run(arguments: argparse.Namespace) -> Found:
     """Measure a room, and draw it cut open."""
-    from ocp_ros.cli.score_command import room_asked
+    from ocp_ros.cli.placement_files import room_asked
     from ocp_ros.report.drawing.room_pictures import draw_rooms
     from ocp_ros.report.room_facts import facts_of
     claim_file(arguments, arguments.out, 'a picture')
@@ -22,7 +22,7 @@ def _info(arguments: argparse.Namespace) -> Found:
     return {'room': room, **found, 'written': [arguments.out]}
 
 
-def _show(found: Found) -> None:
+def show(found: Found) -> None:
     """Print what was measured."""
     from rich.console import Console
 
@@ -31,7 +31,7 @@ def _show(found: Found) -> None:
     show_written(found)
 
 
-def add_info(commands: Commands) -> None:
+def add_arguments(commands: Commands) -> None:
     """Add ``ocp info``."""
     asked = commands.add(LOOK, 'info', 'measure a room: size, floor, ceiling, openings, unit',
                          'ocp info room.ply --out out/info.png')
@@ -40,4 +40,4 @@ def add_info(commands: Commands) -> None:
     add_overwrite(asked)
     add_points(asked)
     add_reading(asked)
-    asked.set_defaults(run=_info, show=_show)
+    asked.set_defaults(run=run, show=show)

@@ -6,45 +6,90 @@ import argparse
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+import math
 from pathlib import Path
 import signal
 import sys
 from threading import current_thread, main_thread
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
-import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
-
-from ocp_ros.cli.common import claim_folder
-from ocp_ros.cli.score_command import (
-    CURVE,
-    MARK,
-    room_asked,
-    show_written,
-    WRITTEN,
-    written_to,
+from ocp_ros.cli.arguments import (
+    add_frame,
+    add_overwrite,
+    add_points,
+    add_reading,
+    at_least,
+    cameras,
+    count,
+    seconds,
+    seed,
+    share,
 )
-from ocp_ros.planning.rig_planning import CAMERAS, Counting, MOUNT, PlannedRig, PlanTask
-from ocp_ros.report.count_report import draw_curve
-from ocp_ros.report.exports import PLACEMENTS
-from ocp_ros.report.verdict_tables import show_plan, WIDTH
-from ocp_ros.rig.placement_file import Placement, save_placement
-from ocp_ros.rig.rig_file import load_rig, Rig, rig_of, with_count
-from ocp_ros.search.budget import Budget
-from ocp_ros.util.files import FileSet, folder_to_write
+from ocp_ros.cli.common import claim_folder, command_of, Commands, Found, PLAN
+from ocp_ros.util.resources import find_config
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
 
+if TYPE_CHECKING:
+    from ocp_ros.planning.rig_planning import PlanTask
+    from ocp_ros.rig.placement_file import Placement
+    from ocp_ros.rig.rig_file import Rig
+    from ocp_ros.search.budget import Budget
+    from ocp_ros.util.files import FileSet
 
-def plan(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
-    """
-    Plan a rig in a room, and write the placement in all forms.
+#: Defaults of counting cameras.
+COUNTING = {'target': 0.95, 'by': 'error', 'most': 12}
 
-    :param arguments: of ``ocp plan``.
-    :param command: the command line, for the record.
-    :returns: what ``--json`` prints.
-    """
+
+def add_arguments(commands: Commands) -> None:
+    """Add ``ocp plan``."""
+    planned = commands.add(PLAN, 'plan', 'find the best poses of cameras in a room',
+                           'ocp plan room.ply --cameras 4 --model d455 --out out/plan')
+    planned.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
+    rig = planned.add_mutually_exclusive_group()
+    rig.add_argument('--rig', type=find_config,
+                     help='rig file with cameras and constraints: docs/reference/rig.md')
+    rig.add_argument('--model', metavar='SENSOR', default='omnidirectional',
+                     help='sensor of all cameras, or a part of its name such as d455')
+    planned.add_argument('--mount', choices=('walls', 'ceiling', 'plane', 'free'),
+                         help='mount of all cameras: walls (1.5 to 2.5 m above the floor), '
+                              'ceiling (below it), plane (1.9 m above the floor) or free (1.5 to '
+                              '2.5 m); default: walls, or the mount in the rig file')
+    planned.add_argument('--cameras', '--count', dest='count', type=count, metavar='N',
+                         help='number of cameras, or auto; default: 4, or the number in the rig '
+                              'file')
+    planned.add_argument('--target', type=share,
+                         help='with auto: share to reach of what all candidates reach together; '
+                              'default: 0.95')
+    planned.add_argument('--by', choices=('error', 'seen', 'coverage'),
+                         help='with auto: share of the error reduction, of the seen points or of '
+                              'the space coverage')
+    planned.add_argument('--most', type=cameras,
+                         help='with auto: largest number of cameras; default: 12')
+    planned.add_argument('--planner', default='rig_search', metavar='NAME',
+                         help='planner that searches: rig_search (default) or a name of '
+                         'docs/reference/planners.md, such as cma_es or lookahead')
+    planned.add_argument('--seconds', type=seconds, help='seconds of search for each number of '
+                                                         'cameras; default: 60, or 15 with auto; '
+                                                         'without limit if --evaluations is given')
+    planned.add_argument('--evaluations', type=at_least(1),
+                         help='number of placements to evaluate; the same seed gives the same '
+                              'result')
+    planned.add_argument('--seed', type=seed, default=0, help='random seed')
+    planned.add_argument('--out', type=Path, default=Path('out/plan'), metavar='DIR',
+                         help='folder for report, placement, CSV, launch file, xacro and more')
+    add_frame(planned)
+    add_overwrite(planned)
+    add_points(planned)
+    add_reading(planned)
+    planned.set_defaults(run=run, show=show)
+
+
+def run(arguments: argparse.Namespace) -> Found:
+    """Plan a rig in a room, and write the placement in all forms."""
+    from ocp_ros.cli.placement_files import MARK, room_asked, WRITTEN, written_to
+    from ocp_ros.planning.rig_planning import PlannedRig
+    from ocp_ros.util.files import folder_to_write
     task = task_of(arguments)
     claim_folder(arguments, arguments.out, WRITTEN, MARK)
     rig = rig_asked(arguments)
@@ -53,7 +98,7 @@ def plan(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
     budget, proving = task.budgets()
     with _stopped_by_hand(budget), _progress() as progress:
         planned = PlannedRig(scene, rig, task, budget, proving, progress)
-    placement = planned.placement(room, command)
+    placement = planned.placement(room, command_of(arguments.argv))
     with _kept(folder, placement) as files:
         judged = planned.judged(placement, arguments.frame)
         return {**judged.found,
@@ -61,22 +106,34 @@ def plan(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
                              arguments.frame_prefix)}
 
 
-def task_of(arguments: argparse.Namespace) -> PlanTask:
+def task_of(arguments: argparse.Namespace) -> 'PlanTask':
     """Return what a command line asks of the search."""
-    counting = Counting(arguments.target, arguments.by, arguments.most)
+    from ocp_ros.planning.rig_planning import Counting, PlanTask
+    for name in COUNTING:
+        if getattr(arguments, name) is not None and arguments.count != 0:
+            raise ConfigurationError(f'--{name}: found it without --count auto; expected it where '
+                                     'cameras are counted; leave it out, or add --count auto')
+    counting = Counting(*(default if getattr(arguments, name) is None else getattr(arguments, name)
+                          for name, default in COUNTING.items()))
     return PlanTask(arguments.planner, arguments.seconds, arguments.evaluations, arguments.seed,
                     counting if arguments.count == 0 else None)
 
 
 def _curve(folder: Path, found: Mapping[str, Any]) -> Iterator[Path]:
     """Draw what more cameras are worth where they were counted; yield the file."""
+    from ocp_ros.cli.placement_files import CURVE
+    from ocp_ros.report.count_report import draw_curve
     if 'curve' in found:
         yield draw_curve(folder / CURVE, found['curve'], found['count'])
 
 
 @contextmanager
-def _kept(folder: Path, placement: Placement) -> Iterator[FileSet]:
+def _kept(folder: Path, placement: 'Placement') -> 'Iterator[FileSet]':
     """Write a placement first of all: whoever has enough while it is judged and drawn has it."""
+    from ocp_ros.cli.placement_files import MARK, WRITTEN
+    from ocp_ros.report.exports import PLACEMENTS
+    from ocp_ros.rig.placement_file import save_placement
+    from ocp_ros.util.files import FileSet
     try:
         with FileSet(folder, WRITTEN, MARK) as files:
             # Where it cannot be written now, the end says so.
@@ -90,22 +147,24 @@ def _kept(folder: Path, placement: Placement) -> Iterator[FileSet]:
         raise
 
 
-def rig_asked(arguments: argparse.Namespace) -> Rig:
+def rig_asked(arguments: argparse.Namespace) -> 'Rig':
     """Return the rig of a command line; with ``auto``, one that may be counted up."""
-    count = arguments.count
+    from ocp_ros.planning.rig_planning import CAMERAS, MOUNT
+    from ocp_ros.rig.rig_file import load_rig, rig_of, with_count
+    number = arguments.count
     if arguments.rig is None:
-        rig = rig_of(count or CAMERAS, arguments.model, mount={'on': arguments.mount or MOUNT})
+        rig = rig_of(number or CAMERAS, arguments.model, mount={'on': arguments.mount or MOUNT})
         return replace(rig, document=replace(rig.document, name='rig (no file)'))
     rig = load_rig(arguments.rig)
     if arguments.mount is not None:
         raise ConfigurationError(
             f'--mount: found {arguments.mount} with --rig; expected one of the two: the rig file '
             'says its mount; leave --mount out, or change the key mount of the file')
-    return rig if count is None else with_count(rig, count or len(rig.cameras))
+    return rig if number is None else with_count(rig, number or len(rig.cameras))
 
 
 @contextmanager
-def _stopped_by_hand(budget: Budget) -> Iterator[None]:
+def _stopped_by_hand(budget: 'Budget') -> Iterator[None]:
     """End the search at the first Ctrl-C; the second one ends the command."""
     if current_thread() is not main_thread():
         yield
@@ -125,18 +184,24 @@ def _stopped_by_hand(budget: Budget) -> Iterator[None]:
 @contextmanager
 def _progress() -> Iterator[Callable[[float, float], None]]:
     """Show the progress on the terminal, where there is one; yields a function to call."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
     console = Console(stderr=True)
     with Progress(TextColumn('{task.description}'), BarColumn(), TextColumn('{task.fields[loss]}'),
                   console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task('searching (Ctrl-C: best so far)', total=1.0, loss='')
 
         def report(share: float, loss: float) -> None:
-            value = '' if np.isinf(loss) else f'objective value {loss:.4f}'
+            value = '' if loss == math.inf else f'objective value {loss:.4f}'
             bar.update(task, completed=share, loss=value)
         yield report
 
 
-def show(found: dict[str, Any]) -> None:
+def show(found: Found) -> None:
     """Print a plan and what was written."""
+    from rich.console import Console
+
+    from ocp_ros.cli.placement_files import show_written
+    from ocp_ros.report.verdict_tables import show_plan, WIDTH
     show_plan(Console(width=WIDTH), found)
     show_written(found)

@@ -12,7 +12,7 @@ from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
 
 
-def _replay(arguments: argparse.Namespace) -> Found:
+def run(arguments: argparse.Namespace) -> Found:
     """Publish the clouds of a bag, or list its topics."""
     try:
         from ocp_ros.ros.bags.replay_run import replay
@@ -23,7 +23,7 @@ def _replay(arguments: argparse.Namespace) -> Found:
     return replay(arguments)
 
 
-def _show(found: Found) -> None:
+def show(found: Found) -> None:
     """Print what was published, or what is there."""
     if 'topics' in found:
         _show_topics(found)
@@ -50,7 +50,7 @@ def _show_topics(found: Found) -> None:
     Console().print(table)
 
 
-def add_replay(commands: Commands) -> None:
+def add_arguments(commands: Commands) -> None:
     """Add ``ocp replay``."""
     played = commands.add(
         REPLAY, 'replay', 'publish the clouds of a ROS 1 or ROS 2 bag for policy_node',
@@ -76,7 +76,7 @@ def add_replay(commands: Commands) -> None:
     played.add_argument('--fixed-frame', default='map', metavar='FRAME', help='frame of the poses')
     played.add_argument('--wait', type=_seconds, default=10.0,
                         help='seconds to wait for a subscriber')
-    played.set_defaults(run=_replay, show=_show)
+    played.set_defaults(run=run, show=show)
 
 
 def _seconds(text: str) -> float:

@@ -73,7 +73,7 @@ def _preview_rooms(arguments: argparse.Namespace) -> Found:
     return {'written': [arguments.out]}
 
 
-def add_rooms(commands: Commands) -> None:
+def add_arguments(commands: Commands) -> None:
     """Add ``ocp rooms`` and what it can do."""
     rooms = commands.add(LOOK, 'rooms', 'list, make and look at generated rooms')
     actions = rooms.add_subparsers(title='actions', required=True, metavar='ACTION')

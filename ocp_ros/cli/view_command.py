@@ -3,25 +3,41 @@
 """``ocp view``: a room, and where there is one a placement in it, as a page to turn around."""
 
 import argparse
+from pathlib import Path
 import sys
-from typing import Any
 import webbrowser
 
-from ocp_ros.cli.score_command import room_and_placement, room_asked
-from ocp_ros.planning.assessment import judge
-from ocp_ros.report.viewer import write_view
+from ocp_ros.cli.arguments import add_overwrite, add_points, add_reading
+from ocp_ros.cli.common import claim_file, command_of, Commands, Found, LOOK, show_written
+from ocp_ros.util.resources import find_config
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
 
 
-def view(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
-    """
-    Write the page, and open it where that is wanted.
+def add_arguments(commands: Commands) -> None:
+    """Add ``ocp view``."""
+    seen = commands.add(LOOK, 'view', 'write a 3D page of a room and a placement',
+                        'ocp view room.ply placement.yaml --out out/view.html')
+    seen.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
+    seen.add_argument('placement', type=Path, nargs='?', metavar='PLACEMENT',
+                      help='placement file: docs/reference/placement.md')
+    seen.add_argument('--rig', type=find_config,
+                      help='rig file, used instead of the one in the placement: '
+                      'docs/reference/rig.md')
+    seen.add_argument('--out', type=Path, default=Path('out/view.html'), help='page to write')
+    seen.add_argument('--open', action='store_true', help='open the page in a browser')
+    add_overwrite(seen)
+    add_points(seen)
+    add_reading(seen)
+    seen.set_defaults(run=run, show=show_written)
 
-    :param arguments: of ``ocp view``.
-    :param command: the command line, for the record.
-    :returns: which room it is, and the page.
-    """
+
+def run(arguments: argparse.Namespace) -> Found:
+    """Write the page, and open it where that is wanted."""
+    from ocp_ros.cli.placement_files import room_and_placement, room_asked
+    from ocp_ros.planning.assessment import judge
+    from ocp_ros.report.viewer import write_view
+    claim_file(arguments, arguments.out, 'a page')
     if arguments.rig and not arguments.placement:
         raise ConfigurationError(f'--rig: found {arguments.rig} and no placement; expected a '
                                  'placement that it is about; name one, or leave it out')
@@ -30,7 +46,8 @@ def view(arguments: argparse.Namespace, command: str) -> dict[str, Any]:
         write_view(arguments.out, scene)
     else:
         scene, placement, room = room_and_placement(arguments)
-        write_view(arguments.out, scene, judge(scene, placement, room, command))
+        write_view(arguments.out, scene, judge(scene, placement, room,
+                                               command_of(arguments.argv)))
     if arguments.open and not webbrowser.open(arguments.out.resolve().as_uri()):
         print(f'no browser was found; open {printable(str(arguments.out))} in one',
               file=sys.stderr)

@@ -1,0 +1,149 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""``ocp benchmark``: planners compared in the same rooms."""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TYPE_CHECKING
+
+from ocp_ros.cli.arguments import (
+    add_overwrite,
+    add_units,
+    at_least,
+    cameras,
+    names,
+    whole_numbers,
+)
+from ocp_ros.cli.common import claim_folder, command_of, Commands, COMPARE, Found, show_written
+from ocp_ros.util.resources import find_config
+from ocp_ros.util.settings import ConfigurationError
+
+if TYPE_CHECKING:
+    from ocp_ros.compare.protocol import Protocol
+
+#: The rig of ``--sensor``, beside the results.
+RIG = 'rig.yaml'
+
+
+def add_arguments(commands: Commands) -> None:
+    """Add ``ocp benchmark``."""
+    compare = commands.add(
+        COMPARE, 'benchmark', 'compare planners under equal budgets',
+        'ocp benchmark --rooms my_scans --planners tdsa,cma_es --budgets 1000 --seeds 5')
+    compare.add_argument('--preset', choices=('smoke', 'full'), default='smoke',
+                         help='smoke: two rooms, under two minutes; full: ten rooms, up to '
+                         '10,000 evaluations')
+    compare.add_argument('--rooms', type=Path, help='folder of scans, instead of generated rooms')
+    add_units(compare, 'of the scans')
+    compare.add_argument('--cameras', type=cameras, metavar='N',
+                         help='number of cameras, without a rig file; default: 4')
+    compare.add_argument('--sensor', metavar='SENSOR',
+                         help='sensor of all cameras, without a rig file, or a part of its name '
+                              'such as d455; without it omnidirectional cameras on a plane are '
+                              'compared')
+    compare.add_argument('--mount', choices=('walls', 'ceiling', 'plane', 'free'),
+                         help='with --sensor: mount of all cameras; default: walls')
+    compare.add_argument('--planners', type=names,
+                         help='names with commas between; default: all')
+    compare.add_argument('--budgets', type=whole_numbers, help='numbers of evaluations, with '
+                                                               'commas between')
+    compare.add_argument('--seeds', type=int, help='runs per planner, room and budget')
+    compare.add_argument('--out', type=Path, default=Path('out/benchmark'),
+                         help='folder of the results; an interrupted comparison continues')
+    add_comparison(compare)
+    compare.set_defaults(run=run, show=show)
+
+
+def add_comparison(command: argparse.ArgumentParser) -> None:
+    """Add what all comparisons have: a rig file, and where they run."""
+    command.add_argument('--rig', type=find_config, help='rig file, instead of omnidirectional '
+                                                         'cameras: docs/reference/rig.md')
+    command.add_argument('--workers', type=at_least(1),
+                         help='number of processes; default: one per core')
+    command.add_argument('--ray', metavar='ADDRESS', help='run on a Ray cluster, such as auto')
+    add_overwrite(command)
+
+
+def run(arguments: argparse.Namespace) -> Found:
+    """Compare planners, and write the results."""
+    from ocp_ros.compare.comparison import compare, RESULTS
+    from ocp_ros.util.files import folder_to_write
+    check_cameras(arguments)
+    claim_folder(arguments, arguments.out, RESULTS, 'protocol.json')
+    rig = [] if arguments.sensor is None else [_write_rig(arguments)]
+    protocol = protocol_of(arguments)
+    folder = folder_to_write(arguments.out)
+    summary = compare(protocol, folder, command_of(arguments.argv), arguments.workers or 0,
+                      arguments.ray).summary
+    return {**summary, 'written': [*rig, *(folder / name for name in RESULTS)]}
+
+
+def protocol_of(arguments: argparse.Namespace) -> 'Protocol':
+    """Return what a command line of ``ocp benchmark`` asks to compare."""
+    from ocp_ros.compare.protocol import placing, PRESETS, rooms_in, rooms_of_s3dis
+    from ocp_ros.search.rig_methods import planner_names
+    changes: dict[str, Any] = {
+        name: value for name in ('planners', 'budgets', 'seeds', 'scale', 'up')
+        if (value := getattr(arguments, name)) is not None}
+    if arguments.rooms is None and changes.keys() & {'scale', 'up'}:
+        raise ConfigurationError('--scale and --up: found no --rooms; expected a folder of scans '
+                                 'that they are about; generated rooms are in metres, z up')
+    if arguments.rig is not None:
+        changes = {'planners': planner_names(), **changes}
+    protocol = replace(PRESETS[arguments.preset], **changes,
+                       simulation=placing(arguments.cameras, arguments.rig))
+    if arguments.rooms is not None:
+        rooms = rooms_in(arguments.rooms, protocol.scale, protocol.up)
+    else:
+        rooms = [*protocol.rooms, *(rooms_of_s3dis() if arguments.preset == 'full' else ())]
+    return replace(protocol, rooms=tuple(rooms))
+
+
+def check_cameras(arguments: argparse.Namespace) -> None:
+    """Refuse options about cameras that contradict each other."""
+    for option in ('cameras', 'sensor', 'mount'):
+        if arguments.rig is not None and (value := getattr(arguments, option, None)) is not None:
+            shown = ','.join(map(str, value)) if isinstance(value, tuple) else value
+            raise ConfigurationError(
+                f'--{option}: found {shown} with --rig; expected one of the two: the rig file '
+                f'says its {option}; leave one out')
+    if getattr(arguments, 'mount', None) is not None and arguments.sensor is None:
+        raise ConfigurationError(
+            f'--mount: found {arguments.mount} without --sensor; expected both: without a sensor '
+            'omnidirectional cameras on a plane are compared; add --sensor omnidirectional')
+
+
+def _write_rig(arguments: argparse.Namespace) -> Path:
+    """Write the rig of ``--sensor`` beside the results, and go on as if it had been given."""
+    from ocp_ros.planning.rig_planning import CAMERAS, MOUNT
+    from ocp_ros.rig.rig_file import rig_of
+    from ocp_ros.util.files import folder_to_write, write_atomically
+    from ocp_ros.util.yaml_files import written
+    rig = rig_of(arguments.cameras or CAMERAS, arguments.sensor,
+                 mount={'on': arguments.mount or MOUNT})
+    path = folder_to_write(arguments.out) / RIG
+    write_atomically(path, written(rig.document.data, path.suffix))
+    arguments.rig, arguments.cameras = path, None
+    return path
+
+
+def show(summary: Found) -> None:
+    """Print the sums, ratios and times of the largest budget and of online planners."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from ocp_ros.compare.summary import budgets_of, last_runs
+    from ocp_ros.report.room_facts import show_notes
+    budget = int(budgets_of(summary)[-1])
+    named = f'{budget:,} evaluations' if budget else 'the turns of online planners'
+    table = Table('planner', 'delivered (m)', 'promised (m)', 'regret', 'wins', 'seconds',
+                  title=f'{len(summary["rooms"])} rooms, {named}')
+    for name, run in sorted(last_runs(summary).items(), key=lambda item: item[1]['sum']):
+        regret = '-' if run['regret'] is None else f'{run["regret"]:.2f}'
+        table.add_row(name, f'{run["sum"]:.2f}', f'{run["promised"]:.2f}', regret,
+                      str(run['wins']), f'{run["seconds"]:.2f}')
+    console = Console(width=100)
+    console.print(table)
+    show_notes(console, summary)
+    show_written(summary)

@@ -1,0 +1,122 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""``ocp evaluate``: a policy compared with other planners, room by room."""
+
+import argparse
+from collections import Counter
+import json
+from pathlib import Path
+from typing import Any, TYPE_CHECKING
+
+from ocp_ros.cli.arguments import add_units, at_least, camera_counts, names, whole_numbers
+from ocp_ros.cli.benchmark_command import add_comparison, check_cameras
+from ocp_ros.cli.common import claim_folder, command_of, Commands, Found, LEARN, show_written
+from ocp_ros.util.resources import DEFAULT_MODEL
+
+if TYPE_CHECKING:
+    from ocp_ros.compare.comparison import Comparison
+    from ocp_ros.compare.protocol import Protocol
+
+#: The file that is written.
+EVALUATION = 'evaluation.json'
+
+
+def add_arguments(commands: Commands) -> None:
+    """Add ``ocp evaluate``."""
+    judged = commands.add(LEARN, 'evaluate', 'evaluate a policy room by room',
+                          'ocp evaluate --model models/mine.safetensors --set test')
+    judged.add_argument('--model', default=DEFAULT_MODEL, help='weights: a path, or a name')
+    judged.add_argument('--planners', type=names, default=('learned', 'greedy_step'),
+                        help='names with commas between; the first is compared with the others')
+    rooms = judged.add_mutually_exclusive_group()
+    rooms.add_argument('--set', choices=('fresh', 'test', 'training', 'validation'),
+                       default='fresh', help='set of generated rooms; default: fresh')
+    rooms.add_argument('--rooms', type=Path, nargs='+', metavar='SCAN', help='scans, instead of '
+                                                                             'generated rooms')
+    add_units(judged, 'of the scans')
+    judged.add_argument('--rotations', type=whole_numbers, default=(0,),
+                        help='rotations of the rooms in degrees, with commas between')
+    judged.add_argument('--cameras', type=camera_counts,
+                        help='numbers of cameras, with commas between; default: 4')
+    judged.add_argument('--budgets', type=whole_numbers, default=(1000,),
+                        help='evaluations of offline planners, with commas between')
+    judged.add_argument('--seeds', type=at_least(1), default=1, help='runs per planner, room and '
+                                                                     'budget')
+    judged.add_argument('--out', type=Path, default=Path('out/evaluation'),
+                        help='folder of the results; an interrupted evaluation continues')
+    add_comparison(judged)
+    judged.set_defaults(run=run, show=show, scale=1.0, up='z')
+
+
+def run(arguments: argparse.Namespace) -> Found:
+    """Compare weights with planners for each number of cameras, and write ``evaluation.json``."""
+    from ocp_ros.compare.comparison import compare
+    from ocp_ros.util.files import folder_to_write, write_atomically
+    from ocp_ros.util.yaml_files import timestamp
+    command = command_of(arguments.argv)
+    protocols = protocols_of(arguments)
+    path = folder_to_write(arguments.out) / EVALUATION
+    claim_folder(arguments, arguments.out, [EVALUATION], '*-cameras')
+    found: dict[str, Any] = {
+        'command': command, 'date': timestamp(), 'model': arguments.model,
+        'rotations': list(arguments.rotations), 'seeds': arguments.seeds, 'cameras': {}}
+    for protocol in protocols:
+        count = str(protocol.cameras)
+        found['cameras'][count] = _by_room(protocol, compare(
+            protocol, arguments.out / f'{count}-cameras', command, arguments.workers or 0,
+            arguments.ray))
+    write_atomically(path, json.dumps(found, indent=1) + '\n')
+    return {**found, 'written': [path]}
+
+
+def protocols_of(arguments: argparse.Namespace) -> 'list[Protocol]':
+    """Return what a command line of ``ocp evaluate`` asks to compare, by number of cameras."""
+    from ocp_ros.compare.protocol import placing, Protocol
+    from ocp_ros.rooms.splits import SETS
+    from ocp_ros.scenes.scene_files import check_file
+    check_cameras(arguments)
+    for path in arguments.rooms or ():
+        check_file(path)
+    counts = (None,) if arguments.rig is not None else arguments.cameras or (None,)
+    return [Protocol(
+        rooms=tuple(str(path.resolve()) for path in arguments.rooms or ()) or tuple(
+            map(str, SETS[arguments.set])),
+        rotations=tuple(map(float, arguments.rotations)), planners=arguments.planners,
+        budgets=arguments.budgets, seeds=arguments.seeds, model=arguments.model,
+        scale=arguments.scale, up=arguments.up, simulation=placing(count, arguments.rig))
+        for count in counts]
+
+
+def _by_room(protocol: 'Protocol', comparison: 'Comparison') -> dict[str, Any]:
+    """Return the pairs, the errors by room and the slowest turn of each online planner."""
+    from ocp_ros.compare.summary import per_room
+    rows, planners = comparison.rows, comparison.summary['planners']
+    stems = Counter(Path(room).stem for room in protocol.rooms)
+    short = {room: Path(room).stem if stems[Path(room).stem] == 1 else room
+             for room in protocol.rooms}
+    return {
+        'pairs': comparison.summary['pairs'],
+        'rooms': {f'{planner}, {budget}': {
+            short[room]: error
+            for room, error in per_room(rows, planner, budget, 'depth_error').items()}
+            for planner, budget in dict.fromkeys((row['planner'], row['budget']) for row in rows)},
+        'slowest_turn': {name: run['seconds_at_most'] for name, runs in planners.items()
+                         for run in runs.values() if 'seconds_at_most' in run}}
+
+
+def show(found: Found) -> None:
+    """Print the pairs for each number of cameras."""
+    from rich.console import Console
+    from rich.table import Table
+    for cameras, judged in found['cameras'].items():
+        first = next(iter(judged['pairs'])).split(',')[0]
+        table = Table('planner', 'sum (m)', f'{first} better in', 'its error : theirs', '95 %',
+                      'p', title=f'{cameras} cameras')
+        for name, pair in sorted(judged['pairs'].items(), key=lambda item: item[1]['sum']):
+            low, high = pair['interval']
+            compared = ('', '', '', '') if name == first else (
+                f'{pair["wins"]} of {pair["rooms"]}', f'{pair["ratio"]:.3f}',
+                f'{low:.3f} to {high:.3f}', '' if pair['p'] is None else f'{pair["p"]:.1e}')
+            table.add_row(name, f'{pair["sum"]:.2f}', *compared)
+        Console().print(table)
+    show_written(found)

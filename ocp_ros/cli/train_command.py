@@ -1,0 +1,63 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""``ocp train``: train a policy."""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+import sys
+
+from ocp_ros.cli.arguments import add_overwrite, seed
+from ocp_ros.cli.common import claim_file, Commands, Found, LEARN, show_written
+from ocp_ros.util.files import folder_to_write
+from ocp_ros.util.resources import find_config
+from ocp_ros.util.shown_text import printable
+
+
+def add_arguments(commands: Commands) -> None:
+    """Add ``ocp train``."""
+    train = commands.add(
+        LEARN, 'train', 'train a policy',
+        'ocp train --config config/train/map.yaml --out out/train --model mine.safetensors')
+    train.add_argument('--config', type=find_config, required=True,
+                       help='YAML of training settings')
+    train.add_argument('--out', type=Path, required=True,
+                       help='folder of the run; an interrupted run continues')
+    train.add_argument('--model', type=Path, help='also write the best weights to this file')
+    train.add_argument('--seed', type=seed, help='random seed; replaces the one in the settings')
+    add_overwrite(train)
+    train.set_defaults(run=run, show=show)
+
+
+def run(arguments: argparse.Namespace) -> Found:
+    """Train a policy, and say what it does in rooms it has never seen."""
+    from ocp_ros.policy.checkpoint import card_of
+    from ocp_ros.training.run_folder import read_config
+    from ocp_ros.training.train import train
+    config, command = read_config(arguments.config), f'ocp train --config {arguments.config}'
+    if arguments.seed is not None:
+        config = replace(config, seed=arguments.seed)
+        command += f' --seed {arguments.seed}'
+    folder_to_write(arguments.out)
+    written = [arguments.model, card_of(arguments.model)] if arguments.model else []
+    for path in written:
+        claim_file(arguments, path, 'weights and their card', '--model')
+    try:
+        checkpoint = train(config, arguments.out, command)
+    except KeyboardInterrupt:
+        print(f'ocp: stopped; the same command continues with what is saved in '
+              f'{printable(str(arguments.out))}', file=sys.stderr)
+        raise
+    if arguments.model:
+        checkpoint.save(arguments.model)
+    return {'test': checkpoint.provenance['test'],
+            'written': [arguments.model] if arguments.model else []}
+
+
+def show(found: Found) -> None:
+    """Print what a policy does in rooms it has never seen."""
+    for name in ('random_moves', 'policy'):
+        figures = found['test'][name]
+        print(f'{name:>12}: depth error {figures["depth_error_start"]:.2f} m -> '
+              f'{figures["depth_error_end"]:.2f} m ({figures["ratio"]:.3f})')
+    show_written(found)
