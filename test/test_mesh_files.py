@@ -89,7 +89,7 @@ def test_a_face_with_nan_gives_a_point_of_nan():
 def test_every_format_of_meshes_shows_what_a_scan_of_the_room_shows(tmp_path, name):
     path = tmp_path / name
     WRITERS[name](path, ROOM.mesh)
-    scene = load_scene(path)
+    scene = load_scene(path, up='z')
     assert scene.name == path.stem and 0.99 * SAMPLES < len(scene) <= SAMPLES
     distances, _ = cKDTree(scene.points).query(ROOM.points)
     assert np.quantile(distances, 0.99) < 0.04
@@ -114,6 +114,14 @@ def test_faces_with_many_corners_are_whole(tmp_path):
     assert np.mean(scene.points[:, 2] < 1e-6) == pytest.approx(0.75, abs=0.01)
 
 
+def test_gltf_is_y_up_by_its_standard(tmp_path):
+    path = tmp_path / 'room.glb'
+    write_glb(path, Mesh(ROOM.mesh.vertices[:, [0, 2, 1]] * [1, 1, -1], ROOM.mesh.triangles))
+    scene = load_scene(path)
+    np.testing.assert_allclose(scene.bounds, Scene(ROOM.mesh.vertices).bounds, atol=0.05)
+    assert 'up: y (glTF)' in scene.remarks
+
+
 @pytest.mark.parametrize('name', ['room.glb', 'room.gltf'])
 def test_parts_of_a_scene_graph_stand_where_it_puts_them(tmp_path, name):
     half = np.sqrt(0.5)
@@ -127,7 +135,7 @@ def test_parts_of_a_scene_graph_stand_where_it_puts_them(tmp_path, name):
         document['buffers'][0]['uri'] = 'room.bin'
         path.write_text(json.dumps(document))
         (tmp_path / 'room.bin').write_bytes(buffer)
-    points = load_scene(path).points
+    points = load_scene(path, up='z').points
     first = points[points[:, 2] < 3.0]
     np.testing.assert_allclose(first.max(axis=0), [14, 6, 2], atol=0.05)
     # Turned by 90 degrees: what was long along y is now along -x.
@@ -150,7 +158,6 @@ def test_faces_with_nan_are_refused_or_left_out(tmp_path, caplog):
 
 @pytest.mark.system
 @pytest.mark.parametrize(('name', 'text'), [
-    ('room.obj', 'v 0 0 0\nv 1 0 0\nv 0 1 0\n'),
     ('room.obj', 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 1 1\n'),
     ('room.off', 'OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n'),
     ('room.off', 'OFF\n4000000000 1 0\n0 0 0\n'),

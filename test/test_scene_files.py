@@ -50,6 +50,16 @@ def write_table(path, points, separator, header='', decimal='.'):
     path.write_text('\n'.join([header, *lines] if header else lines) + '\n', encoding='utf-8')
 
 
+def ptx_of(points):
+    """Return a scan of one column, turned by 90 degrees, with two returns that are none."""
+    local = (points - [1.0, 2.0, 0.5])[:, [1, 0, 2]] * [-1.0, 1.0, 1.0]
+    rows = np.insert(local, [0, len(local)], 0.0, axis=0)
+    head = [1, len(rows), '1 2 0.5', '0 -1 0', '1 0 0', '0 0 1', '0 -1 0 0', '1 0 0 0',
+            '0 0 1 0', '1 2 0.5 1']
+    lines = [' '.join(f'{value:.7f}' for value in row) + ' 0.5' for row in rows.tolist()]
+    return '\n'.join([*map(str, head), *lines]) + '\n'
+
+
 def write_pcd_with_open3d(path, points, **options):
     open3d = pytest.importorskip('open3d')
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points.astype(np.float64)))
@@ -82,6 +92,22 @@ FORMATS = {
     'named.csv': lambda path, points: write_table(path, points[:, ::-1], ',', 'Z,"Y",X'),
     'excel.csv': lambda path, points: write_table(path, points, ';', '\ufeffx;y;z', ','),
     'cloud_compare.txt': lambda path, points: write_table(path, points, ' ', '//X Y Z'),
+    'cloud_compare.asc': lambda path, points: write_table(
+        path, np.hstack([points, points]), ' ', '//X Y Z R G B'),
+    'units.csv': lambda path, points: write_table(path, points, ',', 'x [m],y [m],z [m]'),
+    'numbered.csv': lambda path, points: write_table(path, points, ';', 'X1 (m);Y1 (m);Z1 (m)'),
+    'prefix.txt': lambda path, points: write_table(
+        path, points[:, ::-1], ' ', 'pos_z pos_y pos_x'),
+    'paraview.csv': lambda path, points: write_table(
+        path, np.hstack([points[:, :1] + 9.0, points]), ',',
+        'range,Points_m_XYZ:0,Points_m_XYZ:1,Points_m_XYZ:2'),
+    'counted.pts': lambda path, points: write_table(
+        path, np.hstack([points, points]), ' ', str(len(points))),
+    'two_scans.ptx': lambda path, points: path.write_text(''.join(map(ptx_of, (
+        points[:900], points[900:])))),
+    'sensor.pcd': lambda path, points: write_pcd(
+        path, (points - [3.0, 2.0, 1.4])[:, [1, 0, 2]] * [1.0, -1.0, 1.0],
+        viewpoint='3 2 1.4 0.70710678 0 0 0.70710678'),
 }
 
 
@@ -288,9 +314,8 @@ def test_an_unknown_suffix_is_refused_with_the_known_ones(tmp_path, name, hint):
     write_text(path, ROOM)
     message = refusal(path)
     assert hint in message
-    assert ('expected one of .csv .e57 .glb .gltf .las .laz .npy .obj .off .pcd .ply .stl .txt '
-            '.xyz;'
-            in message)
+    assert ('expected one of .asc .csv .e57 .glb .gltf .las .laz .npy .obj .off .pcd .ply .pts '
+            '.ptx .stl .txt .xyz;' in message)
 
 
 @pytest.mark.parametrize(('broken', 'found'), [
@@ -311,6 +336,64 @@ def test_a_broken_colour_does_not_matter(tmp_path):
     path = tmp_path / 'hallway_6.txt'
     write_text(path, ROOM, ' 185\x10187 184')
     np.testing.assert_allclose(load_scene(path).points, ROOM, atol=1e-4)
+
+
+def test_names_of_columns_without_coordinates_are_refused_and_no_line_is_to_be_deleted(tmp_path):
+    path = tmp_path / 'room.csv'
+    write_table(path, ROOM, ',', 'range,azimuth,elevation')
+    message = refusal(path)
+    assert 'range azimuth elevation' in message and 'sed' not in message
+
+
+def test_nan_of_windows_is_nan(tmp_path):
+    path = tmp_path / 'room.xyz'
+    write_text(path, ROOM)
+    path.write_text('1.#QNAN -1.#IND 1.#INF\n' + path.read_text())
+    assert 'NaN' in refusal(path)
+    np.testing.assert_allclose(load_scene(path, drop_nonfinite=True).points, ROOM, atol=1e-4)
+
+
+def test_a_count_of_points_that_is_wrong_is_refused(tmp_path):
+    path = tmp_path / 'room.pts'
+    write_table(path, ROOM, ' ', str(len(ROOM) + 5))
+    assert f'found {len(ROOM):,} points; expected {len(ROOM) + 5:,}' in refusal(path)
+
+
+@pytest.mark.parametrize('suffix', ['las', 'laz'])
+def test_las_says_what_is_noise_and_what_its_unit_is(tmp_path, suffix):
+    laspy = pytest.importorskip('laspy')
+    foot, path = 1200.0 / 3937.0, tmp_path / f'room.{suffix}'
+    write_las(path, np.vstack([ROOM, ROOM[:40] + [0.0, 3.0, 0.0]]) / foot)
+    content = laspy.read(path)
+    content.classification[-40:-20], content.withheld[-20:] = 7, 1
+    wkt = 'PROJCS["x",GEOGCS["y",UNIT["degree",0.0174]],UNIT["US survey foot",0.304800609601219]]'
+    content.header.vlrs.append(laspy.VLR('LASF_Projection', 2112, '', wkt.encode()))
+    content.write(path)
+    scene = load_scene(path)
+    np.testing.assert_allclose(scene.size, np.ptp(ROOM, axis=0), atol=1e-3)
+    assert len(scene) == len(ROOM) and any('US survey foot' in one for one in scene.remarks)
+    assert load_scene(path, scale=foot).remarks == ()
+
+
+@pytest.mark.parametrize('name', ['binary.ply', 'binary.pcd'])
+def test_coordinates_that_float32_has_rounded_are_refused(tmp_path, name):
+    path = tmp_path / name
+    FORMATS[name](path, ROOM + [500_000.0, 5_000_000.0, 100.0])
+    assert 'float32, which rounds it to steps of' in refusal(path)
+
+
+def test_vertices_without_faces_are_points(tmp_path):
+    path = tmp_path / 'room.obj'
+    path.write_text(''.join('v {:.7f} {:.7f} {:.7f}\n'.format(*point) for point in ROOM.tolist()))
+    np.testing.assert_allclose(load_scene(path).points, ROOM, atol=1e-5)
+
+
+def test_strips_of_triangles_are_named(tmp_path):
+    path = tmp_path / 'room.ply'
+    path.write_text('ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\n'
+                    'property float z\nelement tristrips 1\nproperty list int int vertex_indices\n'
+                    'end_header\n0 0 0\n4 0 0\n0 4 0\n4 4 2\n4 0 1 2 3\n')
+    assert 'tristrips' in refusal(path)
 
 
 def test_text_without_numbers_is_refused(tmp_path):
@@ -388,7 +471,7 @@ def test_a_pcd_with_another_number_of_points_than_it_says_is_refused(tmp_path, d
 
 @pytest.mark.parametrize('options', [
     {'voxel_size': -0.1}, {'voxel_size': 1e-5}, {'voxel_size': np.nan}, {'max_points': -1},
-    {'max_points': 10}, {'scale': 0.0}, {'scale': np.inf}, {'scale': 1e308}, {'up': 'w'}])
+    {'max_points': 10}, {'scale': -1.0}, {'scale': np.inf}, {'scale': 1e308}, {'up': 'w'}])
 def test_options_without_a_meaning_are_refused(tmp_path, options):
     path = tmp_path / 'room.npy'
     np.save(path, ROOM)

@@ -206,7 +206,7 @@ def test_a_bad_room_is_refused_in_one_sentence(files, capsys, name, write, words
     (['room.ply', 'placement.yaml', '--rig', 'none.yaml'], 'none.yaml: found no file'),
     (['room.ply', 'room.ply'], 'room.ply: line'),
     (['room.ply', 'rig.yaml'], 'rig.yaml: line 2, cameras[0].count: found the unknown key'),
-    (['room.ply', 'placement.yaml', '--rig', 'rig.yaml', '--scale', '0'], 'room.ply: found scale'),
+    (['room.ply', 'placement.yaml', '--rig', 'rig.yaml', '--scale', '-1'], 'room.ply: found scale'),
     (['room.ply', 'placement.yaml', '--rig', 'rig.yaml', '--out', 'rig.yaml'],
      '--out: found rig.yaml, where nothing can be written (it is a file)'),
     (['8', 'placement.yaml', '--rig', 'rig.yaml', '--up', 'y'],

@@ -170,8 +170,8 @@ def test_s3dis_is_refused_where_it_is_not(monkeypatch):
 @pytest.mark.parametrize(('changes', 'words'), [
     ({'folder': 'scans'}, "rooms.folder: found 'scans' with rooms.source 'generated'"),
     ({'source': 'folder'}, "rooms.folder: found '' with rooms.source 'folder'"),
-    ({'up': 'y'}, "rooms.scale and rooms.up: found 1 and 'y' with rooms.source 'generated'"),
-    ({'scale': 0.001, 'source': 's3dis'}, "found 0.001 and 'z' with rooms.source 's3dis'; expec"),
+    ({'up': 'y'}, "rooms.scale and rooms.up: found 0 and 'y' with rooms.source 'generated'"),
+    ({'scale': 0.001, 'source': 's3dis'}, "found 0.001 and 'file' with rooms.source 's3dis'"),
     ({'rotations': '0,many'}, "rooms.rotations: found '0,many'; expected degrees"),
     ({'rotations': ''}, "rooms.rotations: found ''")])
 def test_sources_that_contradict_each_other_are_refused(changes, words):

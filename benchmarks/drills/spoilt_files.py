@@ -38,12 +38,13 @@ def write_ply(path, points, text=False, kind='f4', order='xyz', **more):
     PlyData([PlyElement.describe(rows, 'vertex')], text=text).write(str(path))
 
 
-def write_pcd(path, points, kind='F', size=4, data='binary', count=None):
+def write_pcd(path, points, kind='F', size=4, data='binary', count=None,
+              viewpoint='0 0 0 1 0 0 0'):
     """Write points (N, 3) as PCD, with a count of points that may be wrong."""
     count = len(points) if count is None else count
     header = (f'# .PCD v0.7\nVERSION 0.7\nFIELDS _ z x y\nSIZE 1 {size} {size} {size}\n'
               f'TYPE U {kind} {kind} {kind}\nCOUNT 3 1 1 1\nWIDTH {count}\nHEIGHT 1\n'
-              f'VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA {data}\n')
+              f'VIEWPOINT {viewpoint}\nPOINTS {count}\nDATA {data}\n')
     rows = np.zeros(len(points), dtype=[('_', 'u1', 3)] + [(axis, f'f{size}') for axis in 'zxy'])
     rows['x'], rows['y'], rows['z'] = points.T
     lines = ''.join(f'0 0 0 {z:.7f} {x:.7f} {y:.7f}\n' for x, y, z in points.tolist())

@@ -56,6 +56,11 @@ def number(text: str, expected: str, holds: Callable[[float], bool]) -> float:
     return value
 
 
+def scale(text: str) -> float:
+    """Read metres per unit; 0, which stands for what a file says, is none."""
+    return number(text, 'metres per unit, not 0', lambda value: value != 0.0)
+
+
 def names(text: str) -> tuple[str, ...]:
     """Read names with commas between."""
     return tuple(text.split(','))
@@ -98,10 +103,11 @@ def at_least(least: int) -> Callable[[str], int]:
 
 def add_units(command: argparse.ArgumentParser, what: str) -> None:
     """Add in which units scans are."""
-    command.add_argument('--scale', type=float, help=f'metres per unit {what}')
+    command.add_argument('--scale', type=scale, help=f'metres per unit {what}; default: as the '
+                                                     'file says, otherwise 1')
     command.add_argument('--up', type=direction, metavar='AXIS',
                          help=f'direction {what} that points up: x, y, z, -x, -y, -z, or auto for '
-                              'a guess; default: z')
+                              'a guess; default: as its format says, otherwise z')
 
 
 def direction(text: str) -> str:

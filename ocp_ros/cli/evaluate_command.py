@@ -45,7 +45,7 @@ def add_arguments(commands: Commands) -> None:
     judged.add_argument('--out', type=Path, default=Path('out/evaluation'),
                         help='folder of the results; an interrupted evaluation continues')
     add_comparison(judged)
-    judged.set_defaults(run=run, show=show, scale=1.0, up='z')
+    judged.set_defaults(run=run, show=show, scale=0.0, up='file')
 
 
 def run(arguments: argparse.Namespace) -> Found:

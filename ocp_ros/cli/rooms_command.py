@@ -66,8 +66,8 @@ def _preview_rooms(arguments: argparse.Namespace) -> Found:
         if name.isdecimal():
             scenes.append(titled(seed_named(name), arguments.points))
         else:
-            scene = load_cached(name, max_points=arguments.points, scale=arguments.scale or 1.0,
-                                up=arguments.up or 'z', drop_nonfinite=arguments.drop_nonfinite)
+            scene = load_cached(name, max_points=arguments.points, scale=arguments.scale or 0.0,
+                                up=arguments.up or 'file', drop_nonfinite=arguments.drop_nonfinite)
             scenes.append((scene.name, scene))
     draw_rooms(arguments.out, scenes)
     return {'written': [arguments.out]}

@@ -19,6 +19,7 @@ from ocp_ros.rig.motion import mounted
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.up_axis import BY_FILE
 from ocp_ros.simulation.problem import PlaneProblem, Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
@@ -63,7 +64,7 @@ class JudgedRoom:
     """
 
     def __init__(self, name: str, rotation: float, config: SimulationConfig, points: int = POINTS,
-                 judged_points: int = JUDGED_POINTS, scale: float = 1.0, up: str = 'z',
+                 judged_points: int = JUDGED_POINTS, scale: float = 0.0, up: str = BY_FILE,
                  half: int = 0) -> None:
         self.config = config
         if name.isdecimal():

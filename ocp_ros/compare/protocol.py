@@ -29,7 +29,7 @@ from ocp_ros.rooms.splits import TEST
 from ocp_ros.scenes.s3dis import chosen_rooms, s3dis_folder, TEST_AREAS
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_files import READERS, scans_in
-from ocp_ros.scenes.up_axis import UP_CHOICES
+from ocp_ros.scenes.up_axis import BY_FILE, UP_CHOICES
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import Pool, random_sites
 from ocp_ros.search.finishing import search_and_finish
@@ -85,11 +85,11 @@ def rooms_of_s3dis() -> list[str]:
                                       for path in chosen_rooms(folder, area)]
 
 
-def rooms_in(folder: Path, scale: float = 1.0, up: str = 'z') -> list[str]:
+def rooms_in(folder: Path, scale: float = 0.0, up: str = BY_FILE) -> list[str]:
     """
     Return the scans of a folder.
 
-    :param scale: metres per unit of the scans.
+    :param scale: metres per unit of the scans; 0 for what each file says.
     :param up: the axis of the scans that points up.
     :raises SceneError: if there are none, or one that cannot be used.
     """
@@ -121,8 +121,8 @@ class Protocol:
     :ivar planners: names of planners, offline and online.
     :ivar budgets: evaluations of offline planners; online ones have the episode's turns.
     :ivar seeds: how many runs of each.
-    :ivar scale: metres per unit of the scans.
-    :ivar up: the direction of the scans that points up, or ``'auto'``.
+    :ivar scale: metres per unit of the scans; 0 for what each file says.
+    :ivar up: the direction of the scans that points up, ``'auto'`` or ``'file'``.
     :ivar simulation: the rig, or a rig file, for which each planner plans under all its
         constraints; its engine is the one that ends searches and makes promises.
     :ivar model: weights of planners that have learned: path or name.
@@ -140,8 +140,8 @@ class Protocol:
     planners: tuple[str, ...] = field(default_factory=lambda: (*OFFLINE, *ONLINE))
     budgets: tuple[int, ...] = (100, 1000, 10000)
     seeds: int = 3
-    scale: float = 1.0
-    up: str = 'z'
+    scale: float = 0.0
+    up: str = BY_FILE
     simulation: SimulationConfig = field(default_factory=placing)
     model: str = DEFAULT_MODEL
     points: int = POINTS
@@ -163,10 +163,10 @@ class Protocol:
             given = getattr(self, figure)
             if len(set(given)) < len(given):
                 raise ConfigurationError(f'{figure}: found {list(given)}; expected each once')
-        if not 0.0 < self.scale < np.inf or self.up not in UP_CHOICES:
+        if not 0.0 <= self.scale < np.inf or self.up not in UP_CHOICES:
             raise ConfigurationError(
                 f'protocol: found scale={self.scale!r} and up={self.up!r}; expected a number '
-                f'above 0 and one of {", ".join(UP_CHOICES)}')
+                f'of 0 or more and one of {", ".join(UP_CHOICES)}')
         if any(not model.omnidirectional for model in self.simulation.rig.models):
             raise ConfigurationError(
                 f'rig.sensors: found {self.simulation.rig.sensors!r}; expected omnidirectional: '

@@ -10,7 +10,7 @@ from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene import Scene, SceneError, turned
 from ocp_ros.scenes.scene_cache import load_cached
 from ocp_ros.scenes.scene_files import load_scene
-from ocp_ros.scenes.up_axis import UP_CHOICES
+from ocp_ros.scenes.up_axis import BY_FILE, UP_CHOICES
 from ocp_ros.util.files import sha256_of_file
 from ocp_ros.util.settings import FEWEST_POINTS, LARGEST_SEED, MOST_POINTS, setting
 
@@ -29,9 +29,10 @@ class SceneConfig:
                           FEWEST_POINTS, MOST_POINTS)
     voxel_size: float = setting(
         0.0, 'edge of the grid that thins a scan, metres; 0: use scene.points', 0.0, 10.0)
-    scale: float = setting(1.0, 'metres per unit of the file', 1e-6, 1e6)
-    up: str = setting('z', 'direction of the file that points up; auto: guess it',
-                      choices=UP_CHOICES)
+    scale: float = setting(0.0, 'metres per unit of the file; 0: as the file says, otherwise 1',
+                           0.0, 1e6)
+    up: str = setting(BY_FILE, 'direction of the file that points up; auto: guess it; file: as '
+                               'its format says, otherwise z', choices=UP_CHOICES)
     drop_nonfinite: bool = setting(False, 'leave out points with NaN or inf')
 
 
@@ -61,16 +62,16 @@ def seed_named(name: str) -> int:
     return int(name)
 
 
-def make_room(name: str, rotation: float, points: int = 15000, scale: float = 1.0, up: str = 'z',
-              drop_nonfinite: bool = False) -> Scene:
+def make_room(name: str, rotation: float, points: int = 15000, scale: float = 0.0,
+              up: str = BY_FILE, drop_nonfinite: bool = False) -> Scene:
     """
     Make one of many rooms.
 
     :param name: the seed of a generated room, or the path of a scan.
     :param rotation: degrees about the vertical axis.
     :param points: of a generated room; a larger scan is thinned to as many.
-    :param scale: metres per unit of a scan.
-    :param up: the direction of a scan that points up, or ``'auto'``.
+    :param scale: of a scan; see :func:`~ocp_ros.scenes.scene_files.load_scene`.
+    :param up: of a scan, likewise.
     :param drop_nonfinite: leave out points with NaN or inf rather than refuse the scan.
     :raises SceneError: if the scan cannot be used.
     """
@@ -95,8 +96,8 @@ def room_named(name: str, points: int = ROOM_POINTS, **reading: Any
     if name.isdecimal():
         return scene, {'seed': int(name), 'points': points,
                        'sha256': sha256_of(scene)}
-    room = {'file': name, 'sha256': sha256_of_file(name), 'points': points, 'scale': 1.0,
-            **reading, 'up': scene.source.up}
+    room = {'file': name, 'sha256': sha256_of_file(name), 'points': points, **reading,
+            'scale': scene.source.scale, 'up': scene.source.up}
     if not scene.source.is_map:
         room['source_from_map'] = scene.source.matrix.tolist()
     return scene, room

@@ -3,6 +3,7 @@
 """LAS, LAZ and E57 (ASTM E2807), the formats of laser scanners, read with laspy and pye57."""
 
 from importlib.util import find_spec
+import logging
 from pathlib import Path
 import re
 import struct
@@ -10,6 +11,9 @@ import struct
 import numpy as np
 
 from ocp_ros.scenes.guarded_reading import read_guarded
+from ocp_ros.util.shown_text import printable
+
+_log = logging.getLogger(__name__)
 
 #: Bytes of the headers that are looked at.
 LAS_HEADER, E57_HEADER = 255, 48
@@ -22,6 +26,14 @@ REFERENCES = re.compile('<!DOCTYPE|<!ENTITY|schemaLocation', re.IGNORECASE)
 ENCODING = re.compile(r'\ufeff?<\?xml[^>]*?encoding\s*=\s*["\']([^"\']*)')
 #: Bytes of a record before the points, at least.
 RECORD = 54
+#: Records of the projection of a LAS file: as text and as numbers; bytes of them that are read;
+#: the units of length in the first, and key and codes of those in the second.
+WKT, GEO_KEYS, PROJECTION = 2112, 34735, 1_000_000
+UNITS = re.compile(r'UNIT\s*\[\s*"([^"]*)"\s*,\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)')
+LENGTHS = re.compile('met(?:er|re)|f(?:oo|ee)t|ft', re.IGNORECASE)
+METRE = ('metre', 1.0)
+LINEAR, CODES = 3076, {9001: METRE, 9002: ('foot', 0.3048),
+                       9003: ('US survey foot', 1200.0 / 3937.0)}
 #: Points that a byte may hold where they are compressed; real scans need one byte or more each.
 PER_BYTE = 4
 
@@ -41,10 +53,48 @@ def read_las_points(path: Path) -> np.ndarray:
     count, compressed = _declared(path, size)
     if not find_spec('laspy') or compressed and not (find_spec('lazrs') or find_spec('laszip')):
         raise ImportError('laspy and lazrs; pip install "laspy[lazrs]"')
-    points = read_guarded('las', path, 3, count)
+    points = read_guarded('las', path, 4, count)
     if len(points) != count:
         raise ValueError(f'{len(points):,} of {count:,} points')
-    return points
+    kept = points[:, 3] > 0.0
+    if not kept.all():
+        _log.warning('%s: %s points that it calls noise or withheld left out',
+                     printable(path.name), f'{np.count_nonzero(~kept):,}')
+    return points[kept, :3]
+
+
+def las_unit(path: Path) -> tuple[str, float]:
+    """
+    Return the unit of length that a LAS file names.
+
+    :returns: its name and its metres; the metre where it names none, or is broken.
+    """
+    with path.open('rb') as file:
+        head = file.read(LAS_HEADER)
+        if head[:4] != b'LASF' or len(head) < 104:
+            return METRE
+        size, = struct.unpack_from('<H', head, 94)
+        offset, records = struct.unpack_from('<II', head, 96)
+        file.seek(size)
+        content = file.read(min(max(offset - size, 0), PROJECTION))
+    at, named = 0, METRE
+    for _ in range(records):
+        if at + RECORD > len(content):
+            break
+        user, kind, length = struct.unpack_from('<2x16sHH', content, at)
+        body = content[at + RECORD:at + RECORD + length]
+        at += RECORD + length
+        if user.rstrip(b'\0') != b'LASF_Projection':
+            continue
+        if kind == WKT:
+            found = UNITS.findall(body.decode('latin-1'))
+            units = [(name, float(metres)) for name, metres in found if LENGTHS.search(name)]
+            named = units[-1] if units else named
+        elif kind == GEO_KEYS:
+            keys = np.frombuffer(body[:len(body) // 8 * 8], '<u2').reshape(-1, 4)
+            named = next((CODES[code] for key, place, _, code in keys.tolist()
+                          if key == LINEAR and place == 0 and code in CODES), named)
+    return named if 1e-3 < named[1] < 1e3 else METRE
 
 
 def _declared(path: Path, size: int) -> tuple[int, bool]:

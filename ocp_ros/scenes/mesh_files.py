@@ -32,10 +32,26 @@ def read_mesh(path: Path) -> np.ndarray:
     :raises ValueError: if the file is broken or has no faces.
     :raises ImportError: if there is no Open3D.
     """
+    if path.suffix.lower() == '.obj' and (vertices := _bare_vertices(path)) is not None:
+        return vertices
     if not find_spec('open3d'):
         raise ImportError('open3d; pip install open3d')
     # A face with NaN gives one more point, and takes a byte or more.
     return read_guarded('mesh', path, 6, SAMPLES + path.stat().st_size)
+
+
+def _bare_vertices(path: Path) -> np.ndarray | None:
+    """Return the vertices (N, 3) of an OBJ file without faces or lines; None with them."""
+    found = []
+    with path.open('rb') as file:
+        for line in file:
+            if line[:2] in (b'f ', b'f\t', b'l '):
+                return None
+            if line[:2] == b'v ':
+                found.append(line.split()[1:4])
+    if not found:
+        return None
+    return np.array(found, dtype=np.float64).reshape(-1, 3)
 
 
 def sampled(vertices: np.ndarray, triangles: np.ndarray, samples: int = SAMPLES) -> np.ndarray:

@@ -2,11 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """PCD, the file format of the Point Cloud Library."""
 
+import logging
 from pathlib import Path
 
 import numpy as np
 
 from ocp_ros.scenes.text_tables import read_table, TableForm
+from ocp_ros.util.shown_text import printable
 
 #: Bytes of a line of the header, and lines of a header.
 LONGEST, LINES = 1 << 16, 1000
@@ -14,6 +16,10 @@ LONGEST, LINES = 1 << 16, 1000
 EXPANSION = 88
 #: Points that a byte may hold at most.
 PER_BYTE = 4
+#: The VIEWPOINT of points that are in the frame of the map.
+STILL = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+_log = logging.getLogger(__name__)
 
 
 def read_pcd_fields(path: Path) -> dict[str, np.ndarray]:
@@ -46,7 +52,32 @@ def read_pcd_fields(path: Path) -> dict[str, np.ndarray]:
     found = min(map(len, fields.values()))
     if found != count:
         raise ValueError(f'{found:,} of {count:,} points')
-    return fields
+    return _placed(fields, header.get('VIEWPOINT', []), path.name)
+
+
+def _placed(fields: dict[str, np.ndarray], viewpoint: list[str], name: str
+            ) -> dict[str, np.ndarray]:
+    """
+    Move points from the frame of the sensor to that of the map, where the header says how.
+
+    :param viewpoint: x y z in the unit of the file, and a quaternion w x y z.
+    """
+    numbers = np.array([float(number) for number in viewpoint])
+    if len(numbers) != 7 or np.array_equal(numbers, STILL) or not fields.keys() >= set('xyz'):
+        return fields
+    length = np.linalg.norm(numbers[3:])
+    if not np.isfinite(numbers).all() or not length > 0.0:
+        raise ValueError(f'VIEWPOINT {" ".join(viewpoint)[:60]}')
+    w, *axis = numbers[3:] / length
+    axis = np.array(axis)
+    points = np.stack([np.ravel(fields[column]).astype(np.float64) for column in 'xyz'], axis=1)
+    # Of a quaternion, without SciPy: v + 2 w (a x v) + 2 a x (a x v).
+    turn = np.cross(axis, points)
+    points += 2.0 * (w * turn + np.cross(axis, turn)) + numbers[:3]
+    _log.warning('%s: moved by the VIEWPOINT of its header, %s', printable(name),
+                 ' '.join(viewpoint))
+    return {key: value for key, value in fields.items() if not key.startswith(('n', 'normal'))} | {
+        column: points[:, number] for number, column in enumerate('xyz')}
 
 
 def _pcd_header(file) -> tuple[dict[str, list[str]], int]:

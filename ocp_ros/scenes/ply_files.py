@@ -56,6 +56,8 @@ def read_ply_fields(path: Path) -> dict[str, np.ndarray]:
     if any(part.name == 'face' and part.count and part.has_lists for part in parts):
         return dict(zip(COLUMNS, read_mesh(path).T))
     names = [part.name for part in parts]
+    if 'tristrips' in names:
+        raise ValueError('its faces are strips of triangles (tristrips): export it with faces')
     if 'vertex' not in names:
         return {}
     read = parts[:names.index('vertex') + 1]

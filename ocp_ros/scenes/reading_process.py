@@ -22,6 +22,8 @@ import numpy as np
 
 from ocp_ros.util.confinement import confine, limit
 
+#: Classes of LAS points that are no surface: low and high noise.
+NOISE = (7, 18)
 #: Bytes of points that are unpacked at once.
 PART = 1 << 25
 #: Formats that Open3D reads better itself; all others go through the library Assimp, which holds
@@ -32,11 +34,16 @@ COARSE = 1e-4
 
 
 def las_rows(path: str) -> Iterator[np.ndarray]:
-    """Yield the points (N, 3) of a LAS or LAZ file, in the file's unit."""
+    """
+    Yield the points (N, 4) of a LAS or LAZ file, in the file's unit.
+
+    The last column is 1 for points of a surface, 0 for noise and those that are withheld.
+    """
     import laspy
     with laspy.open(path, read_evlrs=False) as file:
         for points in file.chunk_iterator(max(PART // file.header.point_format.size, 1)):
-            yield np.stack([points.x, points.y, points.z], axis=1)
+            kept = ~np.isin(points.classification, NOISE) & (np.asarray(points.withheld) == 0)
+            yield np.stack([points.x, points.y, points.z, kept], axis=1)
 
 
 def e57_rows(path: str) -> Iterator[np.ndarray]:

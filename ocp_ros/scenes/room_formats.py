@@ -3,16 +3,21 @@
 """The formats of files that rooms are read from, by suffix."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from ocp_ros.scenes.laser_files import read_e57_points, read_las_points
+from ocp_ros.scenes.laser_files import las_unit, read_e57_points, read_las_points
 from ocp_ros.scenes.mesh_files import MESHES, read_mesh
 from ocp_ros.scenes.pcd_files import read_pcd_fields
 from ocp_ros.scenes.ply_files import read_ply_fields
 from ocp_ros.scenes.scene import SceneError
-from ocp_ros.scenes.text_tables import read_points
+from ocp_ros.scenes.text_tables import read_points, read_ptx_points
+from ocp_ros.util.shown_text import printable
 
+#: The largest step between two float32 coordinates, as a share of the extent of a scan: 2 mm in
+#: 10 m.
+COARSE = 2e-4
 #: What columns of normals are called.
 NORMALS = (('nx', 'ny', 'nz'), ('normal_x', 'normal_y', 'normal_z'))
 
@@ -23,9 +28,26 @@ def _from_fields(fields: dict[str, np.ndarray], name: str) -> np.ndarray:
     if missing:
         raise SceneError(f'{name}: found the fields {" ".join(fields) or "(none)"} and no '
                          f'{" ".join(missing)}; expected x, y and z; export the coordinates too')
+    for axis in 'xyz':
+        _check_rounding(np.ravel(fields[axis]), axis, name)
     normals = next((names for names in NORMALS if all(axis in fields for axis in names)), ())
     return np.stack([np.ravel(fields[axis]).astype(np.float64) for axis in (*'xyz', *normals)],
                     axis=-1)
+
+
+def _check_rounding(column: np.ndarray, axis: str, name: str) -> None:
+    """Refuse coordinates so far from the origin that float32 has rounded them: walls are steps."""
+    if column.dtype.kind != 'f' or column.dtype.itemsize > 4:
+        return
+    finite = column[np.isfinite(column)].astype(np.float64)
+    if len(finite) == 0:
+        return
+    step = float(np.spacing(np.float32(np.abs(finite).max())))
+    if step > COARSE * np.ptp(finite) and np.ptp(finite) > 0.0:
+        raise SceneError(
+            f'{name}: found {axis} of {finite.max():.0f} as float32, which rounds it to steps of '
+            f'{step:.3g}; expected coordinates that are not rounded; export them as float64 '
+            '(double), or moved near the origin')
 
 
 def _read_ply(path: Path) -> np.ndarray:
@@ -54,8 +76,34 @@ def _read_pcd(path: Path) -> np.ndarray:
     return _from_fields(read_pcd_fields(path), path.name)
 
 
+class Declared(NamedTuple):
+    """
+    What a file says of its own unit and axes.
+
+    :ivar metres: per unit.
+    :ivar up: the direction that points up.
+    :ivar remark: what it says, where that is not metres and z.
+    """
+
+    metres: float = 1.0
+    up: str = 'z'
+    remark: str = ''
+
+
+def declared_by(path: Path) -> Declared:
+    """Return what a file says of its own unit and axes; metres and z where it says nothing."""
+    suffix = path.suffix.lower()
+    if suffix in ('.glb', '.gltf'):
+        return Declared(up='y', remark='up: y (glTF)')
+    if suffix in ('.las', '.laz'):
+        name, metres = las_unit(path)
+        return Declared(metres, remark=f'unit: {printable(name)}, as the file says')
+    return Declared()
+
+
 #: Each returns points (N, 3), or points and normals (N, 6), float64, in the unit and the axes of
 #: the file.
 READERS = {'.las': read_las_points, '.laz': read_las_points, '.npy': _read_npy, '.pcd': _read_pcd,
-           '.ply': _read_ply, **dict.fromkeys(('.csv', '.txt', '.xyz'), read_points),
-           '.e57': read_e57_points, **dict.fromkeys(MESHES, read_mesh)}
+           '.ply': _read_ply, '.ptx': read_ptx_points, '.e57': read_e57_points,
+           **dict.fromkeys(('.asc', '.csv', '.pts', '.txt', '.xyz'), read_points),
+           **dict.fromkeys(MESHES, read_mesh)}

@@ -14,7 +14,7 @@ from plyfile import PlyData, PlyElement
 
 from ocp_ros.geometry.clouds import away_from, corners_of
 from ocp_ros.geometry.voxels import SMALLEST, voxel_downsample, voxel_size_for
-from ocp_ros.scenes.room_formats import READERS
+from ocp_ros.scenes.room_formats import declared_by, READERS
 from ocp_ros.scenes.scene import (
     check_numbers,
     check_points,
@@ -27,6 +27,7 @@ from ocp_ros.scenes.stray_points import isolated_points, stray_points
 from ocp_ros.scenes.up_axis import (
     AUTO,
     axis_of,
+    BY_FILE,
     likely_up,
     likely_up_axis,
     map_from_file,
@@ -46,8 +47,8 @@ class SceneWarning(UserWarning):
     """A room that can be used but may not be what was meant."""
 
 
-def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: float = 1.0,
-               up: str = 'z', drop_nonfinite: bool = False) -> Scene:
+def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: float = 0.0,
+               up: str = BY_FILE, drop_nonfinite: bool = False) -> Scene:
     """
     Read a room from a file.
 
@@ -62,14 +63,16 @@ def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: flo
     taken, evenly by area and always the same: about one every 2 cm in an office, every 5 cm in a
     hall. Their normals are those of the faces.
 
-    :param path: a .ply, .pcd, .e57, .las, .laz, .npy, .csv, .xyz or .txt file or a mesh; the room
+    :param path: a scan of one of ``READERS`` or a mesh; the room
         is called by its stem, an S3DIS room ``Area_1/office_1/office_1.txt`` is called
         ``Area_1_office_1``.
     :param voxel_size: edge of the cubes whose points are merged, metres; 0 merges none.
     :param max_points: most points wanted where no voxel size is given; 0 for all of them.
-    :param scale: metres per unit of the file, 0.001 for millimetres.
-    :param up: the direction of the file that points up, such as ``'z'`` or ``'-y'``, or ``'auto'``
-        for a guess, which the remarks name.
+    :param scale: metres per unit of the file, 0.001 for millimetres; 0 for what the file says, and
+        metres where it says nothing.
+    :param up: the direction of the file that points up, such as ``'z'`` or ``'-y'``; ``'auto'``
+        for a guess, which the remarks name; ``'file'`` for what its format says (y for glTF), and
+        z where it says nothing.
     :param drop_nonfinite: leave out the points with NaN or inf rather than refuse the file.
     :returns: the scene, in metres, z up.
     :raises SceneError: if the file or an option cannot be used; the message names the file.
@@ -79,8 +82,13 @@ def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: flo
                          'points in memory scene_of makes a room')
     path = Path(path)
     _check_options(path.name, voxel_size, max_points, scale, up)
-    return _scene_from(_read(path), path.name, _scene_name(path), voxel_size=voxel_size,
-                       max_points=max_points, scale=scale, up=up, drop_nonfinite=drop_nonfinite)
+    rows, said = _read(path), declared_by(path)
+    taken = [said.remark] if scale == 0.0 and said.metres != 1.0 or (
+        up == BY_FILE and said.up != 'z') else []
+    return _scene_from(rows, path.name, _scene_name(path), voxel_size=voxel_size,
+                       max_points=max_points, scale=scale or said.metres,
+                       up=said.up if up == BY_FILE else up, drop_nonfinite=drop_nonfinite,
+                       remarks=tuple(taken))
 
 
 def scene_of(points, *, name: str = 'points', voxel_size: float = 0.0, max_points: int = 0,
@@ -105,18 +113,21 @@ def scene_of(points, *, name: str = 'points', voxel_size: float = 0.0, max_point
 
 
 def _scene_from(rows: np.ndarray, name: str, called: str, *, voxel_size: float, max_points: int,
-                scale: float, up: str, drop_nonfinite: bool) -> Scene:
+                scale: float, up: str, drop_nonfinite: bool, remarks: tuple[str, ...] = ()
+                ) -> Scene:
     """
     Make a room of points in the units and axes of a file; messages name the file.
 
     :param rows: (N, 3) points, or (N, 6) with their normals, overwritten.
+    :param remarks: what the file says of its own unit and axes.
     """
     if drop_nonfinite:
         rows = _without_nonfinite(rows, name)
     with np.errstate(over='ignore'):
         rows[:, :3] *= scale
     check_numbers(rows[:, :3], name)
-    rows, remarks = _without_strays(rows, name)
+    rows, strays = _without_strays(rows, name)
+    remarks += strays
     points = rows[:, :3]
     check_points(points, name, 'z' if up == AUTO else up)
     if up == AUTO:
@@ -240,7 +251,8 @@ def _check_options(name: str, voxel_size: float, max_points: int, scale: float, 
              f'0 or at least {SMALLEST} m'),
             ('max_points', max_points, max_points == 0 or max_points >= MIN_POINTS,
              f'0 or at least {MIN_POINTS}'),
-            ('scale', scale, 1e-6 <= scale <= 1e6, '0.000001 to 1000000, such as 0.001'),
+            ('scale', scale, scale == 0 or 1e-6 <= scale <= 1e6,
+             '0.000001 to 1000000, such as 0.001'),
             ('up', up, isinstance(up, str) and up in UP_CHOICES,
              f"one of {', '.join(UP_CHOICES)}")):
         if not usable:

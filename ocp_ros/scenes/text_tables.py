@@ -16,6 +16,12 @@ from ocp_ros.scenes.scene import SceneError
 LONGEST, PIECE = 100_000, 1 << 20
 #: What UTF-8 files of some programs begin with, read as Latin-1.
 MARK = b'\xef\xbb\xbf'.decode('latin-1')
+#: NaN and inf as old programs for Windows write them.
+NONFINITE = re.compile(r'([+-]?)1\.#(QNAN|SNAN|IND|INF|NAN)0*')
+#: What stands behind the name of a column: its unit.
+BEHIND = re.compile(r'\s*[\[(][^\])]*[\])]\s*$')
+#: Names of columns of vectors that are places.
+VECTORS = re.compile('xyz|point|pos|coord')
 
 
 class TableForm(NamedTuple):
@@ -26,20 +32,25 @@ class TableForm(NamedTuple):
     :ivar decimal_comma: whether 1,5 is one and a half.
     :ivar skip: lines before the numbers.
     :ivar columns: numbers of those wanted.
+    :ivar windows: whether NaN and inf are written as ``1.#QNAN`` and ``1.#INF``.
     """
 
     separator: str | None = None
     decimal_comma: bool = False
     skip: int = 0
     columns: Sequence[int] = (0, 1, 2)
+    windows: bool = False
 
     def split(self, line: str) -> list[str]:
         """Return what stands between the separators of a line, without its comment."""
-        cells = [cell.strip() for cell in line.partition('#')[0].split(self.separator)]
+        plain = line if self.windows else line.partition('#')[0]
+        cells = [cell.strip() for cell in plain.split(self.separator)]
         return [] if not any(cells) else cells
 
     def number(self, text: str) -> float:
         """Read a number."""
+        if self.windows and (found := NONFINITE.fullmatch(text)):
+            return float('nan' if found[2] != 'INF' else f'{found[1]}inf')
         return float(text.replace(',', '.') if self.decimal_comma else text)
 
     @property
@@ -53,22 +64,61 @@ def read_points(path: Path) -> np.ndarray:
     Read x, y and z of a text file: (N, 3) float64.
 
     They are separated by blanks, commas, or semicolons, with which decimals may have a comma. A
-    first line may name the columns, such as ``X,Y,Z,R,G,B``; without it they are the first three.
+    first line may name the columns, such as ``X,Y,Z,R,G,B``, ``x [m]`` or ``Points:0``; without it
+    they are the first three. It may be the number of points instead.
     """
     _check_lines(path)
-    return read_table(path, form_of(path))
+    form, count = _form_of(path)
+    points = read_table(path, form)
+    if count is not None and len(points) != count:
+        raise SceneError(f'{path.name}: found {len(points):,} points; expected {count:,}, as its '
+                         'first line says; copy or export it again')
+    return points
+
+
+def read_ptx_points(path: Path) -> np.ndarray:
+    """
+    Read all scans of a PTX file, each at its place: (N, 3) float64.
+
+    A scan has its columns and rows, the scanner's place and axes, a matrix (4, 4) that rows
+    x y z 1 are multiplied with, and its points; 0 0 0 is no point.
+
+    :raises ValueError: if the file is broken.
+    """
+    _check_lines(path)
+    scans = []
+    with path.open(encoding='latin-1') as file:
+        while (line := file.readline()).strip():
+            count = int(line) * int(file.readline())
+            if not 0 < count <= path.stat().st_size:
+                raise ValueError(f'a scan of {count:,} points')
+            header = np.loadtxt(file, max_rows=4, ndmin=2)
+            matrix = np.loadtxt(file, max_rows=4, ndmin=2)
+            if header.shape != (4, 3) or matrix.shape != (4, 4):
+                raise ValueError('no place and matrix before the points of a scan')
+            points = np.loadtxt(file, max_rows=count, usecols=(0, 1, 2), ndmin=2)
+            if len(points) != count:
+                raise ValueError(f'{len(points):,} of {count:,} points')
+            scans.append(points[points.any(axis=1)] @ matrix[:3, :3] + matrix[3, :3])
+    if not scans:
+        raise ValueError('no scan')
+    return np.concatenate(scans)
 
 
 def read_table(path: Path, form: TableForm) -> np.ndarray:
     """Read columns of a text file: (N, C) float64; blank lines and what follows # do not count."""
-    converters: Callable[[str], float] | None = form.number if form.decimal_comma else None
+    slow = form.decimal_comma or form.windows
+    converters: Callable[[str], float] | None = form.number if slow else None
     with warnings.catch_warnings():
         # A text without a line of numbers is refused later, in our words.
         warnings.simplefilter('ignore', UserWarning)
         try:
             table = np.loadtxt(path, usecols=form.columns, skiprows=form.skip, encoding='latin-1',
-                               ndmin=2, delimiter=form.separator, converters=converters)
+                               ndmin=2, delimiter=form.separator, converters=converters,
+                               comments=None if form.windows else '#')
         except ValueError as error:
+            if not form.windows and _has_windows(path):
+                return read_table(path, form._replace(windows=True))
             raise _bad_line(path, form) or error from None
     _check_last_line(path, form)
     return table
@@ -88,25 +138,67 @@ def _check_lines(path: Path) -> None:
             length = len(others[-1]) if others else length + len(first)
 
 
-def form_of(path: Path) -> TableForm:
-    """Find out how a text writes its numbers: by its first line that is not empty."""
+def _has_windows(path: Path) -> bool:
+    """Tell whether a text has numbers that are none as Windows writes them."""
+    with path.open(encoding='latin-1') as file:
+        return any(NONFINITE.search(line) for line in file)
+
+
+def _form_of(path: Path) -> tuple[TableForm, int | None]:
+    """Find out how a text writes its numbers, and how many points it says it has, if it does."""
     with path.open(encoding='latin-1') as file:
         for number, line in enumerate(file, start=1):
             # CloudCompare writes its names of columns behind two slashes.
-            text = line.partition('#')[0].removeprefix(MARK).strip().removeprefix('//')
+            text = line.removeprefix(MARK)
+            if not NONFINITE.search(text):
+                text = text.partition('#')[0]
+            text = text.strip().removeprefix('//').strip()
             if text:
-                return _form(text, number, next(file, ''))
-    return TableForm()
+                after = next(file, '')
+                if text.isdecimal() and len(after.split()) >= 3:
+                    form = _form(after, number + 1, '', path.name)
+                    return form._replace(skip=number), int(text)
+                return _form(text, number, after, path.name), None
+    return TableForm(), None
 
 
-def _form(text: str, number: int, after: str) -> TableForm:
+def _form(text: str, number: int, after: str, name: str) -> TableForm:
     """Return the form of a text by its first line, which has some number, and the line after."""
     separator = ';' if ';' in text else ',' if ',' in text else None
-    names = [cell.strip(' "\'\t').lower() for cell in text.split(separator)]
-    if all(axis in names for axis in 'xyz'):
-        return TableForm(separator, _decimal_comma(separator, after), number,
-                         [names.index(axis) for axis in 'xyz'])
+    names = [BEHIND.sub('', cell.strip(' "\'\t').lower()) for cell in text.split(separator)]
+    if separator is None:
+        # A unit behind a blank, as in x [m], is no column.
+        names = [cell for cell in names if cell]
+    if columns := _columns(names):
+        return TableForm(separator, _decimal_comma(separator, after), number, columns)
+    if len(names) >= 3 and all(cell[:1].isalpha() for cell in names):
+        raise SceneError(
+            f'{name}: found the names of columns {" ".join(names)[:80]!r} in line {number}, and '
+            'not which of them are x, y and z; expected x, y and z among them; name the three '
+            'columns of coordinates so')
     return TableForm(separator, _decimal_comma(separator, text))
+
+
+def _columns(names: Sequence[str]) -> list[int] | None:
+    """
+    Find the columns of coordinates by their names.
+
+    :returns: the numbers of those called x, y and z, or alike but for these letters, such as
+        ``pos_x``, ``pos_y`` and ``pos_z``, or ``points_xyz:0`` to ``:2``; None where there are
+        none.
+    """
+    known = list(names)
+    for name in sorted(known, key=len):
+        for at in [at for at, letter in enumerate(name) if letter == 'x']:
+            three = [f'{name[:at]}{axis}{name[at + 1:]}' for axis in 'xyz']
+            if all(one in known for one in three):
+                return [known.index(one) for one in three]
+    for name in known:
+        base, colon, first = name.rpartition(':')
+        three = [f'{base}:{number}' for number in range(3)]
+        if colon and first == '0' and VECTORS.search(base) and all(one in known for one in three):
+            return [known.index(one) for one in three]
+    return None
 
 
 def _decimal_comma(separator: str | None, line: str) -> bool:
@@ -125,6 +217,8 @@ def _bad_line(path: Path, form: TableForm) -> SceneError | None:
             except (ValueError, IndexError):
                 # A header that counts the points would not agree with a line less.
                 remedy = 'copy or export it again' if form.skip > 1 else (
+                    'name the columns x, y and z, or put # before words that are no names'
+                    if number == 1 else
                     f'correct the line or delete it: sed -i {number}d {path.name}')
                 return SceneError(
                     f'{path.name}: found {line.strip()[:60]!r} in line {number}; expected numbers '

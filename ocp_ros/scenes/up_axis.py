@@ -13,9 +13,9 @@ _MAP_FROM_FILE = {
     'z': ([0, 1, 2], [1, 1, 1]), '-z': ([0, 1, 2], [1, -1, -1])}
 #: The directions of a file that may point up.
 UP_AXES = tuple(_MAP_FROM_FILE)
-#: What asks for a guess, and all that may be said.
-AUTO = 'auto'
-UP_CHOICES = (*UP_AXES, AUTO)
+#: What asks for a guess, what the format of the file says and else z, and all that may be said.
+AUTO, BY_FILE = 'auto', 'file'
+UP_CHOICES = (*UP_AXES, AUTO, BY_FILE)
 #: Metres: edge of the cubes that count as one point; band off the floor and off the ceiling whose
 #: furniture is compared; and cubes that say nothing.
 CUBE, BAND, TRIFLE = 0.1, (0.15, 1.2), 20

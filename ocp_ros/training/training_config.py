@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.rig.rig_file import load_rig
-from ocp_ros.scenes.up_axis import UP_CHOICES
+from ocp_ros.scenes.up_axis import BY_FILE, UP_CHOICES
 from ocp_ros.simulation.problem import settings_for
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.settings import ConfigurationError, group, LARGEST_SEED, MOST_CAMERAS, setting
@@ -46,9 +46,10 @@ class RoomsConfig:
     source: str = setting('generated', 'generated, s3dis (S3DIS_DIR) or a folder of scans',
                           choices=('generated', 's3dis', 'folder'))
     folder: str = setting('', 'folder of scans to learn in, for source: folder')
-    scale: float = setting(1.0, 'metres per unit of these scans', 1e-6, 1e6)
-    up: str = setting('z', 'direction of these scans that points up; auto: guess it',
-                      choices=UP_CHOICES)
+    scale: float = setting(0.0, 'metres per unit of these scans; 0: as each file says, otherwise '
+                                '1', 0.0, 1e6)
+    up: str = setting(BY_FILE, 'direction of these scans that points up; auto: guess it; file: as '
+                               'its format says, otherwise z', choices=UP_CHOICES)
     training: int = setting(96, 'most rooms to learn in', 1, 100000)
     validation: int = setting(12, 'most rooms to choose the best weights by', 1, 100000)
     test: int = setting(10, 'most rooms to report', 1, 100000)
@@ -68,7 +69,7 @@ class RoomsConfig:
             raise ConfigurationError(
                 f'rooms.folder: found {self.folder!r} with rooms.source {self.source!r}; '
                 'expected a folder with source: folder, and none with another')
-        if not self.folder and (self.scale, self.up) != (1.0, 'z'):
+        if not self.folder and (self.scale, self.up) != (0.0, BY_FILE):
             raise ConfigurationError(
                 f'rooms.scale and rooms.up: found {self.scale:g} and {self.up!r} with '
                 f'rooms.source {self.source!r}; expected a folder of scans that they are about; '
