@@ -80,16 +80,16 @@ def test_a_laz_file_that_asks_for_all_memory_is_refused_and_nothing_ends(tmp_pat
 def test_a_process_that_takes_too_much_is_stopped(tmp_path, monkeypatch):
     path = tmp_path / 'scan.laz'
     write_las(path, ROOM)
-    assert read_guarded('las', path, 3, len(ROOM)).shape == ROOM.shape
+    assert read_guarded('las', path, 4, len(ROOM)).shape == (len(ROOM), 4)
     with pytest.raises(ValueError, match='.'):
-        read_guarded('las', path, 3, len(ROOM) // 2)
+        read_guarded('las', path, 4, len(ROOM) // 2)
     cost = COSTS['las']
     monkeypatch.setitem(COSTS, 'las', cost._replace(memory=20_000_000))
     with pytest.raises(ValueError, match='.'):
-        read_guarded('las', path, 3, len(ROOM))
+        read_guarded('las', path, 4, len(ROOM))
     monkeypatch.setitem(COSTS, 'las', cost._replace(seconds=0))
     with pytest.raises(ValueError, match='too long'):
-        read_guarded('las', path, 3, len(ROOM))
+        read_guarded('las', path, 4, len(ROOM))
 
 
 def test_the_process_that_reads_imports_neither_learning_nor_ros(tmp_path):

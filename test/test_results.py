@@ -27,7 +27,7 @@ TABLES = [
      '1000/regret 10000/regret 10000/sum 10000/promise_over_delivered 10000/seconds'),
     (RESULTS, '| planner | 3 turns', 'learned_lookahead lookahead learned greedy_step',
      'few_turns_test/summary/{key}/{row}/ratio_to_best', '3x2 5x2 8x2 14x2 30x0.5'),
-    (RESULTS, '| rooms', 'fresh test_two test_six d455 scans_two scans_four scans_rotated',
+    (RESULTS, '| rooms', 'fresh test_two test_six d455 scans_four',
      'few_turns_{row}/summary/{key}/ratio_to_best',
      '8x2/learned_lookahead 8x2/lookahead 30x0.5/learned_lookahead 30x0.5/lookahead'),
     (RESULTS, '| scan |', 'tripod.realsense tripod.azure hand.realsense hand.azure real.realsense '
@@ -69,8 +69,6 @@ SENTENCES = [
     (RESULTS, 'in {} after 8 turns (p = {}), and in {} after 30 (p = {})',
      'few_turns_fresh/summary/{key}',
      '8x2/lookahead/wins 8x2/lookahead/p 30x0.5/lookahead/wins 30x0.5/lookahead/p'),
-    (RESULTS, 'in {} of {} cases (p = {})',
-     'few_turns_scans_rotated/summary/30x0.5/lookahead/{key}', 'wins rooms p'),
     (RESULTS, '{} m in four rooms, and {} m', 'aiming/value/together/lookahead_{key}_m',
      'turned not_turned'),
     (RESULTS, '{} ms (median) and {} ms at most, with four D455 {} and {} ms',
