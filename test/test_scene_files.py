@@ -22,7 +22,7 @@ from benchmarks.drills.spoilt_files import (
 from ocp_ros.geometry.voxels import voxel_downsample
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene import Scene, SceneError
-from ocp_ros.scenes.scene_files import load_scene, SceneWarning
+from ocp_ros.scenes.scene_files import load_scene, scene_of, SceneWarning
 from ocp_ros.scenes.stray_points import stray_points
 
 SCANS = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'rooms'
@@ -420,6 +420,13 @@ def test_what_is_too_small_or_flat_is_refused(tmp_path):
     assert 'duplicates' in refusal(path) and 'denser scan' in refusal(path)
     np.save(path, ROOM)
     assert 'smaller voxel_size' in refusal(path, voxel_size=5.0)
+
+
+@pytest.mark.parametrize('options', [{'up': 'file'}, {'scale': 0.0}])
+def test_points_in_memory_say_nothing_of_their_unit_and_axes(options):
+    option, value = next(iter(options.items()))
+    with pytest.raises(SceneError, match=f'found {option}={value!r}; expected'):
+        scene_of(ROOM, **options)
 
 
 def test_arrays_that_are_not_points_are_refused(tmp_path):

@@ -19,7 +19,6 @@ import numpy as np
 
 from ocp_ros.geometry.visibility import FINE
 from ocp_ros.online.candidate_sites import Candidates, most_places, Sites
-from ocp_ros.online.heading_planner import never
 from ocp_ros.online.online_planner import (
     KnownTurn,
     matched,
@@ -110,7 +109,6 @@ class Lookahead(ThinksAhead):
             self.guide.interrupted = self.interrupted
             plans.append(self.guide.propose(KnownTurn(
                 cloud, positions, turn, turns, model, self._space, unseen)))
-            self.guide.interrupted = never
         self._list(model, self._space, unseen, cell_weight(model, unseen, turn, turns), plans,
                    len(positions))
         self._made = turn

@@ -6,6 +6,7 @@ import logging
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ocp_ros.scenes.text_tables import read_table, TableForm
 from ocp_ros.util.shown_text import printable
@@ -61,23 +62,18 @@ def _placed(fields: dict[str, np.ndarray], viewpoint: list[str], name: str
     Move points from the frame of the sensor to that of the map, where the header says how.
 
     :param viewpoint: x y z in the unit of the file, and a quaternion w x y z.
+    :returns: of points that were moved, their coordinates alone: normals are found anew.
     """
     numbers = np.array([float(number) for number in viewpoint])
     if len(numbers) != 7 or np.array_equal(numbers, STILL) or not fields.keys() >= set('xyz'):
         return fields
-    length = np.linalg.norm(numbers[3:])
-    if not np.isfinite(numbers).all() or not length > 0.0:
+    if not np.isfinite(numbers).all() or not numbers[3:].any():
         raise ValueError(f'VIEWPOINT {" ".join(viewpoint)[:60]}')
-    w, *axis = numbers[3:] / length
-    axis = np.array(axis)
     points = np.stack([np.ravel(fields[column]).astype(np.float64) for column in 'xyz'], axis=1)
-    # Of a quaternion, without SciPy: v + 2 w (a x v) + 2 a x (a x v).
-    turn = np.cross(axis, points)
-    points += 2.0 * (w * turn + np.cross(axis, turn)) + numbers[:3]
+    points = Rotation.from_quat(np.roll(numbers[3:], -1)).apply(points) + numbers[:3]
     _log.warning('%s: moved by the VIEWPOINT of its header, %s', printable(name),
                  ' '.join(viewpoint))
-    return {key: value for key, value in fields.items() if not key.startswith(('n', 'normal'))} | {
-        column: points[:, number] for number, column in enumerate('xyz')}
+    return dict(zip('xyz', points.T))
 
 
 def _pcd_header(file) -> tuple[dict[str, list[str]], int]:

@@ -14,7 +14,7 @@ from plyfile import PlyData, PlyElement
 
 from ocp_ros.geometry.clouds import away_from, corners_of
 from ocp_ros.geometry.voxels import SMALLEST, voxel_downsample, voxel_size_for
-from ocp_ros.scenes.room_formats import declared_by, READERS
+from ocp_ros.scenes.room_formats import Declared, declared_by, READERS
 from ocp_ros.scenes.scene import (
     check_numbers,
     check_points,
@@ -81,14 +81,10 @@ def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: flo
         raise SceneError(f'path: found {type(path).__name__}; expected the path of a scan; of '
                          'points in memory scene_of makes a room')
     path = Path(path)
-    _check_options(path.name, voxel_size, max_points, scale, up)
-    rows, said = _read(path), declared_by(path)
-    taken = [said.remark] if scale == 0.0 and said.metres != 1.0 or (
-        up == BY_FILE and said.up != 'z') else []
-    return _scene_from(rows, path.name, _scene_name(path), voxel_size=voxel_size,
-                       max_points=max_points, scale=scale or said.metres,
-                       up=said.up if up == BY_FILE else up, drop_nonfinite=drop_nonfinite,
-                       remarks=tuple(taken))
+    _check_options(path.name, voxel_size, max_points, scale, up, by_file=True)
+    return _scene_from(_read(path), path.name, _scene_name(path), declared_by(path),
+                       voxel_size=voxel_size, max_points=max_points, scale=scale, up=up,
+                       drop_nonfinite=drop_nonfinite)
 
 
 def scene_of(points, *, name: str = 'points', voxel_size: float = 0.0, max_points: int = 0,
@@ -108,19 +104,22 @@ def scene_of(points, *, name: str = 'points', voxel_size: float = 0.0, max_point
                          'expected (N, 3), one row x y z per point') from error
     if points.ndim != 2 or points.shape[1] != 3:
         check_numbers(points, name)
-    return _scene_from(points, name, printable(name), voxel_size=voxel_size,
+    return _scene_from(points, name, printable(name), Declared(), voxel_size=voxel_size,
                        max_points=max_points, scale=scale, up=up, drop_nonfinite=drop_nonfinite)
 
 
-def _scene_from(rows: np.ndarray, name: str, called: str, *, voxel_size: float, max_points: int,
-                scale: float, up: str, drop_nonfinite: bool, remarks: tuple[str, ...] = ()
-                ) -> Scene:
+def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared, *, voxel_size: float,
+                max_points: int, scale: float, up: str, drop_nonfinite: bool) -> Scene:
     """
     Make a room of points in the units and axes of a file; messages name the file.
 
     :param rows: (N, 3) points, or (N, 6) with their normals, overwritten.
-    :param remarks: what the file says of its own unit and axes.
+    :param said: what the file says of its own unit and axes.
     """
+    remarks: tuple[str, ...] = ()
+    if scale == 0.0 and said.metres != 1.0 or up == BY_FILE and said.up != 'z':
+        remarks = (said.remark,)
+    scale, up = scale or said.metres, said.up if up == BY_FILE else up
     if drop_nonfinite:
         rows = _without_nonfinite(rows, name)
     with np.errstate(over='ignore'):
@@ -240,8 +239,10 @@ def _rows(values: np.ndarray, named: list[tuple[str, str]]) -> np.ndarray:
     return np.rec.fromarrays(values.T, dtype=named)
 
 
-def _check_options(name: str, voxel_size: float, max_points: int, scale: float, up: str) -> None:
-    """Refuse options without a meaning."""
+def _check_options(name: str, voxel_size: float, max_points: int, scale: float, up: str,
+                   by_file: bool = False) -> None:
+    """Refuse options without a meaning; points in memory say nothing of their unit and axes."""
+    directions = [choice for choice in UP_CHOICES if by_file or choice != BY_FILE]
     for option, value in (('voxel_size', voxel_size), ('max_points', max_points),
                           ('scale', scale)):
         if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
@@ -251,10 +252,10 @@ def _check_options(name: str, voxel_size: float, max_points: int, scale: float, 
              f'0 or at least {SMALLEST} m'),
             ('max_points', max_points, max_points == 0 or max_points >= MIN_POINTS,
              f'0 or at least {MIN_POINTS}'),
-            ('scale', scale, scale == 0 or 1e-6 <= scale <= 1e6,
+            ('scale', scale, by_file and scale == 0 or 1e-6 <= scale <= 1e6,
              '0.000001 to 1000000, such as 0.001'),
-            ('up', up, isinstance(up, str) and up in UP_CHOICES,
-             f"one of {', '.join(UP_CHOICES)}")):
+            ('up', up, isinstance(up, str) and up in directions,
+             f"one of {', '.join(directions)}")):
         if not usable:
             raise SceneError(f'{name}: found {option}={value!r}; expected {expected}')
 
