@@ -154,7 +154,7 @@ def generated(seed: int) -> Iterator[BenchRoom]:
 
     yield BenchRoom('tripod', str(seed), generate_room(seed, POINTS), see, hangs)
     mesh = scan_by_hand(seed).mesh
-    points, normals = np.hsplit(sampled(mesh.vertices, mesh.triangles), 2)
+    points, normals = np.hsplit(sampled(mesh.corners), 2)
     yield BenchRoom('hand', str(seed), Scene(points, normals=normals), see, hangs)
 
 

@@ -21,6 +21,7 @@ from benchmarks import results
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.engine_config import EngineConfig, PROMISING
+from ocp_ros.geometry.visibility import MESH
 from ocp_ros.planning.rig_planning import PlannedRig, PlanTask
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.motion import mounted
@@ -36,7 +37,6 @@ from ocp_ros.search.candidate_pool import Pool, random_sites
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
-from ocp_ros.simulation.truth import TrueSimulator
 
 RIG = rig_of(4, 'realsense_d455', mount={'on': 'walls'})
 #: Points of scans and of the judge, places that it looks from, and rows of its maps.
@@ -58,10 +58,10 @@ class Judge:
     """
 
     def __init__(self, room: Scene, rig: Rig = RIG) -> None:
-        points = sampled(room.mesh.vertices, room.mesh.triangles, JUDGED)[:, :3]
+        points = sampled(room.mesh.corners, JUDGED)[:, :3]
         scene = Scene(points.astype(np.float32), 'judge', mesh=room.mesh)
-        self._simulator = TrueSimulator(
-            scene, SimulationConfig(engine=EngineConfig(error_rows=16)), rig.models)
+        self._simulator = Simulator(
+            scene, SimulationConfig(engine=EngineConfig(MESH, error_rows=16)), rig.models)
         height = float(room.bounds[:, 2].mean())
         air = Air(room, FreePlane.of(room.points, height, 1, 0.0, clearance=0.0)).cells()
         places = air[np.random.default_rng(1).choice(len(air), PLACES, replace=False)]

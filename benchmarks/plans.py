@@ -32,9 +32,9 @@ from ocp_ros.scenes.scene_files import load_scene, READERS
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.rig_plan import RigPlanner
 from ocp_ros.search.rig_search import moved, views_of
+from ocp_ros.simulation.ray_visibility import with_rays
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
-from ocp_ros.simulation.truth import TrueSimulator
 from ocp_ros.util.annealing import annealed, between
 from ocp_ros.util.settings import UserError
 
@@ -80,8 +80,8 @@ def judged(seed: int, rig_name: str, known: dict | None) -> dict:
     room, rig = generate_room(seed, DENSE), rig_named(rig_name)
     found = known or planned(Scene(room.points, room.name), rig_name)
     few = Scene(room.points[::len(room) // TRUE_POINTS], room.name, mesh=room.mesh)
-    truth = RigPlanner(few, rig, PROMISING, Budget(evaluations=EVALUATIONS),
-                       simulator=TrueSimulator).plan(rig)
+    truth = RigPlanner(few, rig, with_rays(PROMISING, few),
+                       Budget(evaluations=EVALUATIONS)).plan(rig)
     judge = Judge(room, rig)
     return {'room': seed, 'rig': rig_name, **found,
             'delivered': judge.delivered(np.array(found['poses'])),

@@ -40,7 +40,7 @@ def refusal(path, **options) -> str:
 
 
 def test_samples_lie_evenly_on_the_faces_and_have_their_normals():
-    points, normals = np.hsplit(sampled(VERTICES, TRIANGLES, 8000), 2)
+    points, normals = np.hsplit(sampled(VERTICES[TRIANGLES], 8000), 2)
     floor = abs(points[:, 2]) < 1e-9
     assert np.count_nonzero(floor) == pytest.approx(6000, abs=2)
     np.testing.assert_allclose(points[~floor, 1], 0.0, atol=1e-9)
@@ -52,7 +52,7 @@ def test_samples_lie_evenly_on_the_faces_and_have_their_normals():
 
 
 def test_the_same_mesh_gives_the_same_samples():
-    np.testing.assert_array_equal(*(sampled(VERTICES, TRIANGLES, 500) for _ in range(2)))
+    np.testing.assert_array_equal(*(sampled(VERTICES[TRIANGLES], 500) for _ in range(2)))
 
 
 def test_small_faces_get_their_share():
@@ -62,24 +62,23 @@ def test_small_faces_get_their_share():
     corner = (101 * np.arange(100)[:, None] + np.arange(100)).ravel()
     triangles = np.concatenate([np.stack([corner, corner + 101, corner + 102], axis=1),
                                 np.stack([corner, corner + 102, corner + 1], axis=1)])
-    points = sampled(vertices, rng.permutation(triangles), 2000)
+    points = sampled(vertices[rng.permutation(triangles)], 2000)
     counts = np.histogram2d(*points[:, :2].T, bins=10, range=[[0, 100], [0, 100]])[0]
     assert counts.min() >= 8 and counts.max() <= 36
 
 
 @pytest.mark.parametrize(('triangles', 'found'), [
-    (np.empty((0, 3), int), 'no faces'), ([[0, 1, 6]], 'not there'), ([[0, 1, -1]], 'not there'),
-    ([[0, 1, 1]], 'without area')])
+    (np.empty((0, 3), int), 'no faces'), ([[0, 1, 1]], 'without area')])
 def test_faces_that_are_none_are_refused(triangles, found):
     with pytest.raises(ValueError, match=found):
-        sampled(VERTICES, np.array(triangles))
+        sampled(VERTICES[np.array(triangles)])
 
 
 def test_a_face_with_nan_gives_a_point_of_nan():
     for bad in (np.nan, np.inf, 1e300):
         vertices = VERTICES.copy()
         vertices[5, 0] = bad
-        points = sampled(vertices, TRIANGLES, 500)
+        points = sampled(vertices[TRIANGLES], 500)
         # The faces of that vertex are two, one of which it only stretches without end.
         assert 1 <= np.isnan(points).all(axis=1).sum() <= 2
         assert np.isfinite(points[:500]).all()
@@ -89,8 +88,8 @@ def test_a_face_with_nan_gives_a_point_of_nan():
 def test_every_format_of_meshes_shows_what_a_scan_of_the_room_shows(tmp_path, name):
     path = tmp_path / name
     WRITERS[name](path, ROOM.mesh)
-    scene = load_scene(path, up='z')
-    assert scene.name == path.stem and 0.99 * SAMPLES < len(scene) <= SAMPLES
+    scene = load_scene(path, up='z', max_points=100_000)
+    assert scene.name == path.stem and len(scene) == 100_000
     distances, _ = cKDTree(scene.points).query(ROOM.points)
     assert np.quantile(distances, 0.99) < 0.04
     assert np.median(abs(scene.normals).max(axis=1)) > 0.999
@@ -100,7 +99,7 @@ def test_a_mesh_is_thinned_as_scans_are(tmp_path):
     path = tmp_path / 'room.ply'
     write_ply_mesh(path, ROOM.mesh)
     scene = load_scene(path, max_points=4000)
-    assert 3000 < len(scene) <= 4000 and scene.normals is None
+    assert len(scene) == 4000 == len(scene.normals)
     np.testing.assert_allclose(scene.bounds, Scene(ROOM.mesh.vertices).bounds, atol=0.05)
 
 
@@ -181,7 +180,7 @@ def test_units_and_axes_are_those_asked_for(tmp_path):
     write_obj(path, Mesh(vertices, ROOM.mesh.triangles))
     scene = load_scene(path, scale=0.001, up='y')
     np.testing.assert_allclose(
-        scene.bounds, [ROOM.mesh.vertices.min(axis=0), ROOM.mesh.vertices.max(axis=0)], atol=0.01)
+        scene.bounds, [ROOM.mesh.vertices.min(axis=0), ROOM.mesh.vertices.max(axis=0)], atol=0.05)
 
 
 def test_a_mesh_beside_its_scan_is_not_a_second_room(tmp_path):

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Who judges: rays cast at the mesh, points that no search saw, and an error without luck."""
 
+from dataclasses import replace
+
 from conftest import box_sides
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -19,14 +21,15 @@ from ocp_ros.geometry.cameras import CameraModel, Pose
 from ocp_ros.geometry.depth_error import DepthError, five_viewpoints
 from ocp_ros.geometry.engine_config import EngineConfig, PROMISING
 from ocp_ros.geometry.packed_bits import no_bits, pack, unpack
+from ocp_ros.geometry.visibility import MESH
 from ocp_ros.rig.motion import mounted
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene import Mesh, Scene
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.simulation.problem import space_of
+from ocp_ros.simulation.ray_visibility import RayVisibility, with_rays
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
-from ocp_ros.simulation.truth import RayVisibility, TrueSimulator
 
 SMALL = SimulationConfig(engine=EngineConfig(error_rows=32, coverage_cell=0.5, error_folds=2))
 #: A square panel across x = 1, from -1 to 1 in y and z.
@@ -61,7 +64,8 @@ def test_rays_are_held_to_the_range_and_the_viewing_cone():
 
 
 def test_the_engine_agrees_with_the_truth_about_a_room(room):
-    true, engine = TrueSimulator(room, SMALL), Simulator(room, SMALL)
+    engine = Simulator(room, SMALL)
+    true = Simulator(room, replace(SMALL, engine=with_rays(SMALL.engine, room)))
     space = space_of(engine)
     placement = space.placement(space.random(np.random.default_rng(0)))
     assert engine.evaluate(placement).depth_error == pytest.approx(
@@ -72,7 +76,7 @@ def test_the_engine_agrees_with_the_truth_about_a_room(room):
 
 def test_a_generated_room_is_judged_on_points_that_no_search_saw():
     room = JudgedRoom('7', 0.0, SMALL, 3000, 4000)
-    assert isinstance(room.simulator, TrueSimulator) and not isinstance(room.fine, TrueSimulator)
+    assert [one.config.engine.preset for one in (room.simulator, room.fine)] == [MESH, 'fine']
     shared = set(map(tuple, room.scene.points)) & set(map(tuple, room.judged.points))
     assert not shared
     np.testing.assert_array_equal(room.scene.mesh.vertices, room.judged.mesh.vertices)

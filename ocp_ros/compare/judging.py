@@ -16,14 +16,13 @@ import numpy as np
 
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.motion import mounted
-from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.up_axis import BY_FILE
-from ocp_ros.simulation.problem import PlaneProblem, Problem
+from ocp_ros.simulation.problem import make_problem, PlaneProblem, Problem
+from ocp_ros.simulation.ray_visibility import with_rays
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
-from ocp_ros.simulation.truth import engine_of
 
 #: Points that are searched with, and those of the scan that judges.
 POINTS, JUDGED_POINTS = 60_000, 90_000
@@ -78,21 +77,13 @@ class JudgedRoom:
     @cached_property
     def promising(self) -> PlaneProblem | Problem:
         """Return the rig in the room and by the engine that it is searched with: it promises."""
-        return self._problem(self.scene, self.config, Simulator)
+        return make_problem(self.scene, self.config)
 
     @cached_property
     def problem(self) -> PlaneProblem | Problem:
         """Return the rig in the judge's room, by the truth where it is known."""
-        return self._problem(self.judged, replace(self.config, engine=JUDGING),
-                             engine_of(self.judged))
-
-    @staticmethod
-    def _problem(scene: Scene, config: SimulationConfig, engine: type[Simulator]
-                 ) -> PlaneProblem | Problem:
-        """Put the rig of some settings into a room."""
-        if config.rig_file:
-            return Problem.of(scene, load_rig(config.rig_file), config, engine)
-        return PlaneProblem(engine(scene, config))
+        return make_problem(self.judged, replace(
+            self.config, engine=with_rays(JUDGING, self.judged)))
 
     @property
     def fine(self) -> Simulator:
@@ -107,7 +98,7 @@ class JudgedRoom:
     def truth(self) -> Simulator:
         """Return the truth on the points that searches see."""
         engine = replace(self.config.engine, coverage_cell=JUDGING.coverage_cell)
-        return engine_of(self.scene)(self.scene, replace(self.config, engine=engine))
+        return Simulator(self.scene, replace(self.config, engine=with_rays(engine, self.scene)))
 
     def judge(self, placement: np.ndarray) -> dict[str, float]:
         """

@@ -45,9 +45,9 @@ from ocp_ros.search.solve import Result, solve
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import PlaneProblem, Problem, space_of
+from ocp_ros.simulation.ray_visibility import with_rays
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
-from ocp_ros.simulation.truth import engine_of
 from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError
 
@@ -353,14 +353,15 @@ def _drawn(least: float, placement: np.ndarray) -> Row:
 def _rig_plans(protocol: Protocol, room: JudgedRoom, name: str) -> Iterator[Row]:
     """Plan a rig file with every budget and seed; the best known is searched with the truth."""
     rig = load_rig(protocol.simulation.rig_file)
-    planner_name, engine = (RIG_SEARCH, engine_of(room.scene)) if name == TRUTH else (
-        name, Simulator)
+    planner_name, engine = name, protocol.simulation.engine
+    if name == TRUTH:
+        planner_name, engine = RIG_SEARCH, with_rays(engine, room.scene)
     for budget, seed in protocol.runs(name):
         began = time.process_time()
         # A time step of an online planner is an evaluation: its budget is that of the episode.
         limit = Budget(evaluations=budget or protocol.simulation.episode.turns)
-        planner = RigPlanner(room.scene, rig, protocol.simulation.engine, limit, seed,
-                             planner=planner_name, model=protocol.model, simulator=engine)
+        planner = RigPlanner(room.scene, rig, engine, limit, seed, planner=planner_name,
+                             model=protocol.model)
         answer = planner.plan(rig).answer
         yield {'evaluations': answer.evaluations, 'seconds': time.process_time() - began,
                'placement': answer.poses, 'trace': []}

@@ -4,7 +4,7 @@
 
 from dataclasses import dataclass
 
-from ocp_ros.geometry.visibility import PRESETS
+from ocp_ros.geometry.visibility import MESH, PRESETS
 from ocp_ros.util.settings import setting
 
 
@@ -12,7 +12,9 @@ from ocp_ros.util.settings import setting
 class EngineConfig:
     """Resolution and rules of the shadow maps."""
 
-    preset: str = setting('fine', 'visibility rules: fine, fast or paper', choices=tuple(PRESETS))
+    preset: str = setting(
+        'fine', 'visibility rules: fine, fast or paper; mesh: rays cast at the faces of a mesh',
+        choices=(*PRESETS, MESH))
     error_rows: int = setting(
         128, 'rows of the depth maps of the error; they have twice as many columns', 16, 1024)
     coverage_cell: float = setting(0.25, 'edge of a cell of the coverage grid, metres', 0.02, 5.0)

@@ -32,6 +32,8 @@ FINE = SurfelSettings(rows=160, base=0.01, share=0.35, single=0.85, quad=1.5)
 FAST = SurfelSettings(rows=64, base=0.02, share=0.15, single=0.8, quad=2.0, setback=0.25)
 #: The paper's cube of twice the spacing and a constant, for which it gives no figure.
 PAPER = CubeSettings(rows=128, cube_scale=1.0, compensation=0.2)
+#: Of a mesh: rays in place of maps.
+MESH = 'mesh'
 PRESETS = {'fine': FINE, 'fast': FAST, 'paper': PAPER}
 #: Radius of a surfel in multiples of the pitch: discs of 0.71 would just cover a square grid.
 DISC_SCALE = 0.9

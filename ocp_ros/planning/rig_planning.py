@@ -19,6 +19,7 @@ from ocp_ros.search.budget import Budget
 from ocp_ros.search.rig_methods import check_planner, RIG_SEARCH
 from ocp_ros.search.rig_plan import RigPlan, RigPlanner
 from ocp_ros.search.rig_search import Progress
+from ocp_ros.simulation.ray_visibility import with_rays
 
 #: Cameras where nobody says how many, and seconds of search for each number of cameras where one
 #: is planned and where several are.
@@ -90,6 +91,7 @@ class PlannedRig:
     :param budget: of the search, from :meth:`PlanTask.budgets`; whoever holds it may stop it.
     :param proving: seconds of the proof.
     :param progress: called several times a second.
+    :ivar engine: its settings.
     :ivar plans: one, or one for each number of cameras; the last one is the answer.
     :raises ConfigurationError: if the rig has no placement in this room.
     """
@@ -97,7 +99,11 @@ class PlannedRig:
     def __init__(self, scene: Scene, rig: Rig, task: PlanTask, budget: Budget,
                  proving: float | None = None, progress: Progress | None = None) -> None:
         self.task, self.budget = task, budget
-        self.planner = RigPlanner(scene, rig, PROMISING, budget, task.seed, progress, task.planner)
+        # The points of a mesh are no scan: what hides them is known.
+        exact = scene.mesh is not None and scene.mesh.exact
+        self.engine = with_rays(PROMISING, scene) if exact else PROMISING
+        self.planner = RigPlanner(scene, rig, self.engine, budget, task.seed, progress,
+                                  task.planner)
         self.plans = list(self._counted(rig, task.counting) if task.counting
                           else [self.planner.plan(rig)])
         self.plans[-1] = self.planner.certified(self.plans[-1], budget.again(proving))
@@ -123,7 +129,7 @@ class PlannedRig:
         :param room: which room it is, as placement files say it.
         :param command: for the record.
         """
-        return placement_of(self.best.rig, self.best.answer.poses, room=room, engine=PROMISING,
+        return placement_of(self.best.rig, self.best.answer.poses, room=room, engine=self.engine,
                             created=created_by(command, self.best.planner))
 
     def judged(self, placement: Placement, frame: str | None = None) -> Assessment:

@@ -10,7 +10,7 @@ messages about a file that breaks one are made of their descriptions and example
 from collections.abc import Iterable
 from typing import Any
 
-from ocp_ros.geometry.visibility import PRESETS
+from ocp_ros.geometry.visibility import MESH, PRESETS
 from ocp_ros.rig.rig_config import KINDS
 from ocp_ros.scenes.up_axis import UP_AXES
 from ocp_ros.util.settings import FEWEST_POINTS, MOST_POINTS
@@ -172,7 +172,7 @@ ROOM = mapping(
         'examples': [[[1, 0, 0, 500], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]]})
 ENGINE = mapping(
     'settings of the engine', {'preset': 'fine'}, (),
-    preset=one_of(PRESETS, 'fine'), viewpoints=one_of(('air', 'paper'), 'air'),
+    preset=one_of((*PRESETS, MESH), 'fine'), viewpoints=one_of(('air', 'paper'), 'air'),
     error_rows=whole('a whole number from 16 to 1024', 128, minimum=16, maximum=1024),
     error_folds=whole('a whole number from 1 to 16', 4, minimum=1, maximum=16),
     coverage_cell=number('metres from 0.02 to 5', 0.25, minimum=0.02, maximum=5))

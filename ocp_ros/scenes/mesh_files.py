@@ -1,10 +1,6 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""
-Meshes, read with Open3D: points on their faces stand for the room.
-
-The points are as even as those of a careful scan.
-"""
+"""Meshes, read with Open3D, and points on their faces, as even as those of a careful scan."""
 
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,18 +13,21 @@ from ocp_ros.scenes.guarded_reading import read_guarded
 MESHES = ('.glb', '.gltf', '.obj', '.off', '.stl')
 #: Points on a mesh, whatever its size: 2 cm apart in an office, 5 cm in a hall.
 SAMPLES = 300_000
+#: Triangles that a small file may have: its parts may stand in many places.
+INSTANCES = 2_000_000
 #: Shares whose multiples fill a square evenly (M. Roberts, 2018: the sequence R2).
 SPREAD = np.array([0.7548776662466927, 0.5698402909980532])
 
 
 def read_mesh(path: Path) -> np.ndarray:
     """
-    Read a mesh as points that lie evenly on its faces, as dense as those of a good scan.
+    Read the faces of a mesh as triangles.
 
     All parts of a scene graph are placed as it says; textures do not matter. Open3D runs in a
     process of its own, which takes about two seconds.
 
-    :returns: (N, 6) float64, points and normals in the file's unit and axes; see :func:`sampled`.
+    :returns: (T, 9) float64, the three corners of each triangle in the file's unit and axes; of an
+        OBJ file without faces its vertices (N, 3).
     :raises ValueError: if the file is broken or has no faces.
     :raises ImportError: if there is no Open3D.
     """
@@ -36,8 +35,8 @@ def read_mesh(path: Path) -> np.ndarray:
         return vertices
     if not find_spec('open3d'):
         raise ImportError('open3d; pip install open3d')
-    # A face with NaN gives one more point, and takes a byte or more.
-    return read_guarded('mesh', path, 6, SAMPLES + path.stat().st_size)
+    # A face takes a byte or more, unless one part stands in many places.
+    return read_guarded('mesh', path, 9, max(path.stat().st_size, INSTANCES))
 
 
 def _bare_vertices(path: Path) -> np.ndarray | None:
@@ -54,26 +53,22 @@ def _bare_vertices(path: Path) -> np.ndarray | None:
     return np.array(found, dtype=np.float64).reshape(-1, 3)
 
 
-def sampled(vertices: np.ndarray, triangles: np.ndarray, samples: int = SAMPLES) -> np.ndarray:
+def sampled(corners: np.ndarray, samples: int = SAMPLES) -> np.ndarray:
     """
     Spread points evenly by area over the faces of a mesh; the same mesh gives the same points.
 
     A face with NaN or inf gives one point of NaN: whoever reads the points refuses those, or
     leaves them out.
 
-    :param vertices: (V, 3), in any unit.
-    :param triangles: (T, 3), indices into the vertices.
+    :param corners: (T, 3, 3), those of the triangles, in any unit.
     :param samples: how many points.
     :returns: (N, 6) float64, points and unit normals of their faces.
-    :raises ValueError: if there are no faces, if they have no area, or name vertices that are not
-        there.
+    :raises ValueError: if there are no faces, or they have no area.
     """
-    if len(triangles) == 0:
+    if len(corners) == 0:
         raise ValueError('no faces')
-    if triangles.min() < 0 or triangles.max() >= len(vertices):
-        raise ValueError('faces with vertices that are not there')
+    corners = np.asarray(corners, dtype=np.float64)
     with np.errstate(over='ignore', invalid='ignore'):
-        corners = np.asarray(vertices, dtype=np.float64)[triangles]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         areas = np.linalg.norm(normals, axis=1)
     finite = np.isfinite(areas)

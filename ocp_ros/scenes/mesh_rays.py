@@ -6,8 +6,9 @@ import numpy as np
 
 from ocp_ros.scenes.scene import Mesh
 
-#: A ray that ends this near to a point has reached it, metres: three times the noise of a scan.
-TOLERANCE = 0.03
+#: A ray that ends this near to a point has reached it, metres: three times the noise of a scan,
+#: and rounding where the points lie on the mesh.
+TOLERANCE, ROUNDING = 0.03, 0.0005
 
 #: A point that is no farther from a camera has no direction, metres.
 TINY = 1e-9
@@ -24,6 +25,7 @@ class MeshRays:
         # Open3D takes long to import, and what only reads scenes does without it.
         import open3d as o3d
         self._tensor = o3d.core.Tensor
+        self._tolerance = ROUNDING if mesh.exact else TOLERANCE
         self._scene = o3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(self._tensor(mesh.vertices),
                                   self._tensor(mesh.triangles.astype(np.uint32)))
@@ -32,7 +34,7 @@ class MeshRays:
         """
         Measure how far rays go until they hit the mesh.
 
-        :param origin: (3,), metres.
+        :param origin: (3,), metres, or (..., 3), one for each.
         :param directions: (..., 3).
         :returns: (...) float32, in lengths of the directions: metres where those are unit
             vectors; inf where there is nothing.
@@ -53,4 +55,4 @@ class MeshRays:
         offset = points - np.asarray(position, dtype=np.float32)
         distance = np.linalg.norm(offset, axis=1)
         hit = self.lengths(position, offset / np.maximum(distance, TINY)[:, None])
-        return (hit >= distance - TOLERANCE) & (distance <= max_range)
+        return (hit >= distance - self._tolerance) & (distance <= max_range)

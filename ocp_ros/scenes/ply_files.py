@@ -1,6 +1,6 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""PLY, the Stanford polygon file format: scans with plyfile, meshes with Open3D."""
+"""PLY, the Stanford polygon file format, read with plyfile."""
 
 import io
 from pathlib import Path
@@ -10,7 +10,6 @@ import numpy as np
 from plyfile import PlyData
 
 from ocp_ros.scenes.guarded_reading import read_guarded
-from ocp_ros.scenes.mesh_files import read_mesh
 
 #: Bytes in which the header has to end: plyfile reads it letter by letter.
 HEADER = 1 << 18
@@ -44,17 +43,14 @@ def read_ply_fields(path: Path) -> dict[str, np.ndarray]:
     """
     Read a PLY file, ascii or binary.
 
-    What comes after the vertices is not read unless it is faces; where lists come before them, a
-    process of its own reads the file.
+    What comes after the vertices is not read; where lists come before them, a process of its own
+    reads the file.
 
-    :returns: each column of the vertices by its name, (N,), or, where there are faces, columns
-        x y z nx ny nz of points on them; nothing where there are no vertices. Of a file with
-        lists before its vertices, only the columns that a room needs.
+    :returns: each column of the vertices by its name, (N,); nothing where there are no vertices.
+        Of a file with lists before its vertices, only the columns that a room needs.
     :raises ValueError: if the file is broken.
     """
     header, end_of_line, parts = _parts(path)
-    if any(part.name == 'face' and part.count and part.has_lists for part in parts):
-        return dict(zip(COLUMNS, read_mesh(path).T))
     names = [part.name for part in parts]
     if 'tristrips' in names:
         raise ValueError('its faces are strips of triangles (tristrips): export it with faces')
@@ -79,6 +75,15 @@ def read_ply_fields(path: Path) -> dict[str, np.ndarray]:
                 header[:vertices.end] + b'end_header' + end_of_line + file.read()))
     found = content['vertex'].data
     return {field: found[field] for field in found.dtype.names}
+
+
+def has_faces(path: Path) -> bool:
+    """
+    Return whether a PLY file is a mesh.
+
+    :raises ValueError: if its header is broken.
+    """
+    return any(part.name == 'face' and part.count and part.has_lists for part in _parts(path)[2])
 
 
 def _parts(path: Path) -> tuple[bytes, bytes, list[PlyPart]]:

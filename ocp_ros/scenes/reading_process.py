@@ -56,13 +56,14 @@ def e57_rows(path: str) -> Iterator[np.ndarray]:
 
 
 def mesh_rows(path: str) -> Iterator[np.ndarray]:
-    """Yield points and normals (N, 6) on the faces of a mesh, in the file's unit and axes."""
+    """Yield the corners (T, 9) of the triangles of a mesh, in the file's unit and axes."""
     import open3d
-
-    from ocp_ros.scenes.mesh_files import sampled
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     vertices, triangles = _mesh(open3d.io, path)
-    yield sampled(vertices, triangles)
+    if len(triangles) and not 0 <= triangles.min() <= triangles.max() < len(vertices):
+        raise ValueError('faces with vertices that are not there')
+    for first in range(0, len(triangles), PART // 72):
+        yield vertices[triangles[first:first + PART // 72]].reshape(-1, 9)
 
 
 def _mesh(io, path: str) -> tuple[np.ndarray, np.ndarray]:
@@ -128,7 +129,7 @@ def named_files(path: str) -> list[str]:
 
 #: Of each kind, what reads it, and the packages that it needs before it gives up the others.
 READ = {'e57': (e57_rows, 'pye57'), 'las': (las_rows, 'laspy', 'lazrs', 'laszip'),
-        'mesh': (mesh_rows, 'open3d', 'ocp_ros.scenes.mesh_files', 'numpy.random'),
+        'mesh': (mesh_rows, 'open3d'),
         'ply': (ply_rows, 'plyfile', 'encodings.ascii')}
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from ocp_ros.scenes.laser_files import las_unit, read_e57_points, read_las_points
 from ocp_ros.scenes.mesh_files import MESHES, read_mesh
 from ocp_ros.scenes.pcd_files import read_pcd_fields
-from ocp_ros.scenes.ply_files import read_ply_fields
+from ocp_ros.scenes.ply_files import has_faces, read_ply_fields
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.text_tables import read_points, read_ptx_points
 from ocp_ros.util.shown_text import printable
@@ -51,7 +51,9 @@ def _check_rounding(column: np.ndarray, axis: str, name: str) -> None:
 
 
 def _read_ply(path: Path) -> np.ndarray:
-    """Read the vertices of a PLY file, or points on its faces if it has any."""
+    """Read the vertices of a PLY file, or its faces if it has any."""
+    if has_faces(path):
+        return read_mesh(path)
     fields = read_ply_fields(path)
     if not fields:
         raise SceneError(f'{path.name}: found no vertices; expected the element vertex with x, y '
@@ -101,8 +103,8 @@ def declared_by(path: Path) -> Declared:
     return Declared()
 
 
-#: Each returns points (N, 3), or points and normals (N, 6), float64, in the unit and the axes of
-#: the file.
+#: Each returns points (N, 3), points and normals (N, 6), or the corners of triangles (T, 9),
+#: float64, in the unit and the axes of the file.
 READERS = {'.las': read_las_points, '.laz': read_las_points, '.npy': _read_npy, '.pcd': _read_pcd,
            '.ply': _read_ply, '.ptx': read_ptx_points, '.e57': read_e57_points,
            **dict.fromkeys(('.asc', '.csv', '.pts', '.txt', '.xyz'), read_points),

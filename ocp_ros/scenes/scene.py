@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scene: the points of a room and what the engine needs to know about them."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -37,14 +37,21 @@ class SceneError(UserError):
 @dataclass(frozen=True, eq=False)
 class Mesh:
     """
-    A triangle mesh: the truth that a generated room's points were sampled from.
+    A triangle mesh: the surfaces behind the points of a room.
 
     :ivar vertices: (V, 3) float32, metres, map frame.
     :ivar triangles: (T, 3) int32, indices into the vertices.
+    :ivar exact: whether the points lie on it exactly, and not as a scanner would measure them.
     """
 
     vertices: np.ndarray
     triangles: np.ndarray
+    exact: bool = False
+
+    @property
+    def corners(self) -> np.ndarray:
+        """Return the corners of the triangles: (T, 3, 3), metres."""
+        return self.vertices[self.triangles]
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +151,7 @@ def turned(scene: Scene, degrees: float) -> Scene:
     rotation = rotation_matrix(np.deg2rad(degrees))
     mesh = scene.mesh
     if mesh is not None:
-        mesh = Mesh((mesh.vertices @ rotation.T).astype(np.float32), mesh.triangles)
+        mesh = replace(mesh, vertices=(mesh.vertices @ rotation.T).astype(np.float32))
     normals = None if scene.normals is None else scene.normals @ rotation.T
     made = Scene(scene.points @ rotation.T, f'{scene.name}@{degrees:g}', normals, mesh,
                  scene.source.rotated(rotation), scene.notes, scene.remarks)

@@ -10,7 +10,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from ocp_ros import __version__
-from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.scene import Mesh, Scene
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.scenes.source_frame import SourceFrame
 from ocp_ros.util.files import cache_folder, write_atomically
@@ -49,8 +49,10 @@ def load_cached(path: str | Path, **options) -> Scene:
     try:
         with kept.open('rb') as file, np.load(file, allow_pickle=False) as arrays:
             source = SourceFrame(float(arrays['scale']), arrays['rotation'], arrays['shift'])
-            return Scene(arrays['points'], str(arrays['name']), arrays.get('normals'),
-                         source=source, notes=tuple(map(str, arrays['notes'])),
+            mesh = None if 'vertices' not in arrays else Mesh(
+                arrays['vertices'], arrays['triangles'], exact=True)
+            return Scene(arrays['points'], str(arrays['name']), arrays.get('normals'), mesh,
+                         source, notes=tuple(map(str, arrays['notes'])),
                          remarks=tuple(map(str, arrays['remarks'])))
     except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile):
         # Not there, or not whole.
@@ -66,6 +68,8 @@ def _keep(path: Path, scene: Scene) -> None:
               'remarks': np.array(scene.remarks, dtype=str), **vars(scene.source)}
     if scene.normals is not None:
         arrays['normals'] = scene.normals
+    if scene.mesh is not None:
+        arrays |= {'vertices': scene.mesh.vertices, 'triangles': scene.mesh.triangles}
     try:
         content = io.BytesIO()
         np.savez(content, **arrays)

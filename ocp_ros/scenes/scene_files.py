@@ -14,10 +14,13 @@ from plyfile import PlyData, PlyElement
 
 from ocp_ros.geometry.clouds import away_from, corners_of
 from ocp_ros.geometry.voxels import SMALLEST, voxel_downsample, voxel_size_for
+from ocp_ros.scenes.inner_surface import inner_surface, without_outside
+from ocp_ros.scenes.mesh_files import sampled, SAMPLES
 from ocp_ros.scenes.room_formats import Declared, declared_by, READERS
 from ocp_ros.scenes.scene import (
     check_numbers,
     check_points,
+    Mesh,
     MIN_POINTS,
     Scene,
     SceneError,
@@ -59,9 +62,10 @@ def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: flo
     may not be as meant, and ``remarks`` what was left out.
     Normals are kept where the file has them and no point is merged with another.
 
-    Of a mesh (.obj, .stl, .off, .glb, .gltf, and .ply with faces) 300,000 points on its faces are
-    taken, evenly by area and always the same: about one every 2 cm in an office, every 5 cm in a
-    hall. Their normals are those of the faces.
+    Of a mesh (.obj, .stl, .off, .glb, .gltf, and .ply with faces) 300,000 points are taken, or as
+    many as are wanted, evenly by area and always the same. They lie on the sides of the faces that
+    the air of the room sees, see :mod:`ocp_ros.scenes.inner_surface`, and their normals are those
+    of the sides.
 
     :param path: a scan of one of ``READERS`` or a mesh; the room
         is called by its stem, an S3DIS room ``Area_1/office_1/office_1.txt`` is called
@@ -82,7 +86,8 @@ def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: flo
                          'points in memory scene_of makes a room')
     path = Path(path)
     _check_options(path.name, voxel_size, max_points, scale, up, by_file=True)
-    return _scene_from(_read(path), path.name, _scene_name(path), declared_by(path),
+    rows, corners = _read(path)
+    return _scene_from(rows, path.name, _scene_name(path), declared_by(path), corners,
                        voxel_size=voxel_size, max_points=max_points, scale=scale, up=up,
                        drop_nonfinite=drop_nonfinite)
 
@@ -108,13 +113,15 @@ def scene_of(points, *, name: str = 'points', voxel_size: float = 0.0, max_point
                        max_points=max_points, scale=scale, up=up, drop_nonfinite=drop_nonfinite)
 
 
-def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared, *, voxel_size: float,
-                max_points: int, scale: float, up: str, drop_nonfinite: bool) -> Scene:
+def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
+                corners: np.ndarray | None = None, *, voxel_size: float, max_points: int,
+                scale: float, up: str, drop_nonfinite: bool) -> Scene:
     """
     Make a room of points in the units and axes of a file; messages name the file.
 
     :param rows: (N, 3) points, or (N, 6) with their normals, overwritten.
     :param said: what the file says of its own unit and axes.
+    :param corners: (T, 3, 3) of the triangles of a mesh that the points are on.
     """
     remarks: tuple[str, ...] = ()
     if scale == 0.0 and said.metres != 1.0 or up == BY_FILE and said.up != 'z':
@@ -139,8 +146,13 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared, *, vox
                                           _unit(rows[:, 3:], rotation), name)
     if axis_of(up) == 2:
         notes += _up_notes(points)
+    mesh = None if corners is None else _mesh_of(corners, scale, rotation, shift)
+    inner = None if mesh is None else inner_surface(mesh, max_points or SAMPLES, voxel_size, name)
     for note in notes:
         warnings.warn(f'{name}: {note}', SceneWarning, stacklevel=3)
+    if inner is not None:
+        return Scene(inner.points, called, inner.normals, mesh,
+                     SourceFrame(scale, rotation, shift), tuple(notes), remarks + inner.remarks)
     merged = _merge(points, voxel_size, max_points, name)
     if len(merged) < len(points):
         remarks += (f'{len(merged):,} of {len(points):,} points kept (--points)',)
@@ -150,9 +162,16 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared, *, vox
         remarks += (f'{count:,} isolated point{"s" * (count > 1)} left out',)
         _log.warning('%s: %s', printable(name), remarks[-1])
         merged, normals = merged[~lone], None if normals is None else normals[~lone]
-    return Scene(merged, called, normals,
-                 source=SourceFrame(scale, rotation, shift), notes=tuple(notes),
-                 remarks=remarks)
+    return without_outside(Scene(merged, called, normals, mesh, SourceFrame(
+        scale, rotation, shift), tuple(notes), remarks))
+
+
+def _mesh_of(corners: np.ndarray, scale: float, rotation: np.ndarray, shift: np.ndarray) -> Mesh:
+    """Return triangles (T, 3, 3) of a file in metres of the map frame, those with NaN left out."""
+    corners = corners[np.isfinite(corners).all(axis=(1, 2))].reshape(-1, 3)
+    vertices = scale * corners @ rotation.T - shift
+    return Mesh(vertices.astype(np.float32),
+                np.arange(len(vertices), dtype=np.int32).reshape(-1, 3), exact=True)
 
 
 def load_cloud(path: str | Path) -> np.ndarray:
@@ -163,7 +182,7 @@ def load_cloud(path: str | Path) -> np.ndarray:
     :returns: (N, 3) float64 finite points, in the file's unit and axes.
     :raises SceneError: if it cannot be read.
     """
-    points = _read(Path(path))[:, :3]
+    points = _read(Path(path))[0][:, :3]
     return points[np.isfinite(points).all(axis=1)]
 
 
@@ -268,11 +287,20 @@ def _scene_name(path: Path) -> str:
     return printable(f'{area}_{room}' if s3dis else path.stem)
 
 
-def _read(path: Path) -> np.ndarray:
-    """Read what one of ``READERS`` reads, and say in our words why where it cannot."""
+def _read(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
+    """
+    Read what one of ``READERS`` reads, and say in our words why where it cannot.
+
+    :returns: points, with normals where there are some, and the corners (T, 3, 3) of the triangles
+        of a mesh that they are on, or None.
+    """
     try:
         check_file(path)
-        return READERS[path.suffix.lower()](path)
+        rows = READERS[path.suffix.lower()](path)
+        if rows.shape[1] < 9:
+            return rows, None
+        corners = rows.reshape(-1, 3, 3)
+        return sampled(corners), corners
     except SceneError:
         raise
     except ImportError as error:

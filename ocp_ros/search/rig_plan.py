@@ -22,7 +22,6 @@ from ocp_ros.search.rig_search import Answer, Progress
 from ocp_ros.simulation.objective import Objective, RigEvaluation
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
-from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError
 
@@ -103,16 +102,14 @@ class RigPlanner:
     :param progress: called several times a second.
     :param planner: one of :func:`~ocp_ros.search.rig_methods.planner_names`.
     :param model: weights of planners that have learned: path or name.
-    :param simulator: what engines are made by.
     :raises ConfigurationError: if there is no place for a camera, or too little of a region can
         be seen, or there is no such planner.
     """
 
     def __init__(self, scene: Scene, rig: Rig, engine: EngineConfig, budget: Budget, seed: int = 0,
                  progress: Progress | None = None, planner: str = RIG_SEARCH,
-                 model: str = DEFAULT_MODEL, simulator: type[Simulator] = Simulator) -> None:
+                 model: str = DEFAULT_MODEL) -> None:
         check_planner(planner)
-        self._simulator = simulator
         self.planner, self.model = planner, model
         self.scene, self.engine, self.budget, self.seed = scene, engine, budget, seed
         self._progress, self._problems = progress, {}
@@ -129,7 +126,7 @@ class RigPlanner:
         if rig not in self._problems:
             # The last one alone is kept: an engine holds some ten megabytes.
             config = SimulationConfig(engine=self.engine)
-            self._problems = {rig: Problem.of(self.scene, rig, config, self._simulator)}
+            self._problems = {rig: Problem.of(self.scene, rig, config)}
         return self._problems[rig]
 
     def _looked(self) -> bool:

@@ -165,17 +165,15 @@ class Problem:
         self.fixed_poses = self.rig.fixed_poses
 
     @classmethod
-    def of(cls, scene: Scene, rig: Rig, config: SimulationConfig | None = None,
-           engine: type[Simulator] = Simulator) -> 'Problem':
+    def of(cls, scene: Scene, rig: Rig, config: SimulationConfig | None = None) -> 'Problem':
         """
         Put a rig into a room.
 
         :param config: the settings of engine, episode and reward.
-        :param engine: what the simulator is made by.
         :raises ConfigurationError: if the rig does not go with the room.
         """
         region = FeasibleRegion(scene, rig)
-        simulator = engine(scene, config or SimulationConfig(), rig.models)
+        simulator = Simulator(scene, config or SimulationConfig(), rig.models)
         return cls(Objective(simulator, rig), region)
 
     def nothing(self) -> Subset:

@@ -20,8 +20,9 @@ from ocp_ros.geometry.cameras import (
 from ocp_ros.geometry.coverage import coverable_cell, coverage_grid, space_coverage
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.packed_bits import no_bits, Subset, unpack
-from ocp_ros.geometry.visibility import CubeVisibility, PRESETS, SurfelVisibility
+from ocp_ros.geometry.visibility import CubeVisibility, MESH, PRESETS, SurfelVisibility
 from ocp_ros.scenes.scene import Scene, SceneError
+from ocp_ros.simulation.ray_visibility import RayVisibility
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.viewpoints import viewpoints_of
 from ocp_ros.util.settings import ConfigurationError
@@ -102,9 +103,15 @@ class Simulator:
         self.visibility = self._make_visibility()
         self.depth_error = self._make_error()
 
-    def _make_visibility(self) -> SurfelVisibility | CubeVisibility:
+    def _make_visibility(self) -> SurfelVisibility | CubeVisibility | RayVisibility:
         """Build what the preset asks for."""
         scene, preset = self.scene, self.config.engine.preset
+        if preset == MESH:
+            if scene.mesh is None:
+                raise ConfigurationError(
+                    f'engine.preset: found {MESH} for {scene.name}, which is no mesh; expected '
+                    f'one of {", ".join(PRESETS)}; name one of them')
+            return RayVisibility(scene.points, self.grid, scene.mesh)
         if preset == 'paper':
             return CubeVisibility(scene.points, scene.spacing, self.grid, PRESETS[preset])
         return SurfelVisibility(scene.points, scene.normals_or_estimate, scene.pitch, self.grid,

@@ -44,9 +44,9 @@ from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.search.registry import settings_of
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import plane_of, PlaneProblem
+from ocp_ros.simulation.ray_visibility import with_rays
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator, View
-from ocp_ros.simulation.truth import engine_of
 from ocp_ros.training.training_config import RoomsConfig
 from ocp_ros.training.training_rooms import make
 from ocp_ros.training.validation import policy_of
@@ -123,7 +123,7 @@ class TrueRoom:
 
     def __init__(self, scene: Scene, config: SimulationConfig, headings: int = 0) -> None:
         engine = EngineConfig(preset='fine', error_rows=TRUE_ROWS, coverage_cell=1.0)
-        self.engine = engine_of(scene)(scene, replace(config, engine=engine))
+        self.engine = Simulator(scene, replace(config, engine=with_rays(engine, scene)))
         self.space = plane_of(self.engine, config.episode, 1)
         self.places = self.space.grid(AIMED_PLACES if headings else PLACES)
         turned = np.zeros((max(headings, 1), 3))

@@ -1,16 +1,18 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The engine with the true visibility: rays cast at the mesh behind a generated room."""
+"""Visibility by rays cast at the mesh behind the points of a room."""
+
+from dataclasses import replace
 
 import numpy as np
 
 from ocp_ros.geometry.cameras import Frustum, Pose
+from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import pack, spatial_order
 from ocp_ros.geometry.shadow_maps import in_reach
-from ocp_ros.geometry.visibility import NO_BITS
+from ocp_ros.geometry.visibility import MESH, NO_BITS
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Mesh, Scene
-from ocp_ros.simulation.simulator import Simulator
 
 
 class RayVisibility:
@@ -52,14 +54,6 @@ class RayVisibility:
         return pack(seen)
 
 
-class TrueSimulator(Simulator):
-    """The engine with rays cast at the scene's mesh in place of shadow maps."""
-
-    def _make_visibility(self) -> RayVisibility:
-        """Cast rays, whatever the preset."""
-        return RayVisibility(self.scene.points, self.grid, self.scene.mesh)
-
-
-def engine_of(scene: Scene) -> type[Simulator]:
-    """Return the engine that is nearest to the truth in a room."""
-    return Simulator if scene.mesh is None else TrueSimulator
+def with_rays(engine: EngineConfig, scene: Scene) -> EngineConfig:
+    """Return settings by which rays are cast where a mesh is behind the points of a room."""
+    return engine if scene.mesh is None else replace(engine, preset=MESH)

@@ -1,0 +1,326 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What a model shows to its room: the surface that the enclosed air sees.
+
+Models of buildings and robot cells are made of solid bodies. Walls have two faces, slabs an
+underside, and outside there may be ground. A scan of the same room would show none of these. The
+air of a room has something below and above it and hardly a level way out. The largest part of it
+that hangs together is the room of a mesh, and a side of a face counts where this air is seen from
+it. Of points that were taken from such a model those are left out that others hide from the air.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose
+from ocp_ros.geometry.clouds import corners_of
+from ocp_ros.geometry.packed_bits import no_bits, unpack
+from ocp_ros.geometry.visibility import FINE, SurfelVisibility
+from ocp_ros.scenes.mesh_files import sampled
+from ocp_ros.scenes.mesh_rays import MeshRays
+from ocp_ros.scenes.scene import Mesh, MIN_POINTS, Scene, SceneError
+
+#: Points on the faces that the air is looked for between.
+PILOT = 150_000
+#: Metres: least edge of the cells of air, and the ball that has to fit in.
+CELL, BALL = 0.1, 0.2
+MOST_CELLS = 4_000_000
+#: Of eight level directions from a cell, how many have to end at a surface.
+SHUT = 5
+#: Ways up from what has a roof, and how many of them have to end at it.
+UP, ROOFED = np.array([(0, 0, 1), (0.5, 0, 1), (-0.5, 0, 1), (0, 0.5, 1), (0, -0.5, 1)]), 3
+WAYS = tuple((x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y)
+#: Cubic metres: what is smaller is no room.
+LEAST = 2.0
+#: Metres: how far from a side the air is looked for, and how far beside the air a face may be.
+#: What doors and windows show of the world outside is not of the room.
+REACH, BESIDE = 2.0, 0.45
+#: Metres: points are this far before their face, so that each side of a thin one is told apart.
+BEFORE = 0.001
+#: Angles to the normal, and how many directions at each, in which a side looks for the air.
+TILTS = ((0.0, 1), (np.deg2rad(35.0), 4), (np.deg2rad(65.0), 7))
+#: Points that are taken for each one that is asked for, at most, and how many more than seem to be
+#: needed.
+MOST_TIMES, ENOUGH = 20, 1.05
+#: Share of the faces of which one side is shut in, from which on a model is made of solid bodies.
+SOLID = 0.9
+#: Share of the faces that is not worth a remark.
+NONE = 0.005
+#: Looks around in a cloud, by the cubic metre of air at least and at most, and the share of the
+#: surface that all of them miss from which on it is no scan; real ones were at 8 % or less.
+LOOKS, MISSED = (40, 300), 0.14
+#: Metres from a point at which others before it begin to hide it, and by how much the next place
+#: that is tried is farther; shares of that distance, and multiples of the edge of the square that
+#: the point stands for, within which there has to be one.
+HIDING, NEXT, ASIDE, SQUARE = 0.05, 1.25, 0.6, 1.0
+#: Points, itself included, among which one is hidden where more than such a share of them are.
+AMONG, MOST_OF = 9, 0.6
+#: Of the looks, the share by which a point is no longer hidden.
+OFTEN = 0.5
+
+
+class InnerSurface(NamedTuple):
+    """
+    What a room shows.
+
+    :ivar points: (N, 3) float64, metres, a millimetre before the faces.
+    :ivar normals: (N, 3), unit vectors into the air.
+    :ivar remarks: what was left out, a sentence each.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    remarks: tuple[str, ...]
+
+
+def inner_surface(mesh: Mesh, samples: int, apart: float, name: str) -> InnerSurface | None:
+    """
+    Find what the enclosed air of a mesh sees.
+
+    :param mesh: metres, z up.
+    :param samples: points wanted.
+    :param apart: metres between them; 0 for as many as are wanted.
+    :param name: what the message calls it.
+    :returns: None where no air is enclosed, as in a mesh of one wall and the floor before it.
+    :raises SceneError: if that is so of solid bodies: they have an outside alone.
+    """
+    rays, corners = MeshRays(mesh), mesh.corners
+    pilot, area = sampled(corners, PILOT), _area(corners)
+    air = EnclosedAir.of(pilot[:, :3], float(np.sqrt(area / PILOT)))
+    some = pilot[::PILOT // 4000]
+    if air is None:
+        if _solid(some, rays):
+            raise SceneError(
+                f'{name}: found solid bodies and no air that is closed in above, below and '
+                'around; expected a room; cut the room out of the model, or add the walls and '
+                'the ceiling that it lacks')
+        return None
+    seen = air.seen_from(some, rays)
+    # Sides that are seen for each point on a face.
+    share = float(seen.sum(axis=1).mean())
+    if share == 0.0:
+        return None
+    if apart:
+        samples = min(int(share * area / apart ** 2), samples)
+    rows = sampled(corners, int(ENOUGH * samples / max(share, 1.0 / MOST_TIMES)))
+    hidden, seen = 1.0 - float(seen.any(axis=1).mean()), air.seen_from(rows, rays)
+    sides = [np.hstack([rows[kept, :3] + sign * BEFORE * rows[kept, 3:], sign * rows[kept, 3:]])
+             for kept, sign in zip(seen.T, (1.0, -1.0))]
+    found = np.vstack(sides)
+    count = min(samples, len(found))
+    points, normals = np.hsplit(found[np.arange(count) * len(found) // count], 2)
+    remarks = () if hidden < NONE else (
+        f'{100.0 * hidden:.0f} % of the faces left out: the air of the room does not see them',)
+    if air.rooms:
+        remarks += (f'{len(air.rooms)} other closed space{"s" * (len(air.rooms) > 1)} left out, '
+                    f'the largest of {air.rooms[0]:.0f} m3: no opening connects with the room',)
+    return InnerSurface(points, normals, remarks)
+
+
+def _area(corners: np.ndarray) -> float:
+    """Return the area of triangles (T, 3, 3), square metres."""
+    return 0.5 * float(np.linalg.norm(np.cross(
+        corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum())
+
+
+def _solid(rows: np.ndarray, rays: MeshRays) -> bool:
+    """Tell whether one side of most faces is shut in, given points and normals (N, 6)."""
+    shut = [np.all([np.isfinite(_lengths(rays, rows, sign, *way)) for way in _directions()],
+                   axis=0) for sign in (1.0, -1.0)]
+    return float(np.logical_or(*shut).mean()) >= SOLID
+
+
+def _directions() -> list[tuple[float, float]]:
+    """Return directions to one side of a face: angles to the normal and around it, radians."""
+    return [(tilt, 2.0 * np.pi * k / count) for tilt, count in TILTS for k in range(count)]
+
+
+def _ways(rows: np.ndarray, sign: float, tilt: float, turn: float) -> np.ndarray:
+    """Return unit vectors (N, 3) from one side of faces, given points and normals (N, 6)."""
+    normals = sign * rows[:, 3:]
+    # Any direction along the face will do as long as it is not the normal.
+    other = np.where(np.abs(normals[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+    along = np.cross(normals, other)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    across = np.cross(normals, along)
+    return np.cos(tilt) * normals + np.sin(tilt) * (np.cos(turn) * along + np.sin(turn) * across)
+
+
+def _lengths(rays: MeshRays, rows: np.ndarray, sign: float, tilt: float, turn: float
+             ) -> np.ndarray:
+    """Return how far it is from one side of faces to the next face: (N,) metres, or inf."""
+    return rays.lengths(rows[:, :3] + sign * BEFORE * rows[:, 3:], _ways(rows, sign, tilt, turn))
+
+
+class EnclosedAir(NamedTuple):
+    """
+    The enclosed air.
+
+    :ivar low: (3,) metres, corner of the first cell.
+    :ivar edge: of the cells, metres.
+    :ivar cells: (X, Y, Z) bool, those of the largest part that hangs together.
+    :ivar beside: (X, Y) metres from each column to the nearest one with such cells.
+    :ivar others: (X, Y, Z) bool, the cells of the other parts that are large enough for a room.
+    :ivar rooms: cubic metres of each of these, the largest first.
+    :ivar roofed: whether there is a ceiling.
+    """
+
+    low: np.ndarray
+    edge: float
+    cells: np.ndarray
+    beside: np.ndarray
+    others: np.ndarray
+    rooms: tuple[float, ...]
+    roofed: bool
+
+    @classmethod
+    def of(cls, points: np.ndarray, spacing: float) -> 'EnclosedAir | None':
+        """
+        Find it between points (N, 3) of surfaces, a spacing apart, metres.
+
+        :returns: None where none is large enough for a room.
+        """
+        low, high = corners_of(points)
+        edge = max(CELL, float((np.prod(high - low) / MOST_CELLS) ** (1.0 / 3.0)))
+        shape = np.floor((high - low) / edge).astype(int) + 1
+        taken = np.zeros(shape, dtype=bool)
+        taken[tuple(np.floor((points - low) / edge).astype(int).T)] = True
+        away = ndimage.distance_transform_edt(~taken) * edge
+        # However few points there are, they shut what is between them.
+        taken, free = away <= 1.5 * spacing, away > max(BALL, 1.5 * spacing)
+        free &= np.logical_or.accumulate(taken, axis=2)
+        roofed = free & np.logical_or.accumulate(taken[:, :, ::-1], axis=2)[:, :, ::-1]
+        shut = sum(_ends(taken, x, y).astype(np.int8) for x, y in WAYS) >= SHUT
+        # A room without a ceiling is closed in around.
+        for cells in (roofed, free):
+            parts, _ = ndimage.label(cells & shut)
+            volumes = np.bincount(parts.ravel()) * edge ** 3
+            volumes[0] = 0.0
+            order = np.argsort(-volumes, kind='stable')
+            order = order[volumes[order] >= LEAST]
+            if len(order):
+                room = parts == order[0]
+                beside = edge * ndimage.distance_transform_edt(~room.any(axis=2))
+                return cls(low, edge, room, beside, np.isin(parts, order[1:]),
+                           tuple(volumes[order[1:]].tolist()), cells is roofed)
+        return None
+
+    def seen_from(self, rows: np.ndarray, rays: MeshRays) -> np.ndarray:
+        """
+        Tell from which sides of faces the air is seen.
+
+        :param rows: (N, 6) metres: points on the faces, and their unit normals.
+        :returns: (N, 2) bool: the side of the normal, and the other one.
+        """
+        found = np.zeros((len(rows), 2), dtype=bool)
+        column = self.cell(rows[:, :3])
+        near = np.flatnonzero(self.beside[tuple(column[:2])] <= BESIDE)
+        for side, sign in enumerate((1.0, -1.0)):
+            left = near
+            for way in _directions():
+                some = rows[left]
+                free = _lengths(rays, some, sign, *way)
+                reached = self._reached(some[:, :3], _ways(some, sign, *way), free)
+                found[left[reached], side] = True
+                left = left[~reached]
+            if self.roofed:
+                found[:, side] &= _under_a_roof(rows, sign, found[:, side], rays)
+        return found
+
+    def cell(self, points: np.ndarray) -> np.ndarray:
+        """Return the cells of points (N, 3): (3, N) indices, the nearest for those outside."""
+        cells = np.floor((points - self.low) / self.edge).astype(int)
+        return np.clip(cells, 0, np.array(self.cells.shape) - 1).T
+
+    def _reached(self, points: np.ndarray, ways: np.ndarray, free: np.ndarray) -> np.ndarray:
+        """Tell of which points (N, 3) the ways, free so many metres, come into the air."""
+        reached = np.zeros(len(points), dtype=bool)
+        for away in np.arange(self.edge, REACH, self.edge):
+            left = np.flatnonzero(~reached & (free > away))
+            reached[left] = self.cells[tuple(self.cell(points[left] + away * ways[left]))]
+        return reached
+
+
+def _under_a_roof(rows: np.ndarray, sign: float, asked: np.ndarray, rays: MeshRays) -> np.ndarray:
+    """Tell which sides of faces (N, 6) have something above them; only some are asked."""
+    starts, count = rows[asked, :3] + sign * BEFORE * rows[asked, 3:], np.zeros(len(rows), int)
+    for way in UP:
+        count[asked] += np.isfinite(rays.lengths(starts, np.broadcast_to(way, starts.shape)))
+    return count >= ROOFED
+
+
+def _ends(taken: np.ndarray, x: int, y: int) -> np.ndarray:
+    """Tell from which cells a level way in steps of (x, y) cells ends at one that is taken."""
+    if x == 0:
+        return _ends(taken.transpose(1, 0, 2), y, 0).transpose(1, 0, 2)
+    ends = taken.copy()
+    rows = range(1, len(taken)) if x < 0 else range(len(taken) - 2, -1, -1)
+    for row in rows:
+        before = ends[row + x]
+        if y < 0:
+            ends[row, 1:] |= before[:-1]
+        elif y > 0:
+            ends[row, :-1] |= before[1:]
+        else:
+            ends[row] |= before
+    return ends
+
+
+def without_outside(scene: Scene) -> Scene:
+    """
+    Leave out what the air of a room does not see of points that were taken from a solid model.
+
+    :returns: the same scene where its points are those of a scan: a scanner stood in the air.
+    """
+    points, area = scene.points.astype(np.float64), scene.pitch.astype(np.float64) ** 2
+    air = EnclosedAir.of(points, float(np.median(scene.pitch)))
+    if air is None:
+        return scene
+    cells = np.argwhere(air.cells | air.others)
+    looks = int(np.clip(len(cells) * air.edge ** 3, *LOOKS))
+    chosen = cells[np.random.default_rng(0).permutation(len(cells))[:looks]]
+    count = _counted(scene, air.low + air.edge * (chosen + 0.5))
+    if (area * (count == 0)).sum() < MISSED * area.sum():
+        return scene
+    hidden = _hidden(points, scene.pitch, air) & (count < OFTEN * len(chosen))
+    kept = ~hidden
+    if np.count_nonzero(kept) < MIN_POINTS:
+        return scene
+    remark = (f'{100.0 * hidden.mean():.0f} % of the points left out: those of a solid model that '
+              'the air of the room does not see')
+    return replace(scene, points=scene.points[kept], remarks=(*scene.remarks, remark),
+                   normals=None if scene.normals is None else scene.normals[kept])
+
+
+def _counted(scene: Scene, places: np.ndarray) -> np.ndarray:
+    """Return from how many places (M, 3), metres, each point of a scene is seen: (N,)."""
+    visibility = SurfelVisibility(scene.points, scene.normals_or_estimate, scene.pitch,
+                                  np.empty((0, 3), dtype=np.float32), FINE)
+    lens, count = CameraModel(0.0, 2.0 * scene.diameter).lens, np.zeros(len(scene), dtype=int)
+    for place in places:
+        seen = no_bits(len(scene))
+        visibility.look(Pose(place, LEVEL), lens, seen)
+        count[visibility.order] += unpack(seen, len(scene))
+    return count
+
+
+def _hidden(points: np.ndarray, pitch: np.ndarray, air: EnclosedAir) -> np.ndarray:
+    """Tell which points (N, 3) have others between them and the nearest enclosed air."""
+    index = ndimage.distance_transform_edt(
+        ~(air.cells | air.others), return_distances=False, return_indices=True)
+    goals = air.low + air.edge * (index[(slice(None), *air.cell(points))].T + 0.5)
+    length = np.linalg.norm(goals - points, axis=1)
+    ways, tree = (goals - points) / length[:, None], cKDTree(points)
+    hidden, away = np.zeros(len(points), dtype=bool), HIDING
+    while len(left := np.flatnonzero(~hidden & (length > away + air.edge))) and away < REACH:
+        nearest, _ = tree.query(points[left] + away * ways[left],
+                                distance_upper_bound=2.0 * float(np.median(pitch)))
+        hidden[left] = nearest < np.minimum(ASIDE * away, SQUARE * pitch[left])
+        away *= NEXT
+    # Some look through the gaps between the points before them.
+    return hidden | (hidden[tree.query(points, AMONG)[1]].mean(axis=1) > MOST_OF)
