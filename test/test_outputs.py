@@ -232,7 +232,7 @@ def test_names_are_shown_and_not_obeyed(files, capsys):
     page = (folder / 'installer.md').read_text()
     made = MarkdownIt('commonmark').enable('table').render(page)
     assert sorted(set(Elements(made).found)) == [
-        'h1', 'img', 'p', 'strong', 'table', 'tbody', 'td', 'th', 'thead', 'tr']
+        'h1', 'img', 'li', 'p', 'strong', 'table', 'tbody', 'td', 'th', 'thead', 'tr', 'ul']
     assert made.count('<h1>') == made.count('<img') == 1
     assert '&lt;img src=x onerror=alert(1)&gt;|`$x$[l](javascript:1)_c_' in made
     html = (folder / 'report.html').read_text()

@@ -359,7 +359,7 @@ def test_the_rectangle_lies_along_the_walls_and_not_along_the_scan():
                                            '30 cm above the floor', 'top of the picture to wall '
                                            'C', '90 degrees up')),
     ('omni', [2.9, -0.2, 1.9, 0, 0, 0], ('20 cm beyond wall C, no other wall within '
-                                         '5 m: use x, y, z',
+                                         '15 m: use x, y, z',
                                          '190 cm above the floor', 'any heading', 'upright')),
     ('omni', [2.9, 1.0, 1.9, 90, 10, 0], ('100 cm from wall C, 290 cm from wall D',
                                           '190 cm above the floor', 'any heading', 'upright'))])
@@ -380,9 +380,9 @@ def test_an_installer_is_told_in_words(sensor, pose, words):
     # A wall of a niche is no side of the rectangle around the room.
     (l_shaped(), [2.9, 2.8, 1.9], '10 cm from wall E, 120 cm from wall A'),
     (l_shaped(), [2.9, 1.0, 1.9], '100 cm from wall C, 290 cm from wall D'),
-    (box_room(14.0, 4.0), [7.0, 0.1, 1.9], '10 cm from wall C, no other wall within 5 m: use x, y'
-                                           ', z'),
-    (box_room(14.0, 12.0), [7.0, 6.0, 1.9], 'no wall within 5 m: use x, y, z')])
+    (box_room(34.0, 4.0), [17.0, 0.1, 1.9], '10 cm from wall C, no other wall within 15 m: use x, '
+                                            'y, z'),
+    (box_room(14.0, 12.0), [7.0, 6.0, 1.9], '600 cm from wall A, 700 cm from wall B')])
 def test_cameras_are_measured_from_walls_that_are_near(room, place, words):
     placed, = placement_of(rig_of(1), np.array([place])).cameras
     assert told(room, placed, 0.0).place == words
@@ -398,6 +398,23 @@ def test_cameras_are_measured_from_what_a_level_laser_meets(height, words):
     room = Scene(np.concatenate([box_room().points, beam]).astype('f4'), 'beam')
     placed, = placement_of(rig_of(1), np.array([[4.0, 1.5, height]])).cameras
     assert told(room, placed, 0.0).place == words
+
+
+def test_a_fence_below_a_camera_is_measured_from_where_walls_are_far():
+    y, z = np.meshgrid(np.arange(0.0, 12.0, 0.05), np.arange(0.0, 1.8, 0.05))
+    fence = np.column_stack([np.full(y.size, 7.8), y.ravel(), z.ravel()])
+    room = Scene(np.concatenate([box_room(14.0, 12.0).points, fence]).astype('f4'), 'cell')
+    placed, = placement_of(rig_of(1), np.array([[7.0, 6.0, 2.5]])).cameras
+    assert told(room, placed, 0.0).place == '80 cm from wall E, 600 cm from wall A'
+
+
+def test_the_page_says_what_the_middle_of_the_picture_shows_and_where_the_axes_are():
+    room = Scene(box_room().points + np.array([1.0, 2.0, 0.0], dtype='f4'), 'hall')
+    poses = np.array([[1.5, 4.0, 1.5, 0.0, 0.0, 0.0], [1.5, 3.0, 1.5, 0.0, np.pi / 4.0, 0.0]])
+    page = page_of(room, placement_of(rig_of(2, 'd455'), poses))
+    assert '87 x 58 degrees, 0.6 to 6 m; 150 cm above the floor, 0 cm from wall B, 200 cm' in page
+    assert 'on the floor, 100 cm from wall C, 200 cm from wall D' in page
+    assert 'The corner of walls C and D is at 1.00, 2.00, 0.00' in page
 
 
 def test_the_installers_page_says_how_good_the_plan_is_and_how_to_hold_a_camera(mixed):

@@ -99,6 +99,30 @@ def test_many_rooms_upside_down_are_noticed():
     assert sum(bool(of_kind(notes, 'upside down')) for notes in turned) >= 4
 
 
+def test_a_floor_that_slopes_between_plumb_walls_is_no_tilted_scan():
+    points = box_sides(np.array([8.0, 6.0, 4.0]), np.array([4.0, 3.0, 2.0])).astype(float)
+    x, z = points[:, 0], points[:, 2]
+    ramp = points + np.column_stack([0 * x, 0 * x, np.where(z < 0.05, 0.14 * x, 0.0)])
+    notes = room_notes(scene_of(ramp[ramp[:, 2] >= 0.14 * ramp[:, 0] - 1e-6]))
+    note, = of_kind(notes, 'slopes by 8 degrees')
+    assert notes == [note]
+
+
+def test_an_attic_has_walls_and_a_ceiling_and_is_the_right_way_up():
+    points = box_sides(np.array([6.0, 4.5, 3.0]), np.array([3.0, 2.25, 1.5])).astype(float)
+    roof = 1.2 + 1.8 * (1.0 - abs(points[:, 1] / 2.25 - 1.0))
+    under = points[points[:, 2] <= roof]
+    y, x = (axis.ravel() for axis in np.meshgrid(np.arange(0, 4.5, 0.07), np.arange(0, 6, 0.1)))
+    sloped = np.column_stack([x, y, 1.2 + 1.8 * (1.0 - abs(y / 2.25 - 1.0))])
+    assert room_notes(scene_of(under, sloped)) == []
+
+
+@pytest.mark.parametrize('height', [0.0, 0.1, 1.5, 3.0])
+def test_a_flat_room_at_any_height_has_one_storey(height):
+    room = box_room().points + np.array([0.0, 0.0, height], dtype=np.float32)
+    assert not of_kind(room_notes(scene_of(room)), 'storeys')
+
+
 def test_two_storeys_are_noticed():
     lower = box_room().points
     upper = lower + np.array([0.0, 0.0, 3.1], dtype=np.float32)

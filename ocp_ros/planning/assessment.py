@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from ocp_ros.geometry.packed_bits import Subset
-from ocp_ros.planning.camera_words import Words, words_for
+from ocp_ros.planning.camera_words import aim_of, Words, words_for
 from ocp_ros.planning.findings import scores_of, verdict
-from ocp_ros.planning.wall_references import ReferenceWall, WallReferences
+from ocp_ros.planning.wall_references import Corner, nearest_corner, ReferenceWall, WallReferences
 from ocp_ros.rig.placement_file import created_by, data_of, Placement
 from ocp_ros.rig.structure import floor_height
 from ocp_ros.scenes.scene import Scene
@@ -104,6 +104,18 @@ class Assessment:
         """Return how to hang up each camera."""
         return [words_for(placed, distances, self.walls, self.floor, self.frame)
                 for placed, distances in zip(self.placement.cameras, self.references.distances)]
+
+    @cached_property
+    def aims(self) -> list[str]:
+        """Return what the middle of each camera's picture shows; nothing of some."""
+        points = self.scene.points.astype(np.float64)
+        return [aim_of(placed, points, self.walls, self.floor)
+                for placed in self.placement.cameras]
+
+    @property
+    def corner(self) -> Corner:
+        """Return the corner of the room that is nearest to the origin of the coordinates."""
+        return nearest_corner(self.walls, self.frame.to_map(np.zeros(3))[:2])
 
     @property
     def rows(self) -> list[list[str]]:

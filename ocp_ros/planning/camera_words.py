@@ -12,12 +12,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
 from ocp_ros.planning.wall_references import Distance, FAR, ReferenceWall
 from ocp_ros.rig.placement_file import Placed
 from ocp_ros.scenes.source_frame import SourceFrame
 
 #: Degrees: what is less is straight, level or upright; from where on a camera looks straight down.
 STRAIGHT, DOWN = 0.5, 85.0
+#: Metres from a camera at which it is aimed at least, and that the middle of its picture may pass
+#: a point by; centimetres that count as on the floor.
+NEAREST, ASIDE, ON_FLOOR = 0.3, 0.08, 5.0
 #: Decimals of a metre that coordinates have.
 DECIMALS = 3
 
@@ -56,6 +60,45 @@ def _place(distances: Sequence[Distance]) -> str:
     if len(told) < 2:
         told.append(f'no {"other " * len(told)}wall within {FAR:.0f} m: use x, y, z')
     return ', '.join(told)
+
+
+def aim_of(placed: Placed, points: np.ndarray, sides: Sequence[ReferenceWall], floor: float
+           ) -> str:
+    """
+    Say what the middle of a camera's picture shows, for whoever turns it.
+
+    :param points: (N, 3) metres, of the room.
+    :param sides: of the room.
+    :param floor: its height, metres, map frame.
+    :returns: nothing of a camera that sees all around, or where the scan shows nothing there.
+    """
+    if placed.camera.model.omnidirectional:
+        return ''
+    ahead = rotation_matrix(*placed.pose[3:])[:, 0]
+    ways = points - placed.pose[:3]
+    along = ways @ ahead
+    aside = np.linalg.norm(ways - along[:, None] * ahead, axis=1)
+    near = np.flatnonzero((along > NEAREST) & (aside <= ASIDE))
+    if len(near) == 0:
+        return ''
+    # Of the first that it meets the one that is most in the middle.
+    near = near[along[near] <= along[near].min() + NEAREST]
+    at = placed.pose[:3] + along[near[np.argmin(aside[near])]] * ahead
+    above = 100.0 * (at[2] - floor)
+    height = 'on the floor' if abs(above) < ON_FLOOR else f'{above:.0f} cm above the floor'
+    away = [abs(wall.offset - wall.outward @ at[:2]) for wall in sides]
+    nearest = [min(pair, key=away.__getitem__) for pair in ((0, 2), (1, 3))]
+    return ', '.join([height, *(f'{100.0 * away[side]:.0f} cm from wall {sides[side].letter}'
+                                for side in sorted(nearest, key=away.__getitem__))])
+
+
+def lens_of(model: CameraModel) -> str:
+    """Say how wide a camera sees and how far."""
+    reach = f'{model.min_range:g} to {model.max_range:g} m'
+    if model.omnidirectional:
+        return f'all around, {reach}'
+    wide, high = np.rad2deg([model.horizontal_fov, model.vertical_fov])
+    return f'{wide:.0f} x {high:.0f} degrees, {reach}'
 
 
 def coordinates_of(placed: Placed, frame: SourceFrame) -> str:

@@ -146,7 +146,8 @@ class PlannedRig:
             found |= {'curve': rows_of_curve(self.plans), 'count': self._count()}
         judged = Assessment(problem.objective, replace(placement, scores=found['scores']), found,
                             frame)
-        found['installer'] = [dict(zip(['number', *COLUMNS], row)) for row in judged.rows]
+        found['installer'] = [dict(zip(['number', *COLUMNS], row)) | {'aim': aim}
+                              for row, aim in zip(judged.rows, judged.aims)]
         return judged
 
     def _count(self) -> dict[str, Any]:

@@ -7,13 +7,14 @@ Walls A to D are the sides of the rectangle around the room, lettered clockwise;
 other walls that a camera is near, such as those of a niche, a partition or another room.
 """
 
+from collections.abc import Sequence
 from operator import itemgetter
 from string import ascii_uppercase
 from typing import NamedTuple
 
 import numpy as np
 
-from ocp_ros.rig.structure import STEEP, walls_of
+from ocp_ros.rig.structure import standing_of, STEEP
 from ocp_ros.scenes.scene import Scene
 
 #: Per cent of the points that may lie outside the room, seen through doors and windows; metres
@@ -27,7 +28,10 @@ PART, STANDS = 0.25, 0.3
 #: Metres: how far a wall may be to be measured from, half the width of the strip in which it is
 #: looked for, how far it may end beside the way, and how far a camera's front may be behind it by
 #: the noise of the scan.
-FAR, STRIP, BESIDE, BEHIND = 5.0, 0.5, 0.05, 0.03
+FAR, STRIP, BESIDE, BEHIND = 15.0, 0.5, 0.05, 0.03
+#: Metres by which what stands below a camera is nearer than what is at its height where it is
+#: measured from: a plumb line reaches it.
+NEARER = 1.0
 #: Square metres that a wall has at least in that strip, and its fewest points; metres above and
 #: below a camera in which it has them: a level laser meets no beam and no cupboard of another
 #: height.
@@ -59,6 +63,28 @@ class ReferenceWall(NamedTuple):
         """Return the letter and the length, and where there is hardly a wall that it is so."""
         return f'{self.letter} {self.length:.2f} m' + (
             '' if self.stands else f' (less than {100.0 * STANDS:.0f} % of it is wall)')
+
+
+class Corner(NamedTuple):
+    """
+    A corner of the rectangle around a room.
+
+    :ivar letters: of its two walls.
+    :ivar at: (2,) metres, map frame.
+    """
+
+    letters: str
+    at: np.ndarray
+
+
+def nearest_corner(sides: Sequence[ReferenceWall], place: np.ndarray) -> Corner:
+    """Return the corner nearest to a place (2,); where two walls stand, if there is one."""
+    corners = []
+    for one, other in zip(sides, [*sides[1:], sides[0]]):
+        at = one.offset * one.outward + other.offset * other.outward
+        corners.append((not (one.stands and other.stands), np.linalg.norm(at - place),
+                        Corner(f'{one.letter} and {other.letter}', at)))
+    return min(corners, key=itemgetter(0, 1))[2]
 
 
 def walls_around(scene: Scene) -> list[ReferenceWall]:
@@ -162,7 +188,7 @@ class WallReferences:
     def __init__(self, scene: Scene, positions: np.ndarray) -> None:
         self.sides = walls_around(scene)
         self.inner: list[InnerWall] = []
-        self._surface = walls_of(scene)
+        self._surface = standing_of(scene)
         self._least = max(FEWEST, int(PIECE / float(np.median(scene.pitch)) ** 2))
         self.distances = [self._around(np.asarray(position)) for position in positions]
 
@@ -182,14 +208,19 @@ class WallReferences:
         """
         Return how far walls are one way and the other, where there are any.
 
-        They are those at the camera's height; where there is none, those of any height.
+        They are those at the camera's height, or what stands below it where that is much nearer;
+        where there is none, those of any height.
         """
-        for high in (LEVEL, np.inf):
-            found = [(away, outward) for outward in (way, -way)
-                     if (away := self._away(position, outward, high)) is not None]
-            if found:
-                return found
-        return []
+        found = []
+        for outward in (way, -way):
+            level, under = (self._away(position, outward, *band) for band in (
+                (-LEVEL, LEVEL), (-np.inf, LEVEL)))
+            if level is None or under is not None and under < level - NEARER:
+                level = under if under is not None else self._away(
+                    position, outward, -np.inf, np.inf)
+            if level is not None:
+                found.append((level, outward))
+        return found
 
     def _distance(self, position: np.ndarray, away: float, outward: np.ndarray) -> Distance:
         """Name the wall that is so far that way."""
@@ -198,14 +229,17 @@ class WallReferences:
         beyond = isinstance(wall, ReferenceWall) and float(wall.outward @ outward) < 0.0
         return Distance(wall.letter, max(away, 0.0), at, beyond)
 
-    def _away(self, position: np.ndarray, outward: np.ndarray, high: float) -> float | None:
+    def _away(self, position: np.ndarray, outward: np.ndarray, low: float, high: float
+              ) -> float | None:
         """
         Return how far the first wall is that way, metres; None where none is near.
 
-        :param high: metres above and below the position in which a wall counts.
+        :param low: metres above the position from which on a wall counts.
+        :param high: metres above the position up to which it does.
         """
         ways = self._surface.points[:, :2] - position[:2]
-        level = np.abs(self._surface.points[:, 2] - position[2]) <= high
+        above = self._surface.points[:, 2] - position[2]
+        level = (low <= above) & (above <= high)
         facing = level & (np.abs(self._surface.normals[:, :2] @ outward) >= FACING)
         aside, away = ways @ [-outward[1], outward[0]], ways @ outward
         strip = np.flatnonzero(facing & (np.abs(aside) <= STRIP) & (away >= -BEHIND)

@@ -5,7 +5,10 @@
 from html import escape
 import re
 
+import numpy as np
+
 from ocp_ros.planning.assessment import Assessment, COLUMNS
+from ocp_ros.planning.camera_words import lens_of
 from ocp_ros.report.key_figures import expectation
 from ocp_ros.util.shown_text import printable
 
@@ -46,15 +49,20 @@ def instructions(judged: Assessment, plan: str) -> str:
              f'**Walls.** The plan shows the room from above, with letters clockwise: {sizes}. '
              'In a room that is not a rectangle, A to D are the sides of the rectangle around it. '
              + inner, '',
-             '**How to measure.** A distance is perpendicular to the wall, at the height of the '
-             "camera, to the centre of the camera's front. Left and right are seen by a person "
-             'who stands behind the camera. Set the pan first, then the tilt. '
+             '**How to measure.** A distance is perpendicular to the wall, to the centre of the '
+             "camera's front; where a wall is lower than the camera, drop a plumb line. Left and "
+             'right are seen by a person who stands behind the camera. Set the pan first, then '
+             'the tilt. '
              + (LEVEL if any(not placed.camera.model.omnidirectional
                              for placed in placement.cameras) else '')
              + f'x, y and z are {frame_named(judged)}, for software: do not measure by '
-             'them if walls are given.', '',
+             f'them if walls are given. {_corner_of(judged)}', '',
              f'| | {" | ".join(COLUMNS)} |', '|---' * (len(COLUMNS) + 1) + '|']
     lines += ['| ' + ' | '.join(map(in_markdown, row)) + ' |' for row in judged.rows]
+    lines += ['', '**Lens and aim.** What the middle of the picture shows:', '', *(
+        f'- {in_markdown(words.name)}: ' + '; '.join(filter(None, (
+            lens_of(placed.camera.model), aim)))
+        for words, placed, aim in zip(judged.words, placement.cameras, judged.aims))]
     lines += ['', '**When all cameras are mounted,** write down each difference from this page. '
               'The command ocp calibrate can check the poses: it compares what each camera sees '
               'with the scan.']
@@ -66,6 +74,14 @@ def instructions(judged: Assessment, plan: str) -> str:
     if any(created):
         lines += ['', f'{", ".join(filter(None, created))}.']
     return '\n'.join([*lines, ''])
+
+
+def _corner_of(judged: Assessment) -> str:
+    """Say where a corner of the room is in the coordinates."""
+    at = judged.frame.to_source(np.append(judged.corner.at, judged.floor))
+    return (f'The corner of walls {judged.corner.letters} is at '
+            f'{", ".join(f"{value + 0.0:.2f}" for value in at.round(2))} on the floor; the plan '
+            'shows the axes there.')
 
 
 def _how_good(judged: Assessment) -> str:

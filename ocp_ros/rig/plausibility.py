@@ -9,7 +9,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from ocp_ros.rig.free_plane import FreePlane
-from ocp_ros.rig.structure import ceiling_of, floor_height, LAYER, LEVEL, STEEP, walls_of
+from ocp_ros.rig.structure import ceiling_of, floor_height, LAYER, LEVEL, standing_of, STEEP
 from ocp_ros.scenes.scene import Scene
 
 #: Share of the floor plan that a level layer has to fill to be a floor, a ceiling or a storey.
@@ -19,6 +19,8 @@ LAYER_SHARE, STOREY_SHARE = 0.2, 0.4
 SLAB, CELL = 1.2, 0.25
 #: Degrees: how far a floor may be tilted, and how far from upright normals are looked at.
 TILTED, LEANING = 3.0, 30.0
+#: Metres between the lowest and the highest tenth of a ceiling that is level.
+SLOPED = 0.3
 #: Metres: rooms are seldom higher; and heights that rooms mostly have.
 HIGH, USUAL = 6.0, (2.1, 4.0)
 #: Metres in units that are mistaken for others: feet read as metres, a factor of ten or hundred.
@@ -61,8 +63,10 @@ def missing_surfaces(scene: Scene) -> tuple[str, ...]:
 def _missing(scene: Scene, layers: _Layers, ceiling: np.ndarray) -> tuple[str, ...]:
     """Return the same for the level surfaces and the points of the ceiling."""
     floor, least = floor_height(scene), LAYER_SHARE * layers.plan
+    # A floor that slopes is at many heights.
+    thick = LAYER if _lean(scene) < TILTED else SLAB
     lacking = {'ceiling': _area(scene, ceiling) < least,
-               'floor': layers.within(floor - LAYER, floor + LAYER) < least}
+               'floor': layers.within(floor - thick, floor + thick) < least}
     return tuple(surface for surface, lacks in lacking.items() if lacks)
 
 
@@ -78,13 +82,20 @@ def room_notes(scene: Scene) -> list[str]:
     ceiling = ceiling_of(scene).points
     missing = _missing(scene, layers, ceiling)
     bare, lidless = 'floor' in missing, 'ceiling' in missing
-    tilt = _tilt(scene)
-    notes = [*tilt, *_height(top - floor), *_storeys(layers)]
+    lean = _lean(scene)
+    # Where walls are plumb the floor slopes, as in a lecture room or on a ramp.
+    tilt = lean >= TILTED and not _plumb(scene)
+    notes = [] if lean < TILTED else [
+        f'found floor and ceiling tilted by {lean:.0f} degrees; expected them level; level the '
+        'scan, since cameras are hung upright' if tilt else
+        f'found a floor that slopes by {lean:.0f} degrees between plumb walls; expected it level; '
+        'heights above the floor are those above its largest level part']
+    notes += [*_height(top - floor), *_storeys(layers)]
     # What is tilted has neither a floor nor a ceiling at one height.
-    if bare and not tilt:
+    if bare and lean < TILTED:
         notes.append('found no floor; expected a level one below everything; check which axis is '
                      'up (--up), or scan the floor as well')
-    walls = walls_of(scene).points
+    walls = standing_of(scene).points
     outdoors = lidless and layers.plan > LARGE and _area(scene, walls) < ENCLOSED * layers.plan
     if not (bare or outdoors or tilt) and (share := _open(scene, walls)) > OPEN:
         notes.append(f'found no wall along {100.0 * share:.0f} % of the edge of the floor; '
@@ -96,7 +107,7 @@ def room_notes(scene: Scene) -> list[str]:
     elif lidless and not tilt:
         notes.append('found no ceiling; expected one above most of the floor; cameras on ceilings '
                      'find no place, and what is above the scan counts as far away')
-    if not bare and not lidless and _overturned(scene, floor, float(np.median(ceiling[:, 2]))):
+    if not bare and not lidless and _overturned(scene, floor, ceiling[:, 2]):
         notes.append('found more below the ceiling than above the floor; expected furniture and '
                      'doors to be low; the room may be upside down: turn the scan over if it is')
     return notes
@@ -129,13 +140,14 @@ def _area(scene: Scene, points: np.ndarray) -> float:
     return len(points) * float(np.median(scene.pitch)) ** 2
 
 
-def _tilt(scene: Scene) -> list[str]:
-    """Find how far most level surfaces lean."""
+def _lean(scene: Scene) -> float:
+    """Return how far most level surfaces lean in the lower half of a room, degrees."""
     normals = scene.normals_or_estimate * np.sign(scene.normals_or_estimate[:, 2:])
     upright = normals[:, 2] > np.cos(np.deg2rad(LEANING))
+    upright &= scene.points[:, 2] < scene.bounds[:, 2].mean()
     normals, areas = normals[upright], scene.pitch[upright].astype(np.float64) ** 2
     if len(normals) == 0:
-        return []
+        return 0.0
     some = normals[np.linspace(0, len(normals) - 1, min(len(normals), 400)).astype(int)]
     votes = ((normals @ some.T) > np.cos(np.deg2rad(3.0))).T @ areas
     axis = some[int(np.argmax(votes))]
@@ -143,10 +155,17 @@ def _tilt(scene: Scene) -> list[str]:
         near = normals @ axis > np.cos(np.deg2rad(4.0))
         axis = areas[near] @ normals[near]
         axis /= np.linalg.norm(axis)
-    lean = float(np.rad2deg(np.arccos(np.clip(axis[2], -1.0, 1.0))))
-    return [] if lean < TILTED else [
-        f'found floor and ceiling tilted by {lean:.0f} degrees; expected them level; level the '
-        'scan, since cameras are hung upright']
+    return float(np.rad2deg(np.arccos(np.clip(axis[2], -1.0, 1.0))))
+
+
+def _plumb(scene: Scene) -> bool:
+    """Tell whether walls that face different ways all stand plumb."""
+    normals, areas = scene.normals_or_estimate, scene.pitch.astype(np.float64) ** 2
+    leaning = np.abs(normals[:, 2]) < np.sin(np.deg2rad(LEANING))
+    # What is across all of them is the way up.
+    spread = (normals[leaning] * areas[leaning, None]).T @ normals[leaning]
+    lean = np.rad2deg(np.arccos(min(abs(float(np.linalg.eigh(spread)[1][2, 0])), 1.0)))
+    return bool(lean < 0.5 * TILTED)
 
 
 def _height(height: float) -> list[str]:
@@ -162,24 +181,32 @@ def _height(height: float) -> list[str]:
 
 def _storeys(layers: _Layers) -> list[str]:
     """Say so where there are more large level layers than a floor and a ceiling."""
-    heights = np.arange(layers.z.min(initial=0.0), layers.z.max(initial=0.0) + LAYER, LAYER)
-    edges = np.append(heights, heights[-1] + LAYER)
-    areas = np.histogram(layers.z, edges, weights=layers.areas)[0]
-    large = heights[areas + np.roll(areas, 1) >= STOREY_SHARE * layers.plan]
+    if len(layers.z) == 0:
+        return []
+    heights = np.arange(layers.z.min() - 0.5 * LAYER, layers.z.max() + LAYER, LAYER)
+    areas = np.histogram(layers.z, np.append(heights, heights[-1] + LAYER),
+                         weights=layers.areas)[0]
+    large = heights[areas + np.append(0.0, areas[:-1]) >= STOREY_SHARE * layers.plan]
     count = 0 if len(large) == 0 else 1 + int(np.count_nonzero(np.diff(large) > SLAB))
     return [] if count < 3 else [
         f'found {count} large level layers; expected a floor and a ceiling; the scan seems to '
         'have several storeys; cut one out of it']
 
 
-def _overturned(scene: Scene, floor: float, ceiling: float) -> bool:
+def _overturned(scene: Scene, floor: float, heights: np.ndarray) -> bool:
     """
     Tell whether a room lies upside down.
 
     Furniture stands low and hides the foot of walls, which have doors there: there is more surface
     low than high, and more of a wall high than low. Only clear evidence counts: of 60 generated
     rooms that the limit was not made on one looks overturned, and of the same turned over 14 do.
+    Below a roof that slopes nothing is clear.
+
+    :param heights: (C,) z of the points of the ceiling, metres.
     """
+    ceiling = float(np.median(heights))
+    if np.subtract(*np.percentile(heights, [90.0, 10.0])) > SLOPED:
+        return False
     areas = scene.pitch.astype(np.float64) ** 2
     walls = _over_walls(scene, floor, ceiling) & (np.abs(scene.normals_or_estimate[:, 2]) <= STEEP)
     low, high = ((away > NEAR[0]) & (away < NEAR[1]) for away in (

@@ -23,6 +23,8 @@ VOTERS, ALIKE = 8, 0.9
 LEVEL, STEEP = 0.7, 0.3
 #: Metres, and shares of the room's height: ceilings are higher than a head, walls go up to them.
 HEADROOM, HEADROOM_SHARE, WALL_SHARE = 2.0, 0.8, 0.8
+#: Metres that what stands in the way is high, such as a knee wall, a fence or a cupboard.
+STANDING = 1.0
 #: Metres: least edge of the columns that a ceiling or wall is looked for in; how far below the
 #: highest point around it a ceiling, and the top of a wall, may be.
 COLUMN, CEILING_DROP, WALL_DROP = 0.2, 0.25, 0.5
@@ -184,14 +186,36 @@ def walls_of(scene: Scene) -> MountSurface:
 
     :returns: their points with level normals.
     """
-    points, columns = scene.points, _Columns(scene)
-    floor = floor_height(scene)
-    steep = np.abs(scene.normals_or_estimate[:, 2]) <= STEEP
+    columns = _Columns(scene)
     around = int(np.ceil(0.4 / columns.edge))
-    top = ndimage.maximum_filter(columns.highest(points), 2 * around + 1)[columns.of(points)]
-    reached = columns.highest(points[steep])[columns.of(points)]
-    chosen = (steep & (reached >= top - WALL_DROP)
-              & (reached >= floor + WALL_SHARE * (np.percentile(points[:, 2], 99.0) - floor)))
+    top = ndimage.maximum_filter(columns.highest(scene.points), 2 * around + 1)
+    return _upright(scene, columns, WALL_SHARE, top - WALL_DROP)
+
+
+def standing_of(scene: Scene) -> MountSurface:
+    """
+    Find what stands in a room and is a metre high: walls, fences, partitions, cupboards.
+
+    :returns: its upright points with level normals.
+    """
+    return _upright(scene, _Columns(scene), STANDING / max(_height(scene), STANDING))
+
+
+def _height(scene: Scene) -> float:
+    """Return how high a room is, metres."""
+    return float(np.percentile(scene.points[:, 2], 99.0)) - floor_height(scene)
+
+
+def _upright(scene: Scene, columns: _Columns, share: float, least: np.ndarray | None = None
+             ) -> MountSurface:
+    """Find what is upright and goes up to a share of the room's height, and so high by column."""
+    points, floor = scene.points, floor_height(scene)
+    steep = np.abs(scene.normals_or_estimate[:, 2]) <= STEEP
+    column = columns.of(points)
+    reached = columns.highest(points[steep])[column]
+    chosen = steep & (reached >= floor + share * _height(scene))
+    if least is not None:
+        chosen &= reached >= least[column]
     return _surface(scene, chosen, scene.normals_or_estimate * np.array([1.0, 1.0, 0.0]))
 
 

@@ -301,7 +301,26 @@ def floor_plan_of(judged: Assessment) -> Figure:
     draw_headings(axes, judged.placement, places, 2.0 * margin * frame, 2.0)
     draw_numbers(axes, places, NUMBERS, _area(judged), letters, always=True)
     draw_scale_bar(axes, 10.0)
+    _draw_axes(axes, judged, frame, 2.0 * margin)
     return figure
+
+
+def _draw_axes(axes: Axes, judged: Assessment, frame: np.ndarray, length: float) -> None:
+    """Draw the axes of the coordinates, so many metres long, from a corner of the room."""
+    corner, origin = frame @ judged.corner.at, judged.frame.to_map(np.zeros(3))
+    # A little inside the room.
+    corner = corner + 0.15 * length * np.sign(_corners(judged).mean(axis=0) - corner)
+    for name, unit in zip('xyz', np.eye(3)):
+        way = judged.frame.to_map(unit) - origin
+        way = frame @ way[:2] / np.linalg.norm(way)
+        if np.linalg.norm(way) < 0.5:
+            continue
+        end = corner + length * way
+        axes.annotate('', end, corner, zorder=5, arrowprops={
+            'arrowstyle': '-|>', 'color': PALE_INK, 'lw': 1.5, 'shrinkA': 0.0, 'shrinkB': 0.0})
+        x, y = corner + 1.15 * length * way
+        axes.text(x, y, name, fontsize=10, color=PALE_INK, ha='center',
+                  va='center', zorder=5)
 
 
 def _inches(width: float, depth: float) -> tuple[float, float]:
