@@ -16,6 +16,7 @@ from ocp_ros.geometry.clouds import away_from, corners_of
 from ocp_ros.geometry.voxels import SMALLEST, voxel_downsample, voxel_size_for
 from ocp_ros.scenes.inner_surface import inner_surface, without_outside
 from ocp_ros.scenes.mesh_files import sampled, SAMPLES
+from ocp_ros.scenes.mirror_images import without_mirror_images
 from ocp_ros.scenes.room_formats import Declared, declared_by, READERS
 from ocp_ros.scenes.scene import (
     check_numbers,
@@ -162,8 +163,11 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
         remarks += (f'{count:,} isolated point{"s" * (count > 1)} left out',)
         _log.warning('%s: %s', printable(name), remarks[-1])
         merged, normals = merged[~lone], None if normals is None else normals[~lone]
-    return without_outside(Scene(merged, called, normals, mesh, SourceFrame(
+    scene = without_mirror_images(Scene(merged, called, normals, mesh, SourceFrame(
         scale, rotation, shift), tuple(notes), remarks))
+    for note in scene.notes[len(notes):]:
+        warnings.warn(f'{name}: {note}', SceneWarning, stacklevel=3)
+    return without_outside(scene)
 
 
 def _mesh_of(corners: np.ndarray, scale: float, rotation: np.ndarray, shift: np.ndarray) -> Mesh:

@@ -1,0 +1,49 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a laser sees in a mirror is no room; a second room is one."""
+
+import numpy as np
+import pytest
+
+from ocp_ros.rooms.generator import generate_room
+from ocp_ros.scenes.scene_files import scene_of, SceneWarning
+
+SCANNER = np.array([2.0, 1.8, 1.5])
+
+
+def in_mirror(places):
+    """Return which places at the wall x = 0 are those of the mirror."""
+    return (np.abs(places[:, 1] - 1.8) < 0.8) & (np.abs(places[:, 2] - 1.3) < 0.9)
+
+
+def with_mirror(seed, hung):
+    """Return a scan of a room with a mirror so far before a wall, and how many points are real."""
+    room = generate_room(seed, 15_000).points.astype(np.float64)
+    ghosts = room * [-1.0, 1.0, 1.0] + [2.0 * hung, 0.0, 0.0]
+    ways = ghosts - SCANNER
+    crossing = SCANNER + ways * ((hung - SCANNER[0]) / ways[:, 0])[:, None]
+    ghosts = ghosts[in_mirror(crossing) & (ghosts[:, 0] < -0.05)]
+    room = room[~(in_mirror(room) & (room[:, 0] < 0.1))]
+    points = np.concatenate([room, ghosts])
+    return points + np.random.default_rng(seed).normal(0.0, 0.005, points.shape), len(room)
+
+
+@pytest.mark.parametrize('seed, hung, degrees', [(1, 0.0, 0.0), (8, 0.04, 35.0), (12, 0.02, 80.0)])
+def test_what_a_mirror_shows_is_left_out_and_named(seed, hung, degrees):
+    points, real = with_mirror(seed, hung)
+    assert len(points) - real > 300
+    angle = np.deg2rad(degrees)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    points[:, :2] = points[:, :2] @ turn.T
+    with pytest.warns(SceneWarning, match='mirror the room'):
+        scene = scene_of(points)
+    assert abs(len(scene) - real) < 0.02 * real
+
+
+def test_a_second_room_is_kept_even_where_it_is_the_same_the_other_way_round():
+    room = generate_room(8, 12_000).points.astype(np.float64)
+    other = room * [-1.0, 1.0, 1.0] - [0.15, 0.0, 0.0]
+    assert len(scene_of(np.concatenate([room, other]))) > 23_500
+    for seed in (2, 5, 1026):
+        alone = generate_room(seed, 8000)
+        assert len(scene_of(alone.points)) > 0.999 * len(alone)
