@@ -1,0 +1,88 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Small rooms as people have them, each with its right answer; skipped where they are absent."""
+
+from pathlib import Path
+import warnings
+
+import numpy as np
+import pytest
+
+from ocp_ros.report.room_facts import facts_of
+from ocp_ros.rig.rig_file import rig_of
+from ocp_ros.scenes.scene import SceneError
+from ocp_ros.scenes.scene_files import load_scene, SceneWarning
+from ocp_ros.simulation.problem import Problem
+
+CASES = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'cases'
+pytestmark = pytest.mark.skipif(not CASES.is_dir(), reason=f'{CASES} is not there')
+
+#: Floor and ceiling, metres, and size, of rooms of which the right answer is known.
+ROOMS = {
+    'slab_0.2.ply': (0.0, 2.7, (6.0, 4.5, 2.7)), 'thick_walls.obj': (0.0, 2.7, (6.0, 4.5, 2.7)),
+    'bim.obj': (0.0, 2.7, None), 'studio.obj': (0.0, 4.0, (8.0, 8.0, 4.0)),
+    'cell_m.stl': (0.0, 3.2, None), 'cell_yup.glb': (0.0, 3.2, None),
+    'box.stl': (0.0, 2.5, (6.0, 4.0, 2.5)), 'yup_corridor.glb': (0.0, 2.6, (8.0, 1.6, 2.6)),
+    'yup_cube.glb': (0.0, 2.8, (2.9, 2.9, 2.8)), 'class7.las': (0.0, 2.7, (6.0, 4.5, 2.7)),
+    'feet_wkt.las': (0.0, 2.7, (6.0, 4.5, 2.7)), 'viewpoint.pcd': (0.0, 2.7, None),
+    'elevated_1.5m_room.obj': (1.5, 3.9, (6.0, 4.5, 2.4)),
+    'mirror.ply': (0.0, 2.7, (6.0, 4.5, 2.7))}
+
+
+def read(name, **options):
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', SceneWarning)
+        return load_scene(CASES / name, max_points=30_000, **options)
+
+
+@pytest.mark.parametrize('name', ROOMS)
+def test_floor_ceiling_and_size_are_those_of_the_room(name):
+    floor, ceiling, size = ROOMS[name]
+    scene = read(name)
+    facts = facts_of(scene)
+    assert facts['floor'] == pytest.approx(floor, abs=0.011)
+    assert facts['ceiling'] == pytest.approx(ceiling, abs=0.011)
+    if size is not None:
+        # Of points that were taken from a slab a few may be left at its outside.
+        span = np.subtract(*np.percentile(scene.points, [99.5, 0.5], axis=0))
+        np.testing.assert_allclose(span, size, atol=0.06)
+
+
+@pytest.mark.parametrize('name, mount', [
+    ('mirror.ply', 'walls'), ('mirror.ply', 'ceiling'), ('cell_m.stl', 'ceiling'),
+    ('bim.obj', 'walls'), ('studio.obj', 'walls')])
+def test_cameras_hang_inside(name, mount):
+    scene = read(name)
+    problem = Problem.of(scene, rig_of(2, 'realsense_d455', mount={'on': mount}))
+    places, _ = problem.region.places(problem.rig.models[0], 300)
+    low, high = scene.bounds
+    assert ((places.positions > low) & (places.positions < high)).all()
+
+
+@pytest.mark.parametrize('name, words', [
+    ('attic_1.8.ply', None), ('elevated_1.5m_room.obj', None), ('yup_corridor.glb', None),
+    ('lecture_ramp.ply', 'the floor|slopes'), ('mirror.ply', 'mirror')])
+def test_nothing_is_said_but_what_is_so(name, words):
+    notes = facts_of(read(name))['notes']
+    assert len(notes) == (words is not None)
+    assert words is None or any(word in notes[0] for word in words.split('|'))
+
+
+@pytest.mark.parametrize('name, words', [
+    ('utm_float32.ply', 'float32'), ('tristrips.ply', 'tristrips'), ('short_mm.ply', '0.001'),
+    ('win_qnan.xyz', 'NaN'), ('ext3.pcd', 'HEADER_EXT')])
+def test_what_cannot_be_read_is_named(name, words):
+    with pytest.raises(SceneError, match=words):
+        read(name)
+
+
+@pytest.mark.parametrize('name, count', [
+    ('win_qnan.xyz', 9733), ('points_only.obj', 8093), ('leica_intensity_rgb.pts', 5000),
+    ('cloudcompare_export.asc', 4999)])
+def test_tables_are_read_whole(name, count):
+    assert len(read(name, drop_nonfinite=True)) == pytest.approx(count, abs=2)
+
+
+def test_columns_are_found_by_their_names():
+    low, high = read('range_az_el_xyz.csv').bounds
+    assert (high - low)[2] == pytest.approx(2.7, abs=0.1)
