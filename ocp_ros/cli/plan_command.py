@@ -11,6 +11,7 @@ from pathlib import Path
 import signal
 import sys
 from threading import current_thread, main_thread
+import time
 from typing import Any, TYPE_CHECKING
 
 from ocp_ros.cli.arguments import (
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 
 #: Defaults of counting cameras.
 COUNTING = {'target': 0.95, 'by': 'error', 'most': 12}
+#: Seconds between two lines of progress where there is no terminal.
+SAID = 10.0
 
 
 def add_arguments(commands: Commands) -> None:
@@ -183,17 +186,23 @@ def _stopped_by_hand(budget: 'Budget') -> Iterator[None]:
 
 @contextmanager
 def _progress() -> Iterator[Callable[[float, float], None]]:
-    """Show the progress on the terminal, where there is one; yields a function to call."""
+    """Show the progress on the terminal, or a line now and then; yields a function to call."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
     console = Console(stderr=True)
     with Progress(TextColumn('{task.description}'), BarColumn(), TextColumn('{task.fields[loss]}'),
                   console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task('searching (Ctrl-C: best so far)', total=1.0, loss='')
+        said = time.monotonic()
 
         def report(share: float, loss: float) -> None:
+            nonlocal said
             value = '' if loss == math.inf else f'objective value {loss:.4f}'
             bar.update(task, completed=share, loss=value)
+            if not console.is_terminal and time.monotonic() - said >= SAID:
+                said = time.monotonic()
+                print(f'searching, {100.0 * min(share, 1.0):.0f} %: {value}', file=sys.stderr,
+                      flush=True)
         yield report
 
 

@@ -151,10 +151,11 @@ class PlannedRig:
         return judged
 
     def _count(self) -> dict[str, Any]:
-        """Return how many cameras are needed, as plain data."""
+        """Return how many cameras reach the target, and how many did not, as plain data."""
         target, by, _ = self.task.counting
         return {'cameras': len(self.best.rig.cameras), 'by': by, 'target': target,
-                'reached': self.best.reaches(by, target)}
+                'reached': self.best.reaches(by, target),
+                'fewer': len(self.plans[-2].rig.cameras) if len(self.plans) > 1 else None}
 
     def _search(self) -> dict[str, Any]:
         """Return how the answer was found and what it compares with, as plain data."""

@@ -1,6 +1,6 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How many cameras are needed: the curve of error and coverage, as table, data and picture."""
+"""How many cameras reach a target: the curve of error and coverage, as table and picture."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,7 +20,7 @@ SHARES = {'seen': 'points that can be seen', 'coverage': 'space that can be cove
 
 
 def show_curve(console: Console, rows: Sequence[dict[str, Any]], count: dict[str, Any]) -> None:
-    """Print how many cameras are needed."""
+    """Print what each number of cameras is worth, and how many reach the target."""
     table = Table('cameras', 'objective value', 'depth error', *HEADS.values(),
                   title='Number of cameras')
     for row in rows:
@@ -31,11 +31,14 @@ def show_curve(console: Console, rows: Sequence[dict[str, Any]], count: dict[str
 
 
 def sentence(count: dict[str, Any]) -> str:
-    """Say how many cameras are needed."""
-    asked = f'{percent(count["target"])} of the {SHARES[count["by"]]}'
-    if count['reached']:
-        return f'{count["cameras"]} are needed for {asked}'
-    return f'{count["cameras"]}, the largest number planned, do not reach {asked}'
+    """Say how many cameras reach the target; that fewer do not is not proved."""
+    asked, cameras = f'{percent(count["target"])} of the {SHARES[count["by"]]}', count['cameras']
+    several = f'{cameras} camera{"s" * (cameras > 1)}'
+    if not count['reached']:
+        return f'{several}, the largest number planned, did not reach {asked} in this search'
+    fewer = count.get('fewer')
+    return f'{several} reach{"es" * (cameras == 1)} {asked}' + (
+        f'; {fewer} did not in this search' if fewer else '')
 
 
 def draw_curve(path: Path, rows: Sequence[dict[str, Any]], count: dict[str, Any]) -> Path:
