@@ -160,3 +160,28 @@ def test_what_is_too_far_out_for_numbers_is_out_of_range(no_tf2):
         found, seen_from = placed(cloud, f'camera_{number}', LiveRig('map', turned), no_tf2)
         assert len(in_range(found, seen_from, 0.0, 100.0)) == kept
     assert len(in_range(cloud, np.array([[1e300, 0.0, 0.0]]), 0.0, 100.0)) == 0
+
+
+@pytest.mark.parametrize('optical', [False, True])
+def test_points_with_the_axes_of_the_other_convention_are_refused(no_tf2, optical):
+    """Half a room behind the back of a camera would turn all commands by 90 degrees."""
+    rng = np.random.default_rng(0)
+    depth = rng.uniform(0.6, 6.0, 500)
+    aside, down = (rng.uniform(-slope, slope, 500) * depth for slope in (0.9, 0.5))
+    body = np.column_stack([depth, aside, down]).astype(np.float32)
+    z_ahead = np.column_stack([aside, down, depth]).astype(np.float32)
+    right, wrong = (z_ahead, body) if optical else (body, z_ahead)
+    names = ('camera_0_optical', 'camera_0') if optical else ('camera_0', 'camera_0_optical')
+    assert len(placed(right, names[0], RIG, no_tf2)[0]) == 500
+    with pytest.raises(MessageError, match=f"name the frame '{names[1]}'"):
+        placed(wrong, names[0], RIG, no_tf2)
+    # What sees all around has no side ahead.
+    around = rng.normal(size=(500, 3)).astype(np.float32)
+    assert len(placed(around, names[0], RIG, no_tf2)[0]) == 500
+
+
+def test_a_frame_may_begin_with_a_slash(no_tf2):
+    cloud = points([1, 0, 0], [0, 1, 0])
+    for one, other in (('/camera_0', 'camera_0'), ('/map', 'map')):
+        np.testing.assert_array_equal(placed(cloud, one, RIG, no_tf2)[0],
+                                      placed(cloud, other, RIG, no_tf2)[0])

@@ -77,11 +77,14 @@ def test_a_node_is_put_away_and_brought_back(graph, manager):
     policy = graph.add(PolicyNode, planner='lookahead', turns=100)
     hears(manager, topics.CAMERA_COMMANDS)
     assert manager.change('policy_node', DEACTIVATE)
+
+    def quiet():
+        count = len(manager.received[topics.CAMERA_COMMANDS])
+        hears(manager, topics.OBSERVATION, 5)
+        return len(manager.received[topics.CAMERA_COMMANDS]) == count
+
     # Commands that were sent before may still be on their way.
-    hears(manager, topics.OBSERVATION, 5)
-    count = len(manager.received[topics.CAMERA_COMMANDS])
-    hears(manager, topics.OBSERVATION, 5)
-    assert len(manager.received[topics.CAMERA_COMMANDS]) == count
+    assert quiet() or quiet() or quiet()
     assert manager.node.count_publishers(topics.CAMERA_COMMANDS) == 0
     assert manager.change('policy_node', CLEANUP)
     assert not policy.configured

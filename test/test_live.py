@@ -458,6 +458,20 @@ def test_drivers_of_every_profile_are_heard():
         assert qos_check_compatible(driver, qos.SENSOR)[0] == QoSCompatibility.OK
 
 
+@pytest.mark.parametrize('profile', [qos.LOOP, qos.SENSOR])
+def test_poses_that_come_while_the_node_is_busy_are_of_one_clock(graph, probe, profile):
+    policy = graph.add(PolicyNode, cloud_topics='points')
+    poses = probe.publisher(PoseArray, topics.CAMERA_POSES, profile)
+    # Five a second, and nobody spins meanwhile.
+    for stamp in range(1, 21):
+        poses.publish(positions_to_msg(np.zeros((2, 3)), Header(
+            stamp=ns_to_stamp(200_000_000 * stamp), frame_id='map')))
+    graph.until(lambda: policy._live._turns.positions is not None)
+    for _ in range(20):
+        graph.executor.spin_once(timeout_sec=0.01)
+    assert policy._status()[2]['clock_jumps'] == 0 == policy._counts['refused_messages']
+
+
 def test_clouds_that_come_while_the_node_is_busy_are_dropped_but_the_newest(graph, probe, room):
     policy, heard = graph.add(PolicyNode, cloud_topics='points'), []
     policy._live._turns.on_cloud = lambda topic, stamp, cloud: heard.append(stamp)

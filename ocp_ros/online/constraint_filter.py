@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ocp_ros.rig.feasible_region import apart, FeasibleRegion, LEEWAY
+from ocp_ros.rig.feasible_region import apart, FeasibleRegion
 from ocp_ros.rig.motion import kept_inside, nearest_place, ROUNDING
 from ocp_ros.rig.rig_file import Rig
-from ocp_ros.rig.structure import STAND_OFF
+from ocp_ros.rig.structure import floor_height, STAND_OFF
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.util.settings import ConfigurationError
 
@@ -47,7 +47,7 @@ class ConstraintFilter:
         self.rig, self.wall_margin = rig, wall_margin
         # What is in place may be farther off than what has been seen.
         self._movable = replace(rig, fixed=())
-        self._known: tuple[np.ndarray, float] | None = None
+        self._known: tuple[np.ndarray, np.ndarray] | None = None
         self._allowed: FeasibleRegion | None = None
         self._why = ''
         self.reset()
@@ -65,7 +65,7 @@ class ConstraintFilter:
         :param cloud: (N, 3) float32, metres: the points seen so far.
         :param positions: (K, 3) metres, where the cameras will be that are to be placed.
         """
-        self._look(cloud, float(positions[:, 2].max()) + ABOVE)
+        self._look(cloud, positions)
         self._prepared = self._allowed is not None
 
     def __call__(self, cloud: np.ndarray, positions: np.ndarray, targets: np.ndarray,
@@ -84,7 +84,7 @@ class ConstraintFilter:
         if prepared:
             self._prepared, self._allowed.top = False, max(self._allowed.top, top)
         else:
-            self._look(cloud, top)
+            self._look(cloud, positions)
         if self._allowed is None:
             return FilteredTargets(positions.copy(), [f'all cameras stay: {self._why}'])
         bounds = np.stack([cloud.min(axis=0), cloud.max(axis=0)]).astype(np.float64)
@@ -104,14 +104,25 @@ class ConstraintFilter:
             return self(cloud, positions, targets, max_step, fixed)
         return FilteredTargets(chosen, held)
 
-    def _look(self, cloud: np.ndarray, top: float) -> None:
-        """Learn from what has been seen where cameras may be, unless that is known."""
-        if self._known is not None and self._known[1] == top and np.array_equal(
+    def _look(self, cloud: np.ndarray, positions: np.ndarray) -> None:
+        """
+        Learn from what has been seen where cameras may be, unless that is known.
+
+        Cameras keep the heights at which they are: the floor of a cloud that shows a part of a
+        room may be a table, and poses are measured.
+        """
+        z = positions[:, 2].astype(np.float64)
+        if self._known is not None and np.array_equal(self._known[1], z) and np.array_equal(
                 self._known[0], cloud):
             return
-        self._known, self._allowed = (cloud, top), None
+        self._known, self._allowed = (cloud, z), None
         try:
-            self._allowed = FeasibleRegion(Scene(cloud, 'observed cloud'), self._movable, top)
+            scene, rig = Scene(cloud, 'observed cloud'), self._movable
+            if rig.mount.heights is not None:
+                above, (low, high) = z - floor_height(scene), rig.mount.heights
+                rig = replace(rig, mount=rig.mount._replace(
+                    heights=(min(above.min(), low), max(above.max(), high))))
+            self._allowed = FeasibleRegion(scene, rig, float(z.max()) + ABOVE)
         except (ConfigurationError, SceneError) as error:
             self._why = str(error)
 
@@ -139,15 +150,11 @@ class ConstraintFilter:
                              lambda places: self._raised(places, position[2]), allowed)
 
     def _raised(self, places: np.ndarray, height: float) -> np.ndarray:
-        """Bring places to the height of the mount, where they are not: (P, 3)."""
+        """Bring places to the height of a camera, or to the ceiling that it hangs on: (P, 3)."""
         places = places.copy()
         places[:, 2] = height
-        allowed, heights = self._allowed, self.rig.mount.heights
-        if heights is not None:
-            low, high = allowed.floor + heights[0], allowed.floor + heights[1]
-            if not low - LEEWAY <= height <= high + LEEWAY:
-                places[:, 2] = np.clip(height, low, high)
-        elif self.rig.mount.on == 'ceiling':
+        allowed = self._allowed
+        if self.rig.mount.heights is None and self.rig.mount.on == 'ceiling':
             above = allowed.surface.height_above(places[:, :2])
             off = ~allowed.surface.at(places).on | (above <= places[:, 2])
             places[off, 2] = np.where(np.isfinite(above), above - STAND_OFF, height)[off]

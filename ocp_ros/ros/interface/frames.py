@@ -16,6 +16,9 @@ from ocp_ros.ros.interface.conversions import MessageError, rotation_of, stamp_t
 #: Frames of the cameras by their place among the poses: body (x forward, y left, z up) and
 #: optical (z forward, x right, y down), as REP-103 has them.
 SENSOR = re.compile(r'camera_([0-9]{1,4})(_optical)?')
+#: Fewer points than these tell nothing of their axes; the least part of a point's distance that is
+#: along the way ahead, and the share of the points of which that is so.
+FEW, ALONG, NEARLY_ALL = 100, 0.4, 0.999
 #: Metres from a camera within which a frame that tf2 knows is taken to be that camera's own.
 OWN = 0.3
 
@@ -119,6 +122,8 @@ def placed(points: np.ndarray, frame: str, rig: LiveRig, transforms: Transforms
     :raises MessageError: if nobody knows where the frame is.
     """
     points = points[points.any(axis=1)]
+    # As in ROS 1.
+    frame = frame.lstrip('/')
     if frame == rig.frame:
         return points, rig.positions
     found, seen_from = SENSOR.fullmatch(frame), rig.positions
@@ -129,12 +134,28 @@ def placed(points: np.ndarray, frame: str, rig: LiveRig, transforms: Transforms
     else:
         pose = rig.poses[int(found[1])]
         seen_from = pose.position[None]
+        _check_axes(points, frame, bool(found[2]))
         if found[2]:
             pose = Pose(pose.position, pose.rotation @ OPTICAL_TO_BODY)
     # What is too far out for float32 is out of range in any case.
     with np.errstate(over='ignore', invalid='ignore'):
         moved = points @ pose.rotation.T.astype(np.float32) + pose.position.astype(np.float32)
     return moved, seen_from
+
+
+def _check_axes(points: np.ndarray, frame: str, optical: bool) -> None:
+    """Refuse points of a camera that all lie ahead by the other convention of axes."""
+    if len(points) < FEW:
+        return
+    least = ALONG * np.linalg.norm(points.astype(np.float64), axis=1)
+    ahead = [np.mean(points[:, axis] > least) for axis in (0, 2)]
+    if ahead[not optical] < NEARLY_ALL or ahead[optical] >= NEARLY_ALL:
+        return
+    found, expected = ('x forward (body axes)', 'z') if optical else ('z forward (optical axes)',
+                                                                      'x')
+    other = frame.removesuffix('_optical') + ('' if optical else '_optical')
+    raise MessageError(f'cloud: found points with {found} in the frame {frame!r}; expected them '
+                       f'with {expected} forward; name the frame {other!r}')
 
 
 def in_range(points: np.ndarray, cameras: np.ndarray, low: float, high: float) -> np.ndarray:

@@ -33,5 +33,8 @@ RECORDER = _reliable(DurabilityPolicy.VOLATILE, 200)
 #: The latest state for whoever comes late: scene, placement, weights, markers.
 LATCHED = _reliable(DurabilityPolicy.TRANSIENT_LOCAL, 1)
 
+#: Where live cameras are, from rigs of any profile: one subscription, so that none comes late.
+POSES = _profile(ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE, 10)
+
 #: Clouds of live cameras, from drivers of any profile: the newest counts, and no other.
 SENSOR = _profile(ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE, 1)

@@ -49,7 +49,7 @@ from ocp_ros.ros.interface.frames import (
     SENSOR as CAMERA_FRAME,
 )
 from ocp_ros.ros.interface.markers import move_markers
-from ocp_ros.ros.interface.qos import LATCHED, LOOP, SENSOR
+from ocp_ros.ros.interface.qos import LATCHED, LOOP, POSES, SENSOR
 from ocp_ros.ros.policy.commander import Commander
 from ocp_ros.ros.policy.instructions import FINAL, instructions, moving
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
@@ -90,8 +90,6 @@ class LiveTurns:
         self._fused = FusedCloud(config.voxel_size, config.most_points)
         self._transforms = Transforms(node)
         self._await_turns()
-        #: The message of poses that came last: it may come on two subscriptions.
-        self._last: PoseArray | None = None
         #: The newest cloud of each topic, unread.
         self._newest: dict[str, PointCloud2] = {}
         #: The newest poses, as they came and as what they mean.
@@ -107,9 +105,7 @@ class LiveTurns:
         if config.manual:
             self._instructions = node.create_publisher(String, topics.INSTRUCTIONS, LATCHED)
             self._markers = node.create_publisher(MarkerArray, topics.MARKERS, LATCHED)
-        # Some rigs send poses with best effort, and of the others none may be lost.
-        for profile in (LOOP, SENSOR):
-            node.create_subscription(PoseArray, topics.CAMERA_POSES, self._on_poses, profile)
+        node.create_subscription(PoseArray, topics.CAMERA_POSES, self._on_poses, POSES)
         for topic, name in self._names(config.clouds).items():
             node.create_subscription(PointCloud2, name, partial(self._on_cloud, topic), SENSOR)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -170,9 +166,6 @@ class LiveTurns:
 
     def _on_poses(self, message: PoseArray) -> None:
         """Take note of where the cameras are; act if that is where they were sent."""
-        if message == self._last:
-            return
-        self._last = message
         try:
             rig = LiveRig(message.header.frame_id, msg_to_poses(message))
             self._check_known(rig)
