@@ -135,9 +135,17 @@ def test_one_silent_camera_does_not_stop_the_others(live, capfd):
     policy._health.publish()
     assert live.last('/diagnostics').status[0].level == diagnostics.WARN
     assert 'no clouds: points_1 (nothing came); expected a cloud' in capfd.readouterr().err
+    # The answer says what it rests on.
+    live.listen(String, topics.PLACEMENT_STATUS, qos.LATCHED)
+    assert policy._status()[2]['turns_with_clouds'] == 'points_0 3/3, points_1 0/3, points_2 3/3'
+    assert live.last(topics.PLACEMENT_STATUS).data == (
+        'final, with gaps, after 3 turns: all 3 turns are used up; points_1 brought a cloud in 0 '
+        'of 3 turns')
     # It is welcome back.
     rig.silent = set()
-    live.graph.until(lambda: policy._status()[0] == diagnostics.OK)
+    live.graph.until(lambda: policy._status()[:2] == (
+        diagnostics.WARN, 'placement is final, with gaps: points_1 brought a cloud in 0 of 3 '
+        'turns'))
 
 
 def test_a_rig_that_does_not_arrive_is_commanded_from_where_it_is(live, capfd):

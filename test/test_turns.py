@@ -456,3 +456,19 @@ def test_whatever_happened_a_rig_that_works_gets_its_turn(seed):
         if turns.due():
             break
     assert turns.due()
+
+
+def test_a_cloud_that_was_taken_too_soon_is_taken_again_for_a_while(clock):
+    turns = make(clock, topics=['a'])
+    stands(turns, 10, HERE)
+    turns.on_cloud('a', 10 * S, 'cloud')
+    for clock.now in (0.0, 0.5, 1.0):
+        assert turns.take() == ('a', 'cloud') and turns.wait_on('a', 10 * S, 'cloud')
+    clock.now = 1.5
+    assert turns.take() == ('a', 'cloud') and not turns.wait_on('a', 10 * S, 'cloud')
+    # Another one is asked for, and a newer one is not given up for it.
+    assert turns.take() is None
+    turns.on_cloud('a', 11 * S, 'next')
+    assert turns.take() == ('a', 'next')
+    turns.on_cloud('a', 12 * S, 'newer')
+    assert turns.wait_on('a', 11 * S, 'next') and turns.take() == ('a', 'newer')

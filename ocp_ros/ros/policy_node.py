@@ -260,8 +260,10 @@ class PolicyNode(ManagedNode):
         """Publish the placement, once per episode, and say why it is final."""
         if not self._settled:
             self._finality.why, self._held = self._why(), poses
+            self._finality.gaps = self._live.gaps if self._live else ''
             self._placement.publish(poses)
-            self.get_logger().info(
+            log = self.get_logger()
+            (log.warning if self._finality.gaps else log.info)(
                 f'placement is {self._finality.say(self._step, self.config)}')
             if self.config.placement_file:
                 self._keep(self.config.placement_file, poses)
@@ -269,7 +271,8 @@ class PolicyNode(ManagedNode):
     def _keep(self, path: str, poses: PoseArray) -> None:
         """Write the placement to a file; where that fails it is on its topic alone."""
         try:
-            save_placement(path, placement_from(poses, self._decider, self._finality.why))
+            save_placement(path, placement_from(poses, self._decider, '; '.join(filter(None, (
+                self._finality.why, self._finality.gaps)))))
         except OSError as error:
             self.get_logger().error(f'placement_file: found {path}, which cannot be written '
                                     f'({error.strerror}); expected a file in a folder that can')
@@ -301,7 +304,9 @@ class PolicyNode(ManagedNode):
 
     def _status(self) -> diagnostics.Status:
         """Say what the planner is doing."""
-        message = 'placement is final' if self._settled else 'answering turns'
+        message, gaps = 'answering turns', self._finality.gaps
+        if self._settled:
+            message = 'placement is final'
         wrong, live = self._live.status() if self._live else (
             diagnostics.crowd(self, topics.OBSERVATION, diagnostics.ONE_SIMULATION), {})
         drifted, checks = self._calibrator.status() if self._calibrator else ('', {})
@@ -309,7 +314,8 @@ class PolicyNode(ManagedNode):
         if not self.active or self._paused:
             message = 'paused' if self.active else 'inactive'
         else:
-            wrong = self._commands.wrong() or wrong
+            wrong = self._commands.wrong() or wrong or (
+                gaps and f'placement is final, with gaps: {gaps}')
         run, updates = '-', 0
         if self.policy is not None:
             run, updates = self.policy.checkpoint.run or '-', self.policy.checkpoint.updates

@@ -23,6 +23,10 @@ FEW, ALONG, NEARLY_ALL = 100, 0.4, 0.999
 OWN = 0.3
 
 
+class LateTransformError(MessageError):
+    """A transform is older than the arrival of the cameras: a newer one may be on its way."""
+
+
 class LiveRig(NamedTuple):
     """
     Where cameras stand.
@@ -97,7 +101,7 @@ class Transforms:
         stamp, move = stamp_to_ns(found.header.stamp), found.transform
         # Static transforms have the stamp 0.
         if 0 < stamp < rig.since:
-            raise MessageError(
+            raise LateTransformError(
                 f'cloud: found the frame {frame!r} with a transform '
                 f'{(rig.since - stamp) * 1e-9:.3f} s older than the poses; expected one since the '
                 'cameras stand; publish it as often as the poses')

@@ -21,6 +21,7 @@ class Convergence:
     :ivar still: turns in which no camera has moved.
     :ivar longest: metres, the longest move of the last turn.
     :ivar why: why the placement is final; empty while it is not.
+    :ivar gaps: what it does without, such as a camera that was silent for most turns.
     """
 
     def __init__(self, node: Node) -> None:
@@ -30,7 +31,7 @@ class Convergence:
 
     def begin(self) -> None:
         """Begin an episode."""
-        self.still, self.longest, self.why = 0, 0.0, ''
+        self.still, self.longest, self.why, self.gaps = 0, 0.0, '', ''
         #: Turns played when the placement became final.
         self._after: int | None = None
 
@@ -63,7 +64,8 @@ class Convergence:
         """Publish how it stands, if that is news, and return it."""
         if self.why:
             self._after = step if self._after is None else self._after
-            text = f'final after {self._after} turns: {self.why}'
+            text = (f'final after {self._after} turns: {self.why}' if not self.gaps else
+                    f'final, with gaps, after {self._after} turns: {self.why}; {self.gaps}')
         else:
             text = (f'not final: turn {step} of {config.turns}, longest move {self.longest:.3f} '
                     f'm, standing still for {self.still} turns')
@@ -74,5 +76,5 @@ class Convergence:
 
     def values(self) -> dict[str, object]:
         """Return what diagnostics show."""
-        return {'final': self.why or '-', 'longest_move': f'{self.longest:.3f}',
-                'standing_still': self.still}
+        return {'final': self.why or '-', 'gaps': self.gaps or '-',
+                'longest_move': f'{self.longest:.3f}', 'standing_still': self.still}

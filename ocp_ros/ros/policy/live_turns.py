@@ -7,6 +7,7 @@ Messages wait unread, the newest of each topic; each turn reads one of each. So 
 busy for one cloud or for one answer at a time, however fast the cameras are.
 """
 
+from collections import Counter
 from collections.abc import Callable
 from functools import partial
 import math
@@ -40,6 +41,7 @@ from ocp_ros.ros.interface.conversions import (
 from ocp_ros.ros.interface.frames import (
     in_body,
     in_range,
+    LateTransformError,
     LiveRig,
     placed,
     Sighting,
@@ -101,6 +103,8 @@ class LiveTurns:
         #: Where it sends the cameras, (K, 3) metres, and the rotations of those that it turns.
         self._sent: tuple[np.ndarray, dict[int, np.ndarray]] = np.empty((0, 3)), {}
         self._instruction = self._expected = ''
+        #: Turns that were decided, and of how many of them each topic brought a cloud.
+        self._decided, self._brought = 0, Counter[str]()
         self._observation = node.create_publisher(PointCloud2, topics.OBSERVATION, LOOP)
         if config.manual:
             self._instructions = node.create_publisher(String, topics.INSTRUCTIONS, LATCHED)
@@ -136,6 +140,7 @@ class LiveTurns:
         self._fused.clear()
         self._known = self._command = self._poses = self._rig = None
         self._instruction = self._expected = ''
+        self._decided, self._brought = 0, Counter()
         self._await_turns()
 
     def change(self, config: PolicyNodeConfig) -> None:
@@ -199,6 +204,12 @@ class LiveTurns:
             topic, message = taken
             try:
                 self._fuse(message)
+            except LateTransformError as error:
+                if not self._turns.wait_on(topic, stamp_to_ns(message.header.stamp), message):
+                    self._refuse(error)
+                    continue
+                # Transforms come on another topic than poses, and may be on their way.
+                break
             except ValueError as error:
                 self._turns.refuse(topic)
                 self._refuse(error)
@@ -239,6 +250,9 @@ class LiveTurns:
             self._turns.again()
             self._refuse(error)
             return
+        if not self._final():
+            self._decided += 1
+            self._brought.update(self._turns.used)
         if not before:
             self._observation.publish(cloud_to_msg(self._fused.points, header))
         self._commands.publish(self._command)
@@ -254,6 +268,13 @@ class LiveTurns:
         if self._final():
             self._turns.change(*self._patience())
         self._reflect()
+
+    @property
+    def gaps(self) -> str:
+        """Say which topics brought clouds to less than half of the turns."""
+        return ', '.join(f'{topic} brought a cloud in {self._brought[topic]} of {self._decided} '
+                         'turns' for topic in self._config.clouds
+                         if 2 * self._brought[topic] < self._decided)
 
     def _settled(self, header: Header) -> PoseArray:
         """
@@ -378,5 +399,7 @@ class LiveTurns:
                 'the cameras do not arrive'
         return wrong, {
             'silent_topics': ','.join(silent), 'late_turns': self._turns.late,
+            'turns_with_clouds': ', '.join(f'{topic} {self._brought[topic]}/{self._decided}'
+                                           for topic in self._config.clouds),
             'clock_jumps': self._turns.jumps, 'fused_points': len(self._fused),
             'voxel_size': self._fused.edge}

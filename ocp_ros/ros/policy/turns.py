@@ -41,6 +41,8 @@ STILL, STEADY = 0.02, 0.02
 #: Nanoseconds that they have to be seen within these, and seconds after which it is enough that
 #: nobody says any more where they are.
 HOLD, QUIET = 200_000_000, 0.5
+#: Seconds for which a cloud waits that was taken too soon.
+PATIENCE = 1.0
 #: Seconds for which it is told that stamps went back.
 TOLD = 10.0
 #: Who sends the poses, among the topics, which have names.
@@ -79,6 +81,8 @@ class Turns(Generic[T]):
         #: Of each topic the newest cloud, and the stamp of the one that this turn has used.
         self._waiting: dict[str, tuple[int, T]] = {}
         self._used: dict[str, int] = {}
+        #: When a cloud was first taken too soon, by topic and stamp.
+        self._too_soon: dict[tuple[str, int], float] = {}
         #: Topics that some turn, maybe this one, did not wait for any longer.
         self._silent: set[str] = set()
         self.late = self.jumps = 0
@@ -255,6 +259,21 @@ class Turns(Generic[T]):
                     return topic, cloud
         return None
 
+    def wait_on(self, topic: str, stamp: int, cloud: T) -> bool:
+        """
+        Give back a cloud that was taken too soon, to be taken again.
+
+        :returns: whether it may be; where that has lasted too long already another is asked for.
+        """
+        del self._used[topic]
+        now = self._clock()
+        first = self._too_soon.setdefault((topic, stamp), now)
+        if now - first > PATIENCE:
+            return False
+        self._too_soon = {(topic, stamp): first}
+        self._waiting.setdefault(topic, (stamp, cloud))
+        return True
+
     def refuse(self, topic: str) -> None:
         """Ask for another cloud of a topic: the one that was taken is of no use."""
         del self._used[topic]
@@ -316,6 +335,11 @@ class Turns(Generic[T]):
         """Return whose stamps went back a short while ago, if anybody's."""
         source, when = self._jumped
         return '' if self._clock() - when > TOLD else source or 'the poses'
+
+    @property
+    def used(self) -> set[str]:
+        """Return the topics of which this turn has taken a cloud."""
+        return set(self._used)
 
     @property
     def standing(self) -> bool:
