@@ -10,7 +10,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from ocp_ros.geometry.cameras import Pose
+from ocp_ros.geometry.shadow_maps import in_reach
 from ocp_ros.online.constraint_filter import ABOVE, ConstraintFilter
+from ocp_ros.online.rig_state import RigState
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.structure import floor_height
@@ -226,3 +229,25 @@ def test_a_table_that_looks_like_the_floor_lifts_no_camera(noise):
         assert not held and np.abs(found - positions)[:, :2].max() > 0.1
         np.testing.assert_array_equal(found[:, 2], positions[:, 2])
         positions = found
+
+
+def test_a_camera_that_sees_no_floor_below_goes_where_it_looks_through_free_space():
+    """Rigs begin close together, level, and see the floor from three metres on."""
+    rig, room = rig_of(1, 'realsense_d455', mount={'on': 'plane', 'height': 1.6}), box_room()
+    model = rig.models[0]
+    placement = np.array([[1.5, 2.0, 1.6, 0.0, 0.0, 0.0]])
+    cloud = room.points[in_reach(room.points, Pose.of(placement[0]), model.lens)]
+    state, positions = RigState(placement, [model], 1, rig.pitch), placement[:, :3]
+    guard = ConstraintFilter(rig, MARGIN)
+    ahead, _ = guard(cloud, positions, positions + [0.5, 0.1, 0.0], 0.5, state=state)
+    assert ahead[0, 0] - 1.5 > 0.4
+    # It does not see what is beside it, nor through a panel.
+    aside, _ = guard(cloud, positions, positions + [-0.3, 0.4, 0.0], 0.5, state=state)
+    assert abs(np.arctan2(*(aside - positions)[0, 1::-1])) < 0.5 * model.horizontal_fov
+    unseen, held = guard(cloud, positions, positions + [-0.3, 0.4, 0.0], 0.5)
+    assert held and np.array_equal(unseen, positions)
+    y, z = (axis.ravel() for axis in np.meshgrid(np.arange(1, 3, 0.05), np.arange(0.5, 2.5, 0.05)))
+    panel = np.column_stack([np.full(y.size, 2.2), y, z]).astype(np.float32)
+    before = np.concatenate([cloud[cloud[:, 0] < 2.2], panel])
+    near, _ = guard(before, positions, positions + [1.5, 0.0, 0.0], 1.5, state=state)
+    assert near[0, 0] <= 2.2 - rig.keep_clear

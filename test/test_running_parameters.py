@@ -264,3 +264,30 @@ def test_a_rig_file_that_cannot_be_read_is_refused(graph, tmp_path):
 def test_the_rig_files_of_the_package_can_be_used(graph):
     for path in sorted((ROOT / 'config' / 'rig').glob('*.yaml')):
         graph.remove(graph.add(PolicyNode, rig_file=str(path)))
+
+
+def test_quality_of_service_follows_parameters_also_when_configured_again(graph):
+    name = 'qos_overrides./camera_commands.publisher.depth'
+    policy = graph.add(PolicyNode, planner='lookahead', **{name: 3})
+
+    def depth():
+        return next(one.qos_profile.depth for one in policy.publishers
+                    if one.topic_name == '/camera_commands')
+
+    assert depth() == policy.get_parameter(name).value == 3 and qos.LOOP.depth == 10
+    assert policy.has_parameter('qos_overrides./observation.subscription.reliability')
+    for trigger in ('deactivate', 'cleanup', 'configure', 'activate'):
+        getattr(policy, f'trigger_{trigger}')()
+    assert depth() == 3
+
+
+def test_what_a_file_says_to_all_nodes_ends_none(graph, tmp_path, monkeypatch, capfd):
+    path = tmp_path / 'all.yaml'
+    path.write_text('/**: {ros__parameters: {robot: {name: one}, turnz: 4}}\n'
+                    'policy_node: {ros__parameters: {turnz: 5, turns: 7}}\n')
+    monkeypatch.setattr('sys.argv', ['policy_node', '--ros-args', '--params-file', str(path)])
+    graph.add(PolicyNode, planner='lookahead', **{'robot.name': 'one'})
+    assert "found 'robot.name' for all nodes" in capfd.readouterr().err
+    # What is meant for this node has to be known to it.
+    with pytest.raises(ConfigurationError, match="'turnz'; did you mean 'turns'"):
+        graph.add(PolicyNode, planner='lookahead', turnz=5)

@@ -7,11 +7,16 @@ Each camera goes to the allowed place nearest to where it was to go, among those
 reaches. Where there is none it stays: nobody is sent through a place where it must not be.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
+from ocp_ros.geometry.cameras import Pose
+from ocp_ros.geometry.shadow_maps import in_reach
+from ocp_ros.online.rig_state import RigState
 from ocp_ros.rig.feasible_region import apart, FeasibleRegion
 from ocp_ros.rig.motion import kept_inside, nearest_place, ROUNDING
 from ocp_ros.rig.rig_file import Rig
@@ -21,6 +26,9 @@ from ocp_ros.util.settings import ConfigurationError
 
 #: Metres of air that there are above a camera at least: those that look down do not see it.
 ABOVE = 0.1
+#: Directions around a camera in which it is known how far it looks through free space, and how
+#: many on either side of a way have to be free too.
+SECTORS, ASIDE = 120, 1
 
 
 class FilteredTargets(NamedTuple):
@@ -69,7 +77,8 @@ class ConstraintFilter:
         self._prepared = self._allowed is not None
 
     def __call__(self, cloud: np.ndarray, positions: np.ndarray, targets: np.ndarray,
-                 max_step: float, fixed: np.ndarray | None = None) -> FilteredTargets:
+                 max_step: float, fixed: np.ndarray | None = None,
+                 state: RigState | None = None) -> FilteredTargets:
         """
         Choose places.
 
@@ -79,6 +88,8 @@ class ConstraintFilter:
         :param max_step: farthest a camera moves in one turn, metres.
         :param fixed: (F, 3) metres, where the cameras in place are; the rig's word for it unless
             told otherwise.
+        :param state: how the cameras are turned. One that knows no floor within a step goes where
+            it looks through free space: rigs begin close together, and see no floor below them.
         """
         top, prepared = float(positions[:, 2].max()) + ABOVE, self._prepared
         if prepared:
@@ -94,6 +105,10 @@ class ConstraintFilter:
             others = np.concatenate([np.delete(chosen, camera, axis=0), fixed])
             found = self._nearest(positions[camera], targets[camera], others, bounds, max_step,
                                   cloud if prepared else None)
+            if found is None and state is not None:
+                found = self._nearest(positions[camera], targets[camera], others, bounds, max_step,
+                                      cloud if prepared else None,
+                                      partial(looked_through, cloud, state, camera))
             if found is None:
                 held.append(f'{name.name} stays at {np.round(positions[camera], 2).tolist()}: '
                             f'found no feasible position within {max_step:g} m')
@@ -101,7 +116,7 @@ class ConstraintFilter:
                 chosen[camera] = found
         if held and prepared:
             # Perhaps the newest points show a place for those that would have to stay.
-            return self(cloud, positions, targets, max_step, fixed)
+            return self(cloud, positions, targets, max_step, fixed, state)
         return FilteredTargets(chosen, held)
 
     def _look(self, cloud: np.ndarray, positions: np.ndarray) -> None:
@@ -127,12 +142,15 @@ class ConstraintFilter:
             self._why = str(error)
 
     def _nearest(self, position: np.ndarray, target: np.ndarray, others: np.ndarray,
-                 bounds: np.ndarray, max_step: float, newest: np.ndarray | None
+                 bounds: np.ndarray, max_step: float, newest: np.ndarray | None,
+                 free: Callable[[np.ndarray, float], np.ndarray] | None = None
                  ) -> np.ndarray | None:
         """
         Return the allowed place that is nearest to a target, about; None if there is none.
 
         :param newest: points of which some may not be known yet; None if all are.
+        :param free: tells of places (P, 3), with metres to keep clear, which are free whatever is
+            known of the floor; None where floor is asked for.
         """
         if newest is not None:
             reach = max_step + self.rig.keep_clear + ROUNDING
@@ -140,8 +158,11 @@ class ConstraintFilter:
             newest = newest[(away <= reach).all(axis=1)]
 
         def allowed(places: np.ndarray) -> np.ndarray:
-            good = apart(places, others, self.rig.spacing) & self._inside(places, bounds)
-            good[good] = self._allowed.allowed(places[good]) if good.any() else False
+            good = apart(places, others, self.rig.spacing)
+            good &= self._inside(places, bounds) if free is None else free(
+                places, self.rig.keep_clear)
+            good[good] = self._allowed.allowed(
+                places[good], unknown=free is not None) if good.any() else False
             if newest is not None and good.any():
                 good[good] = self._allowed.clear(places[good], newest)
             return good
@@ -164,3 +185,31 @@ class ConstraintFilter:
         """Tell which places are far enough inside the observed bounding box: (P,) bool."""
         inside, _ = kept_inside(places, bounds, self.wall_margin)
         return (np.abs(inside - places) <= ROUNDING).all(axis=1)
+
+
+def looked_through(cloud: np.ndarray, state: RigState, camera: int, places: np.ndarray,
+                   clear: float) -> np.ndarray:
+    """
+    Tell which places lie before the first surface that a camera sees on the way there.
+
+    :param cloud: (N, 3) float32, metres: the points seen so far.
+    :param state: how the cameras are turned.
+    :param places: (P, 3) metres, at the height of the camera, about.
+    :param clear: metres to keep from surfaces.
+    :returns: (P,) bool.
+    """
+    pose = Pose.of(state.placement[camera])
+    ways = (cloud[in_reach(cloud, pose, state.models[camera].lens)] - pose.position)[:, :2]
+    free = np.full(SECTORS, np.inf)
+    np.minimum.at(free, _sectors(ways), np.linalg.norm(ways, axis=1))
+    # Where nothing is seen, nothing is known.
+    free[np.isinf(free)] = 0.0
+    around = np.min([np.roll(free, k) for k in range(-ASIDE, ASIDE + 1)], axis=0)
+    ways = (places - pose.position)[:, :2]
+    return np.linalg.norm(ways, axis=1) + clear <= around[_sectors(ways)]
+
+
+def _sectors(ways: np.ndarray) -> np.ndarray:
+    """Return the numbers of the directions of ways (M, 2)."""
+    turns = np.arctan2(ways[:, 1], ways[:, 0]) / (2.0 * np.pi)
+    return np.floor(SECTORS * turns).astype(int) % SECTORS

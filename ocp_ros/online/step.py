@@ -175,7 +175,7 @@ class OnlineStep:
             targets[:, :2] = towards(positions[:, :2], targets[:, :2], limits.max_step)
             return targets, []
         found = self._filter(cloud, positions, targets, limits.max_step,
-                             state.placement[state.movable:, :3])
+                             state.placement[state.movable:, :3], state)
         return found.targets, found.held
 
     def _aim(self, cloud: np.ndarray, state: RigState, targets: np.ndarray, turn: int, turns: int

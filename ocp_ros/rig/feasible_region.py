@@ -35,7 +35,7 @@ FEW_PLACES = 48
 #: Radians: steps of yaw and pitch of few poses, and of a dense grid of them.
 COARSE, DENSE = np.deg2rad((30.0, 19.0)), np.deg2rad((15.0, 9.5))
 #: What messages call the constraint that a ball can be carried to a camera.
-FREE_SPACE = 'free space'
+FLOOR, FREE_SPACE = 'the floor', 'free space'
 #: Metres from a camera on a wall into the room, where there has to be floor.
 INTO_THE_ROOM = 0.3
 #: Neighbours that are looked at first where some belong to the surface that a camera hangs on.
@@ -239,7 +239,8 @@ class FeasibleRegion:
                     found.append(f'{camera.name}: {self._too_near(away, chosen[other].name)}')
         return found
 
-    def allowed(self, poses: np.ndarray, model: CameraModel | None = None) -> np.ndarray:
+    def allowed(self, poses: np.ndarray, model: CameraModel | None = None,
+                unknown: bool = False) -> np.ndarray:
         """
         Tell where one camera may hang; how far it is from others is not looked at.
 
@@ -249,11 +250,13 @@ class FeasibleRegion:
 
         :param poses: (M, 6) metres, map frame, and radians, or (M, 3).
         :param model: the camera; one whose pitch matters by default.
+        :param unknown: whether it may be where the scan shows neither floor nor free space.
         :returns: (M,) bool.
         """
         poses = _checked(poses)
         checks = self._checks(poses, [model] * len(poses), ROUNDING)
-        return ~np.any([check.broken for check in checks], axis=0)
+        return ~np.any([check.broken for check in checks
+                        if not (unknown and check.name in (FLOOR, FREE_SPACE))], axis=0)
 
     def clear(self, positions: np.ndarray, points: np.ndarray) -> np.ndarray:
         """
@@ -298,7 +301,7 @@ class FeasibleRegion:
             places = places + INTO_THE_ROOM * contact.normals[:, :2]
         away = np.linalg.norm(self.space.inside(places) - places, axis=1)
         wrong = (away > beyond) | (z < self.floor) | (z > self.top)
-        return Check('the floor', wrong, lambda k: (
+        return Check(FLOOR, wrong, lambda k: (
             f'found {_place(positions[k])}, which is not above floor that {self.scene.name} '
             'shows; expected a position in the room and not in furniture; move it there'))
 

@@ -9,9 +9,14 @@ it cannot be configured it says why, and another try can follow.
 """
 
 from collections.abc import Callable
+from copy import copy
 from typing import Any
 
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
 
 from ocp_ros.policy.errors import CheckpointError
 from ocp_ros.ros.runtime.parameters import configured, declare, follow
@@ -20,6 +25,8 @@ from ocp_ros.util.settings import ConfigurationError, setting
 
 #: What whoever configures a node can put right.
 MENDABLE = (CheckpointError, ConfigurationError, SceneError, OSError)
+#: How topics begin that all nodes have.
+COMMON = ('/rosout', '/parameter_events', '/diagnostics', '/clock', '/tf')
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
@@ -27,6 +34,16 @@ def autostart() -> Any:
     """Declare the setting that all of them have."""
     return setting(True, 'configure and activate the node at the start; false: wait for lifecycle '
                          'commands, such as `ros2 lifecycle set`')
+
+
+def _overridable(topic: str, profile: QoSProfile | int, settings: dict[str, Any]
+                 ) -> QoSProfile | int:
+    """Let parameters ``qos_overrides`` change the profile of a topic of our own; return it."""
+    if topic.startswith(('~', *COMMON)) or not isinstance(profile, QoSProfile):
+        return profile
+    settings.setdefault('qos_overriding_options', QoSOverridingOptions.with_default_policies())
+    # What they say is written into it.
+    return copy(profile)
 
 
 class ManagedNode(LifecycleNode):
@@ -58,6 +75,17 @@ class ManagedNode(LifecycleNode):
                 if trigger() != SUCCESS:
                     raise self._failure
         self._starting = False
+
+    def create_publisher(self, msg_type, topic: str, qos_profile, **settings) -> Publisher:
+        """Create a publisher whose quality of service parameters may override."""
+        profile = _overridable(topic, qos_profile, settings)
+        return super().create_publisher(msg_type, topic, profile, **settings)
+
+    def create_subscription(self, msg_type, topic: str, callback, qos_profile, **settings
+                            ) -> Subscription:
+        """Create a subscription whose quality of service parameters may override."""
+        profile = _overridable(topic, qos_profile, settings)
+        return super().create_subscription(msg_type, topic, callback, profile, **settings)
 
     def configure(self) -> None:
         """Get ready with the parameters; whatever is created is destroyed in the end."""

@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS parameters from configuration dataclasses, which own the defaults."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import Field
 from functools import partial
+from pathlib import Path
+import sys
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import (
@@ -15,10 +17,14 @@ from rcl_interfaces.msg import (
 )
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+import yaml
 
 from ocp_ros.util.settings import check_known, ConfigurationError, from_flat, leaves
 
 T = TypeVar('T')
+
+#: How parameters begin that override the quality of service of topics.
+QOS = 'qos_overrides.'
 
 
 def declare(node: Node, cls: type[T], instead: dict[str, dict[str, Any]] | None = None) -> T:
@@ -42,10 +48,46 @@ def declare(node: Node, cls: type[T], instead: dict[str, dict[str, Any]] | None 
     values = {name: node.declare_parameter(name, defaults[name], _descriptor(item)).value
               for name, item in settings.items()}
     # Overrides that nobody declares would be dropped without a word.
-    unknown = [name for name in node._parameter_overrides if not node.has_parameter(name)]
-    check_known(unknown, settings, f'{node.get_name()} parameters')
+    unknown = [name for name in node._parameter_overrides if not node.has_parameter(name)
+               and not name.startswith(QOS)]
+    shared = for_all_nodes(sys.argv)
+    for name in shared & set(unknown):
+        node.get_logger().warning(f'parameters: found {name!r} for all nodes (/**), which this '
+                                  'one does not have; going on without')
+    check_known([name for name in unknown if name not in shared], settings,
+                f'{node.get_name()} parameters')
     node.add_on_set_parameters_callback(partial(_check, node, cls))
     return from_flat(cls, values, node.get_name())
+
+
+def for_all_nodes(arguments: Sequence[str]) -> set[str]:
+    """
+    Return the parameters that files set for all nodes alone, under ``/**``: others may need them.
+
+    :param arguments: of the command line, with ``--params-file FILE``.
+    """
+    names: dict[bool, set[str]] = {True: set(), False: set()}
+    for option, path in zip(arguments, arguments[1:]):
+        if option != '--params-file':
+            continue
+        try:
+            content = yaml.safe_load(Path(path).read_text())
+            sections = {key: part['ros__parameters'] for key, part in content.items()}
+            for key, part in sections.items():
+                names[key == '/**'] |= set(_flat(part))
+        except (OSError, UnicodeDecodeError, yaml.YAMLError, AttributeError, KeyError, TypeError):
+            # What is wrong with it, ROS itself says.
+            continue
+    return names[True] - names[False]
+
+
+def _flat(values: dict[str, Any], prefix: str = '') -> Iterator[str]:
+    """Yield the dotted names of nested parameters."""
+    for name, value in values.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f'{prefix}{name}.')
+        else:
+            yield f'{prefix}{name}'
 
 
 def follow(node: Node, change: Callable[[T], None]) -> None:
