@@ -305,3 +305,19 @@ def test_each_camera_of_a_mixed_rig_has_its_own_pitch(rooms):
     assert allowed.broken(poses) == []
     assert len(allowed.broken(poses[::-1])) == 1
     assert allowed.broken(poses[1:], [1]) == [] and len(allowed.broken(poses[1:], [0])) == 1
+
+
+def test_a_tripod_stands_on_the_floor_and_a_pole_may_be_over_a_table():
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(2.0, 4.0, 0.05),
+                                                 np.arange(1.0, 3.0, 0.05)))
+    table = np.column_stack([x, y, np.full(x.size, 0.74)])
+    room = Scene(np.concatenate([box_room().points, table]).astype('f4'), 'office')
+    poses = np.concatenate([level(x, 2.0, 1.6) for x in (3.0, 1.8, 1.2)])
+    for footprint, good in ((0.0, [True, True, True]), (0.4, [False, False, True])):
+        rig = rig_of(3, 'd455', mount={'on': 'plane', 'height': 1.6, 'footprint': footprint})
+        region = FeasibleRegion(room, rig)
+        assert region.allowed(poses).tolist() == good
+        assert len(region.broken(poses)) == good.count(False)
+        assert region.allowed(region.candidates(rig.models[0], 100), rig.models[0]).all()
+    with pytest.raises(ConfigurationError, match='mount.footprint'):
+        rig_of(1, 'd455', mount={'on': 'walls', 'footprint': 0.3})

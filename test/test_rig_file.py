@@ -55,7 +55,7 @@ def test_every_key_arrives_in_metres_and_radians(tmp_path):
     assert rig.models[4] == SENSORS['azure_kinect_nfov'].model
     assert rig.all_cameras[4].name == 'door'
     np.testing.assert_allclose(rig.fixed_poses, [[1.0, 2.0, 2.2, np.pi / 2, np.pi / 9, 0.0]])
-    assert rig.mount == ('walls', (1.8, 2.4))
+    assert rig.mount == ('walls', (1.8, 2.4), 0.0)
     assert rig.pitch == pytest.approx((0.0, np.pi / 3))
     assert rig.rolls == pytest.approx((0.0, np.pi / 2))
     assert (rig.keep_clear, rig.spacing, rig.seen_by) == (0.3, 0.5, 2)
@@ -91,11 +91,11 @@ def test_what_is_left_out_has_defaults(tmp_path):
     rig = rig_in(tmp_path, 'cameras: [{sensor: omnidirectional}]')
     assert [camera.name for camera in rig.cameras] == ['omnidirectional']
     assert rig.models == (CameraModel(),) and len(rig.fixed_poses) == 0
-    assert rig.mount == ('plane', (1.9, 1.9)) and rig.seen_by == 1
+    assert rig.mount == ('plane', (1.9, 1.9), 0.0) and rig.seen_by == 1
     assert (rig.keep_clear, rig.spacing) == (0.2, 0.2)
     assert rig.pitch == pytest.approx((0.0, np.pi / 2))
     assert rig_in(tmp_path, 'cameras: [{sensor: kinect_v2}]\nmount: {on: ceiling}').mount == (
-        'ceiling', None)
+        'ceiling', None, 0.0)
 
 
 def test_numbers_beside_a_sensor_take_the_place_of_its_own(tmp_path):

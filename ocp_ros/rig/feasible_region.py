@@ -3,6 +3,7 @@
 """Feasible region: where cameras may be in a room, and which constraint is violated elsewhere."""
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +35,8 @@ ROLL_LEEWAY = np.deg2rad(10.0)
 FEW_PLACES = 48
 #: Radians: steps of yaw and pitch of few poses, and of a dense grid of them.
 COARSE, DENSE = np.deg2rad((30.0, 19.0)), np.deg2rad((15.0, 9.5))
+#: Metres above the floor from which on something stands there: a skirting board does not.
+SKIRTING = 0.15
 #: What messages call the constraint that a ball can be carried to a camera.
 FLOOR, FREE_SPACE = 'the floor', 'free space'
 #: Metres from a camera on a wall into the room, where there has to be floor.
@@ -200,7 +203,7 @@ class FeasibleRegion:
         :param positions: (M, 3) metres, map frame.
         :returns: (M, 3); as it was where there is no ceiling or wall near.
         """
-        on, heights = self.rig.mount
+        on, heights, _ = self.rig.mount
         moved = positions.copy()
         if on == 'walls':
             contact = self.surface.at(positions)
@@ -282,6 +285,8 @@ class FeasibleRegion:
             'there'))
         yield self._too_close(positions, contact, self.scene.points, self._tree)
         yield from self._off_mount(positions, contact)
+        if self.rig.mount.footprint:
+            yield self._on_furniture(positions)
         for number, zone in enumerate(self.rig.keep_out, start=1):
             inside = zone.contains(positions, self.floor)
             yield Check(f'keep-out zone {number}', inside, lambda k, number=number: (
@@ -327,9 +332,25 @@ class FeasibleRegion:
             f'found {nearest[k]:.2f} m to the nearest surface; expected at least {least:.2f} m '
             '(keep_clear); move it away'))
 
+    @cached_property
+    def _low(self) -> tuple[np.ndarray, cKDTree]:
+        """Return the points above the floor, and these seen from above for queries."""
+        points = self.scene.points[self.scene.points[:, 2] > self.floor + SKIRTING]
+        return points, cKDTree(points[:, :2])
+
+    def _on_furniture(self, positions: np.ndarray) -> Check:
+        """Check that nothing stands where the feet of a tripod are, below the camera."""
+        (points, tree), radius = self._low, self.rig.mount.footprint
+        found = tree.query_ball_point(positions[:, :2], radius)
+        high = np.array([points[near, 2][points[near, 2] < z].max(initial=-np.inf)
+                         for near, z in zip(found, positions[:, 2])])
+        return Check('mount.footprint', np.isfinite(high), lambda k: (
+            f'found something {high[k] - self.floor:.2f} m high within {radius:g} m of the place '
+            'below it (mount.footprint); expected floor; move it away'))
+
     def _off_mount(self, positions: np.ndarray, contact: Contact | None) -> Iterator[Check]:
         """Check the height and that there is something to hang on."""
-        on, heights = self.rig.mount
+        on, heights, _ = self.rig.mount
         if heights is not None:
             low, high = heights
             above = positions[:, 2] - self.floor

@@ -45,7 +45,7 @@ def places_in(rig: Rig, scene: Scene, space: FreePlane,
     :param space: where there is floor.
     :param surface: the ceiling or the walls; None for mounts without.
     """
-    on, heights = rig.mount
+    on, heights, _ = rig.mount
     floor = floor_height(scene)
     if on == 'walls':
         return _along_walls(floor + np.array(heights), space, surface)

@@ -67,10 +67,13 @@ class Mount(NamedTuple):
 
     :ivar on: ``plane``, ``ceiling``, ``walls`` or ``free``.
     :ivar heights: the lowest and highest metres above the floor; None for just below the ceiling.
+    :ivar footprint: metres around the place below a camera that have to be floor: the feet of a
+        tripod; 0 for cameras on poles and rods.
     """
 
     on: str
     heights: tuple[float, float] | None
+    footprint: float = 0.0
 
 
 class Region(NamedTuple):
@@ -391,13 +394,16 @@ def names_of(document: Document, ways: list[Way]) -> Iterator[str]:
 def _mount(document: Document) -> Mount:
     """Read what the cameras hang on."""
     data = document.data.get('mount', {'on': 'plane'})
-    on, given = data['on'], data.get('height')
+    on, given, footprint = data['on'], data.get('height'), data.get('footprint', 0.0)
+    if footprint and on not in ('plane', 'free'):
+        raise document.error(('mount', 'footprint'), describe(footprint), f'none for {on}',
+                             'leave it out, or write on: plane for cameras on tripods')
     if given is None:
-        return Mount(on, HEIGHTS[on])
+        return Mount(on, HEIGHTS[on], footprint)
     if isinstance(given, list) and on in ('plane', 'ceiling'):
         raise document.error(('mount', 'height'), describe(given), f'one number for {on}',
                              f'write, for example, height: {given[0]:g}, or on: free')
-    return Mount(on, _range(document, ('mount', 'height'), given))
+    return Mount(on, _range(document, ('mount', 'height'), given), footprint)
 
 
 def _range(document: Document, way: Way, value: Any) -> tuple[float, float]:

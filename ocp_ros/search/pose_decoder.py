@@ -95,7 +95,7 @@ class Decoder:
 
     def _count(self, camera: int) -> int:
         """Return how many candidates are compared: one where they differ in place alone."""
-        on, heights = self.rig.mount
+        on, heights, _ = self.rig.mount
         level = on in ('plane', 'ceiling')
         return 1 if level and self.rig.cameras[camera].model.omnidirectional else NEAREST
 
