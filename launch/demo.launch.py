@@ -5,29 +5,50 @@
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+#: Argument, node and its parameter, type and description. What is not given is as the parameter
+#: files have it.
+ARGUMENTS = (
+    ('room', 'sim_node', 'scene.file', str, 'scan or mesh; empty: generated room'),
+    ('cameras', 'sim_node', 'rig.cameras', int, 'number of cameras'),
+    ('rig_file', 'sim_node', 'rig_file', str, 'YAML of docs/reference/rig.md'),
+    ('rig_file', 'policy_node', 'rig_file', str, ''),
+    ('planner', 'policy_node', 'planner', str, 'learned, lookahead or learned_lookahead'),
+    ('model', 'policy_node', 'model', str, 'weights; lookahead reads none'),
+    ('use_sim_time', 'sim_node', 'use_sim_time', bool, 'true: time comes from /clock'),
+    ('use_sim_time', 'policy_node', 'use_sim_time', bool, ''),
+)
+
+
+def nodes(context: LaunchContext) -> list[Node]:
+    """Start a simulated rig and a policy with the parameters that are given."""
+    config = Path(get_package_share_directory('ocp_ros')) / 'config'
+    return [Node(package='ocp_ros', executable=executable, output='screen',
+                 namespace=LaunchConfiguration('namespace'),
+                 parameters=[str(config / file), {
+                     parameter: ParameterValue(LaunchConfiguration(name), value_type=kind)
+                     for name, node, parameter, kind, _ in ARGUMENTS
+                     if node == executable and LaunchConfiguration(name).perform(context)}])
+            for executable, file in (('sim_node', 'sim.yaml'), ('policy_node', 'policy.yaml'))]
+
 
 def generate_launch_description() -> LaunchDescription:
-    """Start a simulated rig and a policy."""
+    """Start a simulated rig, a policy and, where it is wanted, RViz."""
     config = Path(get_package_share_directory('ocp_ros')) / 'config'
     return LaunchDescription([
-        DeclareLaunchArgument('room', default_value='', description='scan; empty: generated room'),
-        DeclareLaunchArgument('cameras', default_value='4', description='number of cameras'),
-        DeclareLaunchArgument('planner', default_value='learned_lookahead',
-                              description='learned, lookahead or learned_lookahead'),
-        DeclareLaunchArgument('model', default_value='map',
-                              description='weights; lookahead reads none'),
-        Node(package='ocp_ros', executable='sim_node', output='screen', parameters=[
-            str(config / 'sim.yaml'),
-            {'scene.file': ParameterValue(LaunchConfiguration('room'), value_type=str),
-             'rig.cameras': ParameterValue(LaunchConfiguration('cameras'), value_type=int)}]),
-        Node(package='ocp_ros', executable='policy_node', output='screen', parameters=[
-            str(config / 'policy.yaml'),
-            {name: ParameterValue(LaunchConfiguration(name), value_type=str)
-             for name in ('planner', 'model')}]),
+        DeclareLaunchArgument('namespace', default_value='', description='of the nodes'),
+        *(DeclareLaunchArgument(
+            name, default_value='', description=f'{description}; empty: as in the files in config')
+          for name, _, _, _, description in ARGUMENTS if description),
+        DeclareLaunchArgument('rviz', default_value='false', description='start RViz as well'),
+        # First: where RViz is not installed nothing else has been started that would stay.
+        Node(package='rviz2', executable='rviz2', arguments=['-d', str(config / 'ocp.rviz')],
+             condition=IfCondition(LaunchConfiguration('rviz'))),
+        OpaqueFunction(function=nodes),
     ])

@@ -11,7 +11,7 @@ import pytest
 
 
 @pytest.mark.parametrize(('name', 'given', 'nodes'), [
-    ('demo', {}, 2), ('train', {}, 3), ('train', {'envs': '8'}, 17), ('live', {}, 2)])
+    ('demo', {}, 3), ('train', {}, 3), ('train', {'envs': '8'}, 17), ('live', {}, 2)])
 def test_a_launch_file_starts_its_nodes(name, given, nodes, monkeypatch):
     pytest.importorskip('launch_ros', reason='launch files need ROS 2 from apt (launch_ros)')
     from launch import LaunchContext
@@ -67,6 +67,12 @@ def test_the_demo_runs_the_planner_that_is_named(launched):
     assert (sim, policy) == ('sim_node', 'policy_node')
     assert of_sim[-1] == {'scene.file': 'scan.ply', 'rig.cameras': 3}
     assert of_policy[-1] == {'planner': 'lookahead', 'model': 'map'}
+    for _, namespace, parameters in launched('demo', namespace='cell', rig_file='rig.yaml',
+                                             use_sim_time='true'):
+        assert namespace == 'cell'
+        assert parameters[-1] == {'rig_file': 'rig.yaml', 'use_sim_time': True}
+    assert [node for node, _, _ in launched('demo', rviz='true')] == [
+        'rviz2', 'sim_node', 'policy_node']
 
 
 def test_training_has_as_many_pairs_as_asked_for(launched):

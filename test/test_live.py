@@ -313,6 +313,21 @@ def test_a_person_is_told_what_to_do_and_has_time(live):
         msg_to_positions(live.last(topics.PLACEMENT)), rig.positions, atol=1e-6)
 
 
+def test_a_person_is_not_told_anew_for_the_noise_of_poses(live):
+    rig, policy = live.start(manual=True, turns=2, max_step=0.5)
+    rig.obeys = False
+    live.wait_for_turns(1)
+    live.last(topics.INSTRUCTIONS)
+    before, rng = len(live.received[topics.INSTRUCTIONS]), np.random.default_rng(0)
+    where = rig.positions
+    for _ in range(5):
+        rig.episode.move((where - rig.positions + rng.normal(0.0, 0.004, where.shape))[:, :2])
+        policy._live._command_again()
+        for _ in range(5):
+            live.graph.executor.spin_once(timeout_sec=0.02)
+    assert len(live.received[topics.INSTRUCTIONS]) == before
+
+
 def test_a_person_who_has_hung_a_camera_a_little_off_is_told_what_is_left(live):
     rig, policy = live.start(manual=True, turns=2, max_step=0.5)
     rig.obeys = False

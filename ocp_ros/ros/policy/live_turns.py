@@ -61,6 +61,8 @@ from ocp_ros.util.settings import ConfigurationError
 #: Seconds between two looks at the clock, where no message comes, and between two times that a
 #: command is sent while the cameras have not arrived: it may have been lost.
 TICK, AGAIN = 0.1, 1.0
+#: Metres and radians by which poses differ at least for a person to be told anew what is left.
+SAME = 0.05
 
 
 class LiveTurns:
@@ -103,6 +105,8 @@ class LiveTurns:
         #: Where it sends the cameras, (K, 3) metres, and the rotations of those that it turns.
         self._sent: tuple[np.ndarray, dict[int, np.ndarray]] = np.empty((0, 3)), {}
         self._instruction = self._expected = ''
+        #: Of the last instruction, targets, positions and turns: (K, 8) metres and radians.
+        self._left = np.empty((0, 8))
         #: Turns that were decided, and of how many of them each topic brought a cloud.
         self._decided, self._brought = 0, Counter[str]()
         self._observation = node.create_publisher(PointCloud2, topics.OBSERVATION, LOOP)
@@ -333,8 +337,12 @@ class LiveTurns:
                                         heading_of(rotation))
         text = FINAL if self._final() else instructions(
             positions, targets, least, turns, self._config.arrival_angle, self._expected)
-        if text != self._instruction:
-            self._instruction = text
+        # What is left to do is told anew where it has changed by more than the noise of poses.
+        left = np.column_stack([targets, positions, turns])
+        same = self._left.shape == left.shape and text.count('\n') == self._instruction.count(
+            '\n') and (np.abs(left - self._left) < SAME).all()
+        if text != self._instruction and not same:
+            self._instruction, self._left = text, left
             self._instructions.publish(String(data=text))
             self._markers.publish(
                 move_markers(positions, targets, moving(positions, targets, least), header))
