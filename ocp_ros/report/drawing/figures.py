@@ -83,7 +83,7 @@ def shortened(text: str, width: float, size: float, bold: bool = False) -> str:
 def write(figure: Figure, place: tuple[float, float], text: str, width: float, size: float,
           colour: Any, bold: bool = False, align: str = 'left') -> None:
     """
-    Write a line of text in a figure, shortened where it is too wide.
+    Write a line of text in a figure: smaller where it is too wide, and shortened only then.
 
     :param place: inches, of the text's left end, or of its right end or its middle.
     :param width: inches that it may have.
@@ -91,6 +91,9 @@ def write(figure: Figure, place: tuple[float, float], text: str, width: float, s
     :param align: ``left``, ``right`` or ``center``.
     """
     x, y = place / figure.get_size_inches()
+    while size > SMALLEST and shortened(text, np.inf, size, bold) != shortened(
+            text, width, size, bold):
+        size = max(size - 0.2, SMALLEST)
     figure.text(x, y, shortened(text, width, size, bold), fontsize=size, color=colour,
                 fontweight='bold' if bold else 'normal', va='center', ha=align)
 
