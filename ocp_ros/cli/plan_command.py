@@ -99,7 +99,7 @@ def run(arguments: argparse.Namespace) -> Found:
     scene, room = room_asked(arguments, {})
     folder = folder_to_write(arguments.out)
     budget, proving = task.budgets()
-    with _stopped_by_hand(budget), _progress() as progress:
+    with _stopped_by_hand(budget), _progress(arguments.json) as progress:
         planned = PlannedRig(scene, rig, task, budget, proving, progress)
     placement = planned.placement(room, command_of(arguments.argv))
     with _kept(folder, placement) as files:
@@ -185,7 +185,7 @@ def _stopped_by_hand(budget: 'Budget') -> Iterator[None]:
 
 
 @contextmanager
-def _progress() -> Iterator[Callable[[float, float], None]]:
+def _progress(silent: bool) -> Iterator[Callable[[float, float], None]]:
     """Show the progress on the terminal, or a line now and then; yields a function to call."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
@@ -199,7 +199,7 @@ def _progress() -> Iterator[Callable[[float, float], None]]:
             nonlocal said
             value = '' if loss == math.inf else f'objective value {loss:.4f}'
             bar.update(task, completed=share, loss=value)
-            if not console.is_terminal and time.monotonic() - said >= SAID:
+            if not (silent or console.is_terminal) and time.monotonic() - said >= SAID:
                 said = time.monotonic()
                 print(f'searching, {100.0 * min(share, 1.0):.0f} %: {value}', file=sys.stderr,
                       flush=True)

@@ -26,6 +26,8 @@ from ocp_ros.util.settings import ConfigurationError
 
 #: Metres of air that there are above a camera at least: those that look down do not see it.
 ABOVE = 0.1
+#: Metres: who goes no farther stays.
+STAYS = 0.01
 #: Directions around a camera in which it is known how far it looks through free space, and how
 #: many on either side of a way have to be free too.
 SECTORS, ASIDE = 120, 1
@@ -105,10 +107,10 @@ class ConstraintFilter:
             others = np.concatenate([np.delete(chosen, camera, axis=0), fixed])
             found = self._nearest(positions[camera], targets[camera], others, bounds, max_step,
                                   cloud if prepared else None)
-            if found is None and state is not None:
+            going = np.linalg.norm(targets[camera] - positions[camera]) > STAYS
+            if found is None and going and state is not None and not prepared:
                 found = self._nearest(positions[camera], targets[camera], others, bounds, max_step,
-                                      cloud if prepared else None,
-                                      partial(looked_through, cloud, state, camera))
+                                      None, partial(looked_through, cloud, state, camera))
             if found is None:
                 held.append(f'{name.name} stays at {np.round(positions[camera], 2).tolist()}: '
                             f'found no feasible position within {max_step:g} m')

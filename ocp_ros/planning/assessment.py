@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.geometry.packed_bits import Subset
+from ocp_ros.geometry.visibility import MESH
 from ocp_ros.planning.camera_words import aim_of, Words, words_for
 from ocp_ros.planning.findings import scores_of, verdict
 from ocp_ros.planning.wall_references import Corner, nearest_corner, ReferenceWall, WallReferences
@@ -108,8 +110,7 @@ class Assessment:
     @cached_property
     def aims(self) -> list[str]:
         """Return what the middle of each camera's picture shows; nothing of some."""
-        points = self.scene.points.astype(np.float64)
-        return [aim_of(placed, points, self.walls, self.floor)
+        return [aim_of(placed, self.scene, self.walls, self.floor)
                 for placed in self.placement.cameras]
 
     @property
@@ -146,13 +147,18 @@ def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str
     :raises ConfigurationError: if the placement's rig cannot be used in this room.
     """
     rig = placement.rig_in(scene)
-    problem = Problem.of(scene, rig, SimulationConfig(engine=placement.engine))
+    engine, notes = placement.engine, []
+    if engine.preset == MESH and scene.mesh is None:
+        engine = replace(engine, preset=PROMISING.preset)
+        notes = [f'the placement was planned by rays cast at a mesh, and {scene.name} is none; '
+                 f'the scores are those of the preset {engine.preset}']
+    problem = Problem.of(scene, rig, SimulationConfig(engine=engine))
     found = {'room': room, 'cameras': data_of(placement)['cameras'],
              **verdict(problem, placement.poses)}
     scores = found['scores']
     if (planned := placement.planned_poses) is not None:
         found['planned'] = scores_of(problem.objective, problem.look(planned))
-    found['notes'] += _notes(placement, room, scores)
+    found['notes'] += [*notes, *_notes(placement, room, scores)]
     created = created_by(command, placement.created.get('planner', ''))
     return Assessment(problem.objective, replace(
         placement, rig=rig, room=room, scores=scores, created=created), found, frame)

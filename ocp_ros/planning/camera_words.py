@@ -15,6 +15,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
 from ocp_ros.planning.wall_references import Distance, FAR, ReferenceWall
 from ocp_ros.rig.placement_file import Placed
+from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.source_frame import SourceFrame
 
 #: Degrees: what is less is straight, level or upright; from where on a camera looks straight down.
@@ -62,12 +63,11 @@ def _place(distances: Sequence[Distance]) -> str:
     return ', '.join(told)
 
 
-def aim_of(placed: Placed, points: np.ndarray, sides: Sequence[ReferenceWall], floor: float
-           ) -> str:
+def aim_of(placed: Placed, scene: Scene, sides: Sequence[ReferenceWall], floor: float) -> str:
     """
     Say what the middle of a camera's picture shows, for whoever turns it.
 
-    :param points: (N, 3) metres, of the room.
+    :param scene: the room.
     :param sides: of the room.
     :param floor: its height, metres, map frame.
     :returns: nothing of a camera that sees all around, or where the scan shows nothing there.
@@ -75,10 +75,10 @@ def aim_of(placed: Placed, points: np.ndarray, sides: Sequence[ReferenceWall], f
     if placed.camera.model.omnidirectional:
         return ''
     ahead = rotation_matrix(*placed.pose[3:])[:, 0]
-    ways = points - placed.pose[:3]
+    ways = scene.points - placed.pose[:3]
     along = ways @ ahead
     aside = np.linalg.norm(ways - along[:, None] * ahead, axis=1)
-    near = np.flatnonzero((along > NEAREST) & (aside <= ASIDE))
+    near = np.flatnonzero((along > NEAREST) & (aside <= np.maximum(scene.pitch, ASIDE)))
     if len(near) == 0:
         return ''
     # Of the first that it meets the one that is most in the middle.

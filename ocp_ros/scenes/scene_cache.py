@@ -17,6 +17,8 @@ from ocp_ros.util.files import cache_folder, write_atomically
 
 #: Bytes of a file from which it is worth keeping what was read.
 LARGE = 4_000_000
+#: Of what is kept; another one where reading a file gives something else.
+LAYOUT = 2
 #: The folder of the cache that they are in.
 SCANS = 'scans'
 
@@ -40,7 +42,7 @@ def load_cached(path: str | Path, **options) -> Scene:
         return load_scene(path, **options)
     if state.st_size < LARGE:
         return load_scene(path, **options)
-    known = [__version__, path.absolute(), state.st_size, state.st_mtime_ns,
+    known = [__version__, LAYOUT, path.absolute(), state.st_size, state.st_mtime_ns,
              sorted(options.items())]
     folder = cache_folder()
     if folder is None:

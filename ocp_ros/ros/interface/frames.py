@@ -94,7 +94,7 @@ class Transforms:
             raise MessageError(f"cloud: found the frame {frame!r}; {expected}; set the driver's "
                                'frame, or install tf2_ros')
         try:
-            found = self._buffer.lookup_transform(rig.frame, frame, Time())
+            found = self._buffer.lookup_transform(rig.frame.lstrip('/'), frame, Time())
         except self._error as error:
             raise MessageError(f'cloud: found the frame {frame!r} ({error}); {expected}; publish '
                                'its transform') from error
@@ -128,7 +128,7 @@ def placed(points: np.ndarray, frame: str, rig: LiveRig, transforms: Transforms
     points = points[points.any(axis=1)]
     # As in ROS 1.
     frame = frame.lstrip('/')
-    if frame == rig.frame:
+    if frame == rig.frame.lstrip('/'):
         return points, rig.positions
     found, seen_from = SENSOR.fullmatch(frame), rig.positions
     if found is None or int(found[1]) >= len(rig.poses):

@@ -143,7 +143,7 @@ class LiveTurns:
         """Forget what was seen, and where cameras were sent."""
         self._fused.clear()
         self._known = self._command = self._poses = self._rig = None
-        self._instruction = self._expected = ''
+        self._instruction, self._left, self._expected = '', np.empty((0, 8)), ''
         self._decided, self._brought = 0, Counter()
         self._await_turns()
 
@@ -204,16 +204,18 @@ class LiveTurns:
             # Transforms have stamps of a clock that has been set.
             self._jumps = self._turns.jumps
             self._transforms.forget()
-        while (taken := self._turns.take()) is not None:
+        late: list[str] = []
+        while (taken := self._turns.take(late)) is not None:
             topic, message = taken
             try:
                 self._fuse(message)
             except LateTransformError as error:
-                if not self._turns.wait_on(topic, stamp_to_ns(message.header.stamp), message):
-                    self._refuse(error)
-                    continue
                 # Transforms come on another topic than poses, and may be on their way.
-                break
+                if self._turns.wait_on(topic, stamp_to_ns(message.header.stamp), message):
+                    late.append(topic)
+                else:
+                    self._turns.refuse(topic)
+                    self._refuse(error)
             except ValueError as error:
                 self._turns.refuse(topic)
                 self._refuse(error)
@@ -339,8 +341,8 @@ class LiveTurns:
             positions, targets, least, turns, self._config.arrival_angle, self._expected)
         # What is left to do is told anew where it has changed by more than the noise of poses.
         left = np.column_stack([targets, positions, turns])
-        same = self._left.shape == left.shape and text.count('\n') == self._instruction.count(
-            '\n') and (np.abs(left - self._left) < SAME).all()
+        same = (self._left.shape == left.shape and (np.abs(left - self._left) < SAME).all()
+                and _asked(text) == _asked(self._instruction))
         if text != self._instruction and not same:
             self._instruction, self._left = text, left
             self._instructions.publish(String(data=text))
@@ -411,3 +413,8 @@ class LiveTurns:
                                            for topic in self._config.clouds),
             'clock_jumps': self._turns.jumps, 'fused_points': len(self._fused),
             'voxel_size': self._fused.edge}
+
+
+def _asked(text: str) -> list[str]:
+    """Return what an instruction asks for, but for how far: the cameras, or to leave them."""
+    return [line.partition(':')[0] for line in text.splitlines()]

@@ -12,7 +12,7 @@ mean that they have left.
 """
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 import math
 import time
 from typing import Generic, TypeVar
@@ -81,8 +81,8 @@ class Turns(Generic[T]):
         #: Of each topic the newest cloud, and the stamp of the one that this turn has used.
         self._waiting: dict[str, tuple[int, T]] = {}
         self._used: dict[str, int] = {}
-        #: When a cloud was first taken too soon, by topic and stamp.
-        self._too_soon: dict[tuple[str, int], float] = {}
+        #: Since when the clouds of a topic have been taken too soon.
+        self._too_soon: dict[str, float] = {}
         #: Topics that some turn, maybe this one, did not wait for any longer.
         self._silent: set[str] = set()
         self.late = self.jumps = 0
@@ -147,6 +147,7 @@ class Turns(Generic[T]):
         """Ask for new clouds: those of this turn were of no use."""
         self._waiting.clear()
         self._used.clear()
+        self._too_soon.clear()
 
     def on_poses(self, stamp: int, positions: np.ndarray,
                  rotations: Sequence[np.ndarray] = ()) -> bool:
@@ -247,11 +248,15 @@ class Turns(Generic[T]):
         self._heard[source] = stamp
         return True
 
-    def take(self) -> tuple[str, T] | None:
-        """Take a cloud that this turn can use: the first of its topic since the cameras stand."""
+    def take(self, but: Collection[str] = ()) -> tuple[str, T] | None:
+        """
+        Take a cloud that this turn can use: the first of its topic since the cameras stand.
+
+        :param but: topics of which none is to be taken now.
+        """
         if self._standing():
             for topic in self._topics:
-                if topic in self._waiting and topic not in self._used and (
+                if topic in self._waiting and topic not in (*self._used, *but) and (
                         self._waiting[topic][0] >= self._stand[0]) and (
                         self._ahead.get(topic, 0) <= AHEAD):
                     self._used[topic], cloud = self._waiting.pop(topic)
@@ -265,18 +270,17 @@ class Turns(Generic[T]):
 
         :returns: whether it may be; where that has lasted too long already another is asked for.
         """
-        del self._used[topic]
         now = self._clock()
-        first = self._too_soon.setdefault((topic, stamp), now)
-        if now - first > PATIENCE:
+        if now - self._too_soon.setdefault(topic, now) > PATIENCE:
             return False
-        self._too_soon = {(topic, stamp): first}
+        del self._used[topic]
         self._waiting.setdefault(topic, (stamp, cloud))
         return True
 
     def refuse(self, topic: str) -> None:
         """Ask for another cloud of a topic: the one that was taken is of no use."""
         del self._used[topic]
+        self._too_soon.pop(topic, None)
 
     def due(self) -> bool:
         """Tell whether all clouds of this turn are here, or some and time is up."""
