@@ -318,6 +318,7 @@ def test_a_tripod_stands_on_the_floor_and_a_pole_may_be_over_a_table():
         region = FeasibleRegion(room, rig)
         assert region.allowed(poses).tolist() == good
         assert len(region.broken(poses)) == good.count(False)
+        assert all('mount.footprint' in said for said in region.broken(poses))
         assert region.allowed(region.candidates(rig.models[0], 100), rig.models[0]).all()
     with pytest.raises(ConfigurationError, match='mount.footprint'):
         rig_of(1, 'd455', mount={'on': 'walls', 'footprint': 0.3})

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Models of solid bodies: what their rooms show, and what hides what."""
 
+from conftest import box_room
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -128,6 +129,30 @@ def test_a_room_without_a_ceiling_is_a_room(tmp_path):
     assert floor_height(scene) == pytest.approx(0.0, abs=0.01)
 
 
+def test_a_hollow_machine_is_no_room_in_a_hall_without_a_ceiling(tmp_path):
+    floor, _, *walls = np.split(solid_room(), 6)
+    scene = read(tmp_path, floor, *walls, box((1.5, 1.0, 0.0), (3.5, 3.0, 2.0)))
+    np.testing.assert_allclose(scene.bounds[:, :2], [(0, 0), SIZE[:2]], atol=0.32)
+    x, y, z = scene.points.T
+    assert (abs(x - 2.5) < 0.95).any() and not ((abs(x - 2.5) < 0.9) & (abs(y - 2.0) < 0.9)
+                                                & (z > 0.1) & (z < 1.9)).any()
+
+
+def test_a_large_building_keeps_its_walls(tmp_path):
+    x, y, z = 60.0, 45.0, 9.0
+    hall = np.concatenate([box((-0.3, -0.3, -0.2), (x + 0.3, y + 0.3, 0)),
+                           box((-0.3, -0.3, z), (x + 0.3, y + 0.3, z + 0.2)),
+                           box((-0.3, -0.3, 0), (0, y + 0.3, z)), box((0, -0.3, 0), (x, 0, z)),
+                           box((0, y, 0), (x, y + 0.3, z)), box((x, -0.3, 0), (x + 0.3, y, z))])
+    scene = read(tmp_path, hall)
+    share = (abs(scene.normals[:, 2]) < 0.3).mean()
+    assert share == pytest.approx(2 * (x + y) * z / (2 * (x + y) * z + 2 * x * y), abs=0.02)
+
+
+def test_a_stray_part_of_a_model_does_not_matter(tmp_path):
+    assert_inside(read(tmp_path, solid_room(), box((300, 0, 0), (300.02, 0.02, 0.02))))
+
+
 def test_bodies_without_a_room_are_refused(tmp_path):
     canopy = [box((0, 0, 3), (6, 6, 3.3)), box((-5, -5, -0.3), (11, 11, 0)),
               *(box((x, y, 0), (x + 0.3, y + 0.3, 3)) for x in (0, 5.7) for y in (0, 5.7))]
@@ -140,6 +165,10 @@ def test_a_mesh_of_one_layer_without_enclosed_air_is_kept_whole(tmp_path):
     wall = np.array([[[0, 0, 0], [4, 0, 0], [4, 0, 2.5]], [[0, 0, 0], [4, 0, 2.5], [0, 0, 2.5]]])
     scene = read(tmp_path, floor.astype(float), wall)
     np.testing.assert_allclose(scene.size, [4.0, 3.0, 2.5], atol=0.05)
+    # Its points are on the faces, so that rays find them.
+    simulator = Simulator(scene, SimulationConfig(engine=SMALL))
+    seen = simulator.evaluate(np.array([[2.0, 1.5, 1.2]])).visible
+    assert len(scene) == 20_000 and seen.mean() > 0.9
 
 
 def test_points_of_a_solid_model_are_held_to_the_room_and_those_of_a_scan_are_kept():
@@ -149,6 +178,11 @@ def test_points_of_a_solid_model_are_held_to_the_room_and_those_of_a_scan_are_ke
     assert outer.mean() < 0.01 and 'solid model' in scene.remarks[-1]
     for seed in (3, 8):
         assert len(scene_of(generate_room(seed, 12_000).points)) > 11_900
+    # A yard that was scanned as well is no outside of a model.
+    x, y = np.random.default_rng(0).uniform((-1, -9), (11, -0.3), (8000, 2)).T
+    yard = np.column_stack([x, y, 0.0 * x])
+    room = box_room(8.0, 6.0).points
+    assert len(scene_of(np.concatenate([room, yard]))) > 0.99 * (len(room) + 8000)
 
 
 def test_rays_need_a_mesh(room):

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a laser sees in a mirror is no room; a second room is one."""
 
+from conftest import box_sides
 import numpy as np
 import pytest
 
@@ -44,6 +45,15 @@ def test_a_second_room_is_kept_even_where_it_is_the_same_the_other_way_round():
     room = generate_room(8, 12_000).points.astype(np.float64)
     other = room * [-1.0, 1.0, 1.0] - [0.15, 0.0, 0.0]
     assert len(scene_of(np.concatenate([room, other]))) > 23_500
+    # Halls of two parts, and a floor that a door shows.
+    hall = [box_sides(np.array(size), np.array(middle), 0.2) for size, middle in (
+        ([20.0, 12.0, 2.8], [10.0, 6.0, 1.4]), ([10.0, 10.0, 2.8], [25.0, 5.0, 1.4]))]
+    between = [(abs(part[:, 0] - 20.0) < 0.05) & (part[:, 1] < 10.0) for part in hall]
+    floor = np.random.default_rng(0).uniform((-2.5, 1.5, 0.0), (0.0, 2.4, 0.01), (600, 3))
+    for points in (np.concatenate([part[~wall] for part, wall in zip(hall, between)]),
+                   np.concatenate([box_sides(np.array([6.0, 5.0, 2.6]),
+                                             np.array([3.0, 2.5, 1.3]), 0.08), floor])):
+        assert len(scene_of(points)) > 0.99 * len(np.unique(points.astype('f4'), axis=0))
     for seed in (2, 5, 1026):
         alone = generate_room(seed, 8000)
         assert len(scene_of(alone.points)) > 0.999 * len(alone)

@@ -37,6 +37,8 @@ FEW_PLACES = 48
 COARSE, DENSE = np.deg2rad((30.0, 19.0)), np.deg2rad((15.0, 9.5))
 #: Metres above the floor from which on something stands there: a skirting board does not.
 SKIRTING = 0.15
+#: Metres: places that differ by less are one, where it is asked what stands there.
+FINE = 0.02
 #: What messages call the constraint that a ball can be carried to a camera.
 FLOOR, FREE_SPACE = 'the floor', 'free space'
 #: Metres from a camera on a wall into the room, where there has to be floor.
@@ -333,20 +335,21 @@ class FeasibleRegion:
             '(keep_clear); move it away'))
 
     @cached_property
-    def _low(self) -> tuple[np.ndarray, cKDTree]:
-        """Return the points above the floor, and these seen from above for queries."""
-        points = self.scene.points[self.scene.points[:, 2] > self.floor + SKIRTING]
-        return points, cKDTree(points[:, :2])
+    def _standing(self) -> cKDTree:
+        """Return what stands on the floor and is lower than the cameras, seen from above."""
+        points = self.scene.points
+        above = points[:, 2] - self.floor
+        low = points[(above > SKIRTING) & (above < self.rig.mount.heights[1] - SKIRTING), :2]
+        # Where there are many points, one in each small cell will do.
+        return cKDTree(FINE * np.unique(np.rint(low / FINE), axis=0))
 
     def _on_furniture(self, positions: np.ndarray) -> Check:
         """Check that nothing stands where the feet of a tripod are, below the camera."""
-        (points, tree), radius = self._low, self.rig.mount.footprint
-        found = tree.query_ball_point(positions[:, :2], radius)
-        high = np.array([points[near, 2][points[near, 2] < z].max(initial=-np.inf)
-                         for near, z in zip(found, positions[:, 2])])
-        return Check('mount.footprint', np.isfinite(high), lambda k: (
-            f'found something {high[k] - self.floor:.2f} m high within {radius:g} m of the place '
-            'below it (mount.footprint); expected floor; move it away'))
+        radius = self.rig.mount.footprint
+        away, _ = self._standing.query(positions[:, :2], distance_upper_bound=radius)
+        return Check('mount.footprint', np.isfinite(away), lambda k: (
+            f'found something that stands {away[k]:.2f} m from the place below it; expected floor '
+            f'within {radius:g} m (mount.footprint); move it away'))
 
     def _off_mount(self, positions: np.ndarray, contact: Contact | None) -> Iterator[Check]:
         """Check the height and that there is something to hang on."""

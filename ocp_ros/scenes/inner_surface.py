@@ -25,8 +25,9 @@ from ocp_ros.scenes.mesh_files import sampled
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Mesh, MIN_POINTS, Scene, SceneError
 
-#: Points on the faces that the air is looked for between.
-PILOT = 150_000
+#: Points on the faces that the air is looked for between: at least, at most, and for each square
+#: metre.
+PILOT, MOST_PILOT, DENSE = 150_000, 2_000_000, 60.0
 #: Metres: least edge of the cells of air, and the ball that has to fit in.
 CELL, BALL = 0.1, 0.2
 MOST_CELLS = 4_000_000
@@ -37,6 +38,8 @@ UP, ROOFED = np.array([(0, 0, 1), (0.5, 0, 1), (-0.5, 0, 1), (0, 0.5, 1), (0, -0
 WAYS = tuple((x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y)
 #: Cubic metres: what is smaller is no room.
 LEAST = 2.0
+#: Share of the largest air with or without a ceiling that the largest air with one has at least.
+ROOFED_SHARE = 0.4
 #: Metres: how far from a side the air is looked for, and how far beside the air a face may be.
 #: What doors and windows show of the world outside is not of the room.
 REACH, BESIDE = 2.0, 0.45
@@ -58,8 +61,13 @@ LOOKS, MISSED = (40, 300), 0.14
 #: that is tried is farther; shares of that distance, and multiples of the edge of the square that
 #: the point stands for, within which there has to be one.
 HIDING, NEXT, ASIDE, SQUARE = 0.05, 1.25, 0.6, 1.0
+#: Least cosine between the normal of a point and the way to the air across its plane.
+ACROSS = 0.7
 #: Points, itself included, among which one is hidden where more than such a share of them are.
 AMONG, MOST_OF = 9, 0.6
+#: Metres that a wall or a slab is thick at most, and the share of what is missed that is behind
+#: one.
+THICK, BACKS = 0.6, 0.4
 #: Of the looks, the share by which a point is no longer hidden.
 OFTEN = 0.5
 
@@ -90,9 +98,10 @@ def inner_surface(mesh: Mesh, samples: int, apart: float, name: str) -> InnerSur
     :raises SceneError: if that is so of solid bodies: they have an outside alone.
     """
     rays, corners = MeshRays(mesh), mesh.corners
-    pilot, area = sampled(corners, PILOT), _area(corners)
-    air = EnclosedAir.of(pilot[:, :3], float(np.sqrt(area / PILOT)))
-    some = pilot[::PILOT // 4000]
+    area = _area(corners)
+    pilot = sampled(corners, int(np.clip(DENSE * area, PILOT, MOST_PILOT)))
+    air = EnclosedAir.of(pilot[:, :3], float(np.sqrt(area / len(pilot))))
+    some = pilot[::len(pilot) // 4000]
     if air is None:
         if _solid(some, rays):
             raise SceneError(
@@ -168,6 +177,7 @@ class EnclosedAir(NamedTuple):
     :ivar others: (X, Y, Z) bool, the cells of the other parts that are large enough for a room.
     :ivar rooms: cubic metres of each of these, the largest first.
     :ivar roofed: whether there is a ceiling.
+    :ivar ball: metres that all of it is from surfaces.
     """
 
     low: np.ndarray
@@ -177,6 +187,7 @@ class EnclosedAir(NamedTuple):
     others: np.ndarray
     rooms: tuple[float, ...]
     roofed: bool
+    ball: float
 
     @classmethod
     def of(cls, points: np.ndarray, spacing: float) -> 'EnclosedAir | None':
@@ -192,23 +203,23 @@ class EnclosedAir(NamedTuple):
         taken[tuple(np.floor((points - low) / edge).astype(int).T)] = True
         away = ndimage.distance_transform_edt(~taken) * edge
         # However few points there are, they shut what is between them.
-        taken, free = away <= 1.5 * spacing, away > max(BALL, 1.5 * spacing)
+        ball = max(BALL, 1.5 * spacing)
+        taken, free = away <= 1.5 * spacing, away > ball
         free &= np.logical_or.accumulate(taken, axis=2)
         roofed = free & np.logical_or.accumulate(taken[:, :, ::-1], axis=2)[:, :, ::-1]
         shut = sum(_ends(taken, x, y).astype(np.int8) for x, y in WAYS) >= SHUT
-        # A room without a ceiling is closed in around.
-        for cells in (roofed, free):
-            parts, _ = ndimage.label(cells & shut)
-            volumes = np.bincount(parts.ravel()) * edge ** 3
-            volumes[0] = 0.0
-            order = np.argsort(-volumes, kind='stable')
-            order = order[volumes[order] >= LEAST]
-            if len(order):
-                room = parts == order[0]
-                beside = edge * ndimage.distance_transform_edt(~room.any(axis=2))
-                return cls(low, edge, room, beside, np.isin(parts, order[1:]),
-                           tuple(volumes[order[1:]].tolist()), cells is roofed)
-        return None
+        found = [_parts(cells & shut, edge) for cells in (roofed, free)]
+        # A room without a ceiling is closed in around, and furniture in it may be hollow.
+        most = [volumes.max(initial=0.0) for _, volumes in found]
+        parts, volumes = found[0 if most[0] >= ROOFED_SHARE * most[1] else 1]
+        order = np.argsort(-volumes, kind='stable')
+        order = order[volumes[order] >= LEAST]
+        if len(order) == 0:
+            return None
+        room = parts == order[0]
+        beside = edge * ndimage.distance_transform_edt(~room.any(axis=2))
+        return cls(low, edge, room, beside, np.isin(parts, order[1:]),
+                   tuple(volumes[order[1:]].tolist()), parts is found[0][0], ball)
 
     def seen_from(self, rows: np.ndarray, rays: MeshRays) -> np.ndarray:
         """
@@ -219,7 +230,8 @@ class EnclosedAir(NamedTuple):
         """
         found = np.zeros((len(rows), 2), dtype=bool)
         column = self.cell(rows[:, :3])
-        near = np.flatnonzero(self.beside[tuple(column[:2])] <= BESIDE)
+        near = np.flatnonzero(self.beside[tuple(column[:2])] <= max(
+            BESIDE, self.ball + 2.5 * self.edge))
         for side, sign in enumerate((1.0, -1.0)):
             left = near
             for way in _directions():
@@ -240,7 +252,7 @@ class EnclosedAir(NamedTuple):
     def _reached(self, points: np.ndarray, ways: np.ndarray, free: np.ndarray) -> np.ndarray:
         """Tell of which points (N, 3) the ways, free so many metres, come into the air."""
         reached = np.zeros(len(points), dtype=bool)
-        for away in np.arange(self.edge, REACH, self.edge):
+        for away in np.arange(self.edge, max(REACH, 3.0 * (self.ball + self.edge)), self.edge):
             left = np.flatnonzero(~reached & (free > away))
             reached[left] = self.cells[tuple(self.cell(points[left] + away * ways[left]))]
         return reached
@@ -252,6 +264,14 @@ def _under_a_roof(rows: np.ndarray, sign: float, asked: np.ndarray, rays: MeshRa
     for way in UP:
         count[asked] += np.isfinite(rays.lengths(starts, np.broadcast_to(way, starts.shape)))
     return count >= ROOFED
+
+
+def _parts(cells: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
+    """Number the parts of cells that hang together; return also their volumes, 0 for number 0."""
+    parts, _ = ndimage.label(cells)
+    volumes = np.bincount(parts.ravel()) * edge ** 3
+    volumes[0] = 0.0
+    return parts, volumes
 
 
 def _ends(taken: np.ndarray, x: int, y: int) -> np.ndarray:
@@ -285,14 +305,17 @@ def without_outside(scene: Scene) -> Scene:
     looks = int(np.clip(len(cells) * air.edge ** 3, *LOOKS))
     chosen = cells[np.random.default_rng(0).permutation(len(cells))[:looks]]
     count = _counted(scene, air.low + air.edge * (chosen + 0.5))
-    if (area * (count == 0)).sum() < MISSED * area.sum():
+    missed = area[count == 0].sum()
+    if missed < MISSED * area.sum():
         return scene
-    hidden = _hidden(points, scene.pitch, air) & (count < OFTEN * len(chosen))
-    kept = ~hidden
-    if np.count_nonzero(kept) < MIN_POINTS:
+    hidden, across = _hidden(scene, air)
+    kept = ~(hidden & (count < OFTEN * len(chosen)))
+    # What is missed in a yard that was scanned too is not behind a wall's other face.
+    backs = area[hidden & across & (count == 0)].sum()
+    if backs < BACKS * missed or np.count_nonzero(kept) < MIN_POINTS:
         return scene
-    remark = (f'{100.0 * hidden.mean():.0f} % of the points left out: those of a solid model that '
-              'the air of the room does not see')
+    remark = (f'{100.0 * (1.0 - kept.mean()):.0f} % of the points left out: those of a solid '
+              'model that the air of the room does not see')
     return replace(scene, points=scene.points[kept], remarks=(*scene.remarks, remark),
                    normals=None if scene.normals is None else scene.normals[kept])
 
@@ -309,18 +332,24 @@ def _counted(scene: Scene, places: np.ndarray) -> np.ndarray:
     return count
 
 
-def _hidden(points: np.ndarray, pitch: np.ndarray, air: EnclosedAir) -> np.ndarray:
-    """Tell which points (N, 3) have others between them and the nearest enclosed air."""
+def _hidden(scene: Scene, air: EnclosedAir) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Tell which points have others between them and the nearest enclosed air.
+
+    :returns: (N,) bool, and (N,) bool, whether that air lies across the plane of each.
+    """
+    points, pitch = scene.points.astype(np.float64), scene.pitch
     index = ndimage.distance_transform_edt(
         ~(air.cells | air.others), return_distances=False, return_indices=True)
     goals = air.low + air.edge * (index[(slice(None), *air.cell(points))].T + 0.5)
     length = np.linalg.norm(goals - points, axis=1)
     ways, tree = (goals - points) / length[:, None], cKDTree(points)
     hidden, away = np.zeros(len(points), dtype=bool), HIDING
-    while len(left := np.flatnonzero(~hidden & (length > away + air.edge))) and away < REACH:
+    across = np.abs(np.einsum('nk,nk->n', ways, scene.normals_or_estimate)) >= ACROSS
+    while len(left := np.flatnonzero(~hidden & (length > away + air.edge))) and away < THICK:
         nearest, _ = tree.query(points[left] + away * ways[left],
                                 distance_upper_bound=2.0 * float(np.median(pitch)))
         hidden[left] = nearest < np.minimum(ASIDE * away, SQUARE * pitch[left])
         away *= NEXT
     # Some look through the gaps between the points before them.
-    return hidden | (hidden[tree.query(points, AMONG)[1]].mean(axis=1) > MOST_OF)
+    return hidden | (hidden[tree.query(points, AMONG)[1]].mean(axis=1) > MOST_OF), across

@@ -32,6 +32,8 @@ TRIED, NEAR, SPACINGS = 4000, 0.08, 1.5
 SPARSE = 0.3
 #: Metres that a mirror hangs before its wall.
 HUNG = (0.0, 0.03, 0.06)
+#: Least part of a normal that is upright on what is level, and the fewest other points.
+LEVEL, FEWEST = 0.7, 50
 #: Share of the points behind a mirror that have one before it, and of all points that have to be
 #: behind it.
 MATCHED, SHARE = 0.85, 0.005
@@ -58,8 +60,11 @@ def without_mirror_images(scene: Scene) -> Scene:
                  for side in (away, -away)]
         if sides[0] > LESS * sides[1]:
             continue
-        some = np.flatnonzero(behind)
-        some = some[np.random.default_rng(0).permutation(count)[:TRIED]]
+        # Floors and ceilings mirror themselves everywhere.
+        some = np.flatnonzero(behind & (np.abs(normals[:, 2]) < LEVEL))
+        some = some[np.random.default_rng(0).permutation(len(some))[:TRIED]]
+        if len(some) < FEWEST:
+            continue
         before = cKDTree(points[kept & (away <= BEHIND)])
         for hung in HUNG:
             mirrored = points[some] - 2.0 * (away[some, None] + hung) * normal

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rooms from files: scans, S3DIS rooms as .txt, and meshes."""
 
+from dataclasses import replace
 import difflib
 import io
 import logging
@@ -43,6 +44,8 @@ from ocp_ros.util.shown_text import printable
 FAR = 1000.0
 #: Metres: no room is both lower than the first and shorter than the second.
 SMALL = (1.0, 1.5)
+#: Metres outside of the points of a mesh from which on faces are stray.
+NEAR = 0.5
 
 _log = logging.getLogger(__name__)
 
@@ -147,8 +150,17 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
                                           _unit(rows[:, 3:], rotation), name)
     if axis_of(up) == 2:
         notes += _up_notes(points)
-    mesh = None if corners is None else _mesh_of(corners, scale, rotation, shift)
-    inner = None if mesh is None else inner_surface(mesh, max_points or SAMPLES, voxel_size, name)
+    mesh = inner = None
+    if corners is not None:
+        mesh = _mesh_of(corners, SourceFrame(scale, rotation, shift), corners_of(points))
+        inner = inner_surface(mesh, max_points or SAMPLES, voxel_size, name)
+    if mesh is not None and inner is None:
+        remarks += ('no air is closed in: all faces count, from both sides',)
+        if voxel_size:
+            mesh = replace(mesh, exact=False)
+        else:
+            rows = sampled(mesh.corners, max_points or SAMPLES)
+            points, normals = (part.astype(np.float32) for part in np.hsplit(rows, 2))
     for note in notes:
         warnings.warn(f'{name}: {note}', SceneWarning, stacklevel=3)
     if inner is not None:
@@ -170,10 +182,15 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
     return without_outside(scene)
 
 
-def _mesh_of(corners: np.ndarray, scale: float, rotation: np.ndarray, shift: np.ndarray) -> Mesh:
-    """Return triangles (T, 3, 3) of a file in metres of the map frame, those with NaN left out."""
-    corners = corners[np.isfinite(corners).all(axis=(1, 2))].reshape(-1, 3)
-    vertices = scale * corners @ rotation.T - shift
+def _mesh_of(corners: np.ndarray, source: SourceFrame, bounds: np.ndarray) -> Mesh:
+    """
+    Return triangles (T, 3, 3) of a file in the map frame, those with NaN left out.
+
+    :param bounds: (2, 3) metres, of the points that were kept: what is far outside is stray.
+    """
+    corners = source.to_map(corners[np.isfinite(corners).all(axis=(1, 2))])
+    inside = (corners.max(axis=1) >= bounds[0] - NEAR) & (corners.min(axis=1) <= bounds[1] + NEAR)
+    vertices = corners[inside.all(axis=1)].reshape(-1, 3)
     return Mesh(vertices.astype(np.float32),
                 np.arange(len(vertices), dtype=np.int32).reshape(-1, 3), exact=True)
 

@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import Field
+import difflib
 from functools import partial
 from pathlib import Path
 import sys
@@ -23,6 +24,8 @@ from ocp_ros.util.settings import check_known, ConfigurationError, from_flat, le
 
 T = TypeVar('T')
 
+#: How much a name for all nodes is like a parameter of this one if it is a misspelling.
+TYPO = 0.8
 #: How parameters begin that override the quality of service of topics.
 QOS = 'qos_overrides.'
 
@@ -50,8 +53,9 @@ def declare(node: Node, cls: type[T], instead: dict[str, dict[str, Any]] | None 
     # Overrides that nobody declares would be dropped without a word.
     unknown = [name for name in node._parameter_overrides if not node.has_parameter(name)
                and not name.startswith(QOS)]
-    shared = for_all_nodes(sys.argv)
-    for name in shared & set(unknown):
+    shared = {name for name in for_all_nodes(sys.argv, node.get_name()) & set(unknown)
+              if not difflib.get_close_matches(name, settings, n=1, cutoff=TYPO)}
+    for name in shared:
         node.get_logger().warning(f'parameters: found {name!r} for all nodes (/**), which this '
                                   'one does not have; going on without')
     check_known([name for name in unknown if name not in shared], settings,
@@ -60,11 +64,12 @@ def declare(node: Node, cls: type[T], instead: dict[str, dict[str, Any]] | None 
     return from_flat(cls, values, node.get_name())
 
 
-def for_all_nodes(arguments: Sequence[str]) -> set[str]:
+def for_all_nodes(arguments: Sequence[str], own: str) -> set[str]:
     """
     Return the parameters that files set for all nodes alone, under ``/**``: others may need them.
 
     :param arguments: of the command line, with ``--params-file FILE``.
+    :param own: name of this node; what a file says to it is not among them.
     """
     names: dict[bool, set[str]] = {True: set(), False: set()}
     for option, path in zip(arguments, arguments[1:]):
@@ -72,12 +77,13 @@ def for_all_nodes(arguments: Sequence[str]) -> set[str]:
             continue
         try:
             content = yaml.safe_load(Path(path).read_text())
-            sections = {key: part['ros__parameters'] for key, part in content.items()}
-            for key, part in sections.items():
-                names[key == '/**'] |= set(_flat(part))
-        except (OSError, UnicodeDecodeError, yaml.YAMLError, AttributeError, KeyError, TypeError):
+        except (OSError, UnicodeDecodeError, yaml.YAMLError):
             # What is wrong with it, ROS itself says.
             continue
+        for key, part in content.items() if isinstance(content, dict) else ():
+            said = part.get('ros__parameters') if isinstance(part, dict) else None
+            if isinstance(said, dict) and (key == '/**' or str(key).endswith(own)):
+                names[key == '/**'] |= set(_flat(said))
     return names[True] - names[False]
 
 
