@@ -12,7 +12,7 @@ from benchmarks.calibration_bench import cast, off
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.cameras import angle_between, CameraModel, heading_of, OPTICAL_TO_BODY, Pose
 from ocp_ros.registration.alignment import matched, Matches, Patches, Poses, Surfaces
-from ocp_ros.registration.calibration import as_built
+from ocp_ros.registration.calibration import as_built, calibrate
 from ocp_ros.registration.camera_registration import (
     _behind,
     _shifted,
@@ -23,7 +23,8 @@ from ocp_ros.registration.camera_registration import (
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.pose_certainty import axis_words, certainty
 from ocp_ros.registration.scan_surfaces import inward_sign, ScanSurfaces
-from ocp_ros.rig.placement_file import load_placement
+from ocp_ros.rig.placement_file import load_placement, placement_of
+from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.rooms.generator import generate_room, mesh_of, plan_of
 from ocp_ros.scenes.mesh_rays import MeshRays
@@ -68,6 +69,24 @@ def test_a_camera_is_found_from_far_off(scan, metres, degrees):
     assert away < 0.01 and turn < 0.5
     assert found.overlap > 0.8 and found.residual < 0.03
     assert found.certainty.metres[0] > 0.3 * away and found.certainty.loose == []
+
+
+@pytest.mark.parametrize('roll, axes, words', [
+    (np.pi, np.eye(3), 'upside down'), (0.5 * np.pi, np.eye(3), 'on its side'),
+    (0.0, OPTICAL_TO_BODY, '--cloud-frame optical')])
+def test_a_camera_that_is_mounted_otherwise_than_said_is_found_and_that_is_named(
+        scan, roll, axes, words):
+    said = np.array(TRUE)
+    true = Pose.of(said + [0.0, 0.0, 0.0, 0.0, 0.0, roll])
+    placement = placement_of(rig_of(1, SENSOR), said[None])
+    name = placement.cameras[0].camera.name
+    found, broken = calibrate(scan, placement, {name: seen_by(true) @ axes})
+    assert not broken and not found[name].refused and words in found[name].otherwise
+    away, turn = errors(found[name].pose, true)
+    assert away < 0.01 and turn < 0.5
+    # What is as it was said is found as ever.
+    found, _ = calibrate(scan, placement, {name: seen_by(Pose.of(said))})
+    assert found[name].otherwise == ''
 
 
 def test_who_hardly_moved_is_checked_cheaply(scan):

@@ -8,10 +8,14 @@ import warnings
 import numpy as np
 import pytest
 
+from ocp_ros.geometry.cameras import heading_of, OPTICAL_TO_BODY
+from ocp_ros.registration.calibration import calibrate
+from ocp_ros.registration.scan_surfaces import ScanSurfaces
 from ocp_ros.report.room_facts import facts_of
+from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.scenes.scene import SceneError
-from ocp_ros.scenes.scene_files import load_scene, SceneWarning
+from ocp_ros.scenes.scene_files import load_cloud, load_scene, SceneWarning
 from ocp_ros.simulation.problem import Problem
 
 CASES = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'cases'
@@ -86,3 +90,14 @@ def test_tables_are_read_whole(name, count):
 def test_columns_are_found_by_their_names():
     low, high = read('range_az_el_xyz.csv').bounds
     assert (high - low)[2] == pytest.approx(2.7, abs=0.1)
+
+
+def test_a_camera_that_hangs_upside_down_is_calibrated():
+    placement = load_placement(CASES / 'cal.yaml')
+    clouds = {'door': load_cloud(CASES / 'door_upside.ply') @ OPTICAL_TO_BODY.T}
+    found, _ = calibrate(ScanSurfaces(read('base.ply')), placement, clouds)
+    door = found['door']
+    np.testing.assert_allclose(door.pose.position, [0.25, 0.24, 2.14], atol=0.01)
+    np.testing.assert_allclose(np.rad2deg(heading_of(door.pose.rotation)) % 360.0,
+                               [48.0, 28.0, 184.0], atol=0.5)
+    assert 'upside down' in door.otherwise

@@ -172,6 +172,9 @@ def show(found: Found) -> None:
     if table.row_count:
         console.print(table)
     for row in found['cameras']:
+        if row.get('otherwise'):
+            console.print(f'note: {row["camera"]}: {row["otherwise"]}; correct the placement or '
+                          'the option', style='yellow', markup=False, highlight=False)
         if row['refused']:
             console.print(f'refused: {row["camera"]}: {row["refused"]}', style='yellow',
                           markup=False, highlight=False)

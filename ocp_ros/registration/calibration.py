@@ -3,13 +3,14 @@
 """The cameras of a placement, each registered to the scan, and the placement as it was built."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from ocp_ros.geometry.cameras import heading_of, Pose
+from ocp_ros.geometry.cameras import heading_of, OPTICAL_TO_BODY, Pose, rotation_matrix
 from ocp_ros.registration.camera_registration import checked, register, Registration
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.scan_surfaces import ScanSurfaces
@@ -18,6 +19,14 @@ from ocp_ros.rig.rig_file import Rig, rig_from
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.util.yaml_files import Document
 
+#: How else a camera may be mounted or its cloud be written, radians about its viewing direction,
+#: and the axes of its points.
+OTHERWISE = (
+    ('it is mounted upside down', np.pi, np.eye(3)),
+    ('it is mounted on its side', 0.5 * np.pi, np.eye(3)),
+    ('it is mounted on its other side', -0.5 * np.pi, np.eye(3)),
+    ('its cloud has optical axes (--cloud-frame optical)', 0.0, OPTICAL_TO_BODY),
+    ('its cloud has the axes of the body (--cloud-frame body)', 0.0, OPTICAL_TO_BODY.T))
 #: Metres and degrees from which on a camera has moved, and expected deviations.
 MOVED, SURE = (0.02, 1.0), 3.0
 
@@ -34,15 +43,32 @@ def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.
     """
     found, broken = {}, {}
     for placed in placement.cameras:
-        name, model = placed.camera.name, placed.camera.model
+        name = placed.camera.name
         if name in clouds:
             try:
-                view = LiveView(clouds[name], model, name)
+                found[name] = _registered(scan, clouds[name], placed)
             except SceneError as error:
                 broken[name] = str(error)
-            else:
-                found[name] = register(scan, view, Pose.of(placed.pose), model)
     return found, broken
+
+
+def _registered(scan: ScanSurfaces, cloud: np.ndarray, placed: Placed) -> Registration:
+    """
+    Register a camera; where the scan does not show what it sees, as it may be mounted otherwise.
+
+    :raises SceneError: if its cloud cannot be used.
+    """
+    start, model, name = Pose.of(placed.pose), placed.camera.model, placed.camera.name
+    first = register(scan, LiveView(cloud, model, name), start, model)
+    if not first.unlike:
+        return first
+    for said, roll, axes in OTHERWISE:
+        with suppress(SceneError):
+            turned = Pose(start.position, start.rotation @ rotation_matrix(roll=roll))
+            answer = register(scan, LiveView(cloud @ axes.T, model, name), turned, model)
+            if not answer.refused:
+                return answer._replace(otherwise=said)
+    return first
 
 
 def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray]
@@ -96,7 +122,7 @@ def answer_of(placed: Placed, found: Registration) -> dict[str, Any]:
     held, start = found.certainty, Pose.of(placed.pose)
     row = {'camera': placed.camera.name, 'refused': found.refused,
            'residual': found.residual, 'overlap': found.overlap, 'violated': found.violated,
-           'loose': held.loose,
+           'loose': held.loose, 'otherwise': found.otherwise,
            'deviations': [
                *({'along': axis.tolist(), 'metres': float(value)}
                  for axis, value in zip(held.along, held.metres)),

@@ -79,6 +79,7 @@ class Registration(NamedTuple):
     :ivar beside: the share of the surfaces in view that stand beside where they were scanned.
     :ivar behind: the share of what the camera sees that lies closely behind scanned surfaces.
     :ivar refused: why the pose is not to be used; empty where it is.
+    :ivar otherwise: how it is mounted, or its cloud has axes, other than was said; else empty.
     """
 
     pose: Pose
@@ -89,6 +90,7 @@ class Registration(NamedTuple):
     beside: float
     behind: float
     refused: str
+    otherwise: str = ''
 
     @property
     def unlike(self) -> bool:
