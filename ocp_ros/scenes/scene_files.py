@@ -44,6 +44,8 @@ from ocp_ros.util.shown_text import printable
 FAR = 1000.0
 #: Metres: no room is both lower than the first and shorter than the second.
 SMALL = (1.0, 1.5)
+#: Points on a mesh that tell its size, its axes and what is stray.
+ROUGH = 60_000
 #: Metres outside of the points of a mesh from which on faces are stray.
 NEAR = 0.5
 
@@ -158,9 +160,8 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
         remarks += ('no air is closed in: all faces count, from both sides',)
         if voxel_size:
             mesh = replace(mesh, exact=False)
-        else:
-            rows = sampled(mesh.corners, max_points or SAMPLES)
-            points, normals = (part.astype(np.float32) for part in np.hsplit(rows, 2))
+        rows = sampled(mesh.corners, SAMPLES if voxel_size else max_points or SAMPLES)
+        points, normals = (part.astype(np.float32) for part in np.hsplit(rows, 2))
     for note in notes:
         warnings.warn(f'{name}: {note}', SceneWarning, stacklevel=3)
     if inner is not None:
@@ -321,7 +322,7 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
         if rows.shape[1] < 9:
             return rows, None
         corners = rows.reshape(-1, 3, 3)
-        return sampled(corners), corners
+        return sampled(corners, ROUGH), corners
     except SceneError:
         raise
     except ImportError as error:
