@@ -366,13 +366,13 @@ def test_live_cameras_are_turned_and_waited_for(graph, probe, rig_file, room):
     probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
     rig = graph.add(lambda **kwargs: Obedient(
         episode, **{**kwargs, 'parameter_overrides': []}))
-    policy = graph.add(PolicyNode, cloud_topics='points_0,points_1', turns=8, max_range=6.0,
+    policy = graph.add(PolicyNode, cloud_topics='points_0,points_1', turns=12, max_range=6.0,
                        planner='lookahead',
                        arrival_timeout=HUNG, cloud_timeout=HUNG, rig_file=rig_file(
                            RIG.replace('count: 4', 'count: 2')))
     found = msg_to_poses(probe.last(topics.PLACEMENT))
     assert policy._status()[2]['late_turns'] == 0 and policy._counts['refused_messages'] == 0
-    assert episode.turn.depth_error < first.depth_error
+    assert episode.turn.depth_error < 0.97 * first.depth_error
     np.testing.assert_allclose([heading_of(pose.rotation) for pose in found],
                                episode.turn.headings, atol=1e-9)
     assert np.abs(episode.turn.headings - first.headings).max() > 0.5

@@ -485,7 +485,7 @@ def test_drivers_of_every_profile_are_heard():
 def test_poses_that_come_while_the_node_is_busy_are_of_one_clock(graph, probe, profile):
     policy = graph.add(PolicyNode, cloud_topics='points')
     poses = probe.publisher(PoseArray, topics.CAMERA_POSES, profile)
-    # Five a second, and nobody spins meanwhile.
+    # Five a second, while the node is busy.
     for stamp in range(1, 21):
         poses.publish(positions_to_msg(np.zeros((2, 3)), Header(
             stamp=ns_to_stamp(200_000_000 * stamp), frame_id='map')))

@@ -88,10 +88,10 @@ def test_a_face_with_nan_gives_a_point_of_nan():
 def test_every_format_of_meshes_shows_what_a_scan_of_the_room_shows(tmp_path, name):
     path = tmp_path / name
     WRITERS[name](path, ROOM.mesh)
-    scene = load_scene(path, up='z', max_points=100_000)
-    assert scene.name == path.stem and len(scene) == 100_000
+    scene = load_scene(path, up='z', max_points=200_000)
+    assert scene.name == path.stem and len(scene) == 200_000
     distances, _ = cKDTree(scene.points).query(ROOM.points)
-    assert np.quantile(distances, 0.99) < 0.05
+    assert np.quantile(distances, 0.99) < 0.04
     assert np.median(abs(scene.normals).max(axis=1)) > 0.999
 
 
@@ -179,8 +179,10 @@ def test_units_and_axes_are_those_asked_for(tmp_path):
     vertices = 1000.0 * ROOM.mesh.vertices[:, [0, 2, 1]] * [1, 1, -1]
     write_obj(path, Mesh(vertices, ROOM.mesh.triangles))
     scene = load_scene(path, scale=0.001, up='y')
-    np.testing.assert_allclose(
-        scene.bounds, [ROOM.mesh.vertices.min(axis=0), ROOM.mesh.vertices.max(axis=0)], atol=0.05)
+    whole = Scene(ROOM.mesh.vertices).bounds
+    np.testing.assert_allclose(Scene(scene.mesh.vertices).bounds, whole, atol=0.01)
+    # The room shows all of it but for a frame in a wall.
+    np.testing.assert_allclose(scene.bounds, whole, atol=0.05)
 
 
 def test_a_mesh_beside_its_scan_is_not_a_second_room(tmp_path):

@@ -6,6 +6,8 @@ import numpy as np
 
 from ocp_ros.util.kernels import njit
 
+#: Least part of a normal that is upright on what is level, and most on a wall.
+LEVEL, STEEP = 0.7, 0.3
 #: Sweeps of Jacobi's method; three by three converges in fewer.
 SWEEPS = 12
 #: Neighbours whose planes a point may adopt, and how much a plane's own roughness counts.

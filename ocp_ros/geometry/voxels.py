@@ -1,6 +1,8 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Clouds on a voxel grid, and how large its voxels have to be."""
+"""Clouds on a voxel grid, how large its voxels have to be, and the cells of a room."""
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,6 +14,52 @@ SMALLEST, LARGEST = 0.001, 1000.0
 #: Multiplier of a multiplicative hash: 2^64 over the golden ratio, odd.
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 EMPTY = -1
+#: Metres: least edge of the cells that a room is divided into, and how many there are at most.
+CELL, MOST_CELLS = 0.1, 4_000_000
+
+
+class CellGrid(NamedTuple):
+    """
+    Equal cubes that fill a box.
+
+    :ivar low: (3,) metres, corner of the first cell.
+    :ivar edge: of the cells, metres.
+    :ivar shape: (3,) int, how many cells there are along each axis.
+    """
+
+    low: np.ndarray
+    edge: float
+    shape: np.ndarray
+
+    @classmethod
+    def over(cls, bounds: np.ndarray, centred: bool = False) -> 'CellGrid':
+        """
+        Divide a box into cells.
+
+        :param bounds: (2, 3) metres, its lowest and its highest corner.
+        :param centred: whether the cells lie about the middle of the box, so that those of a
+            mirrored room are mirrored.
+        """
+        size = bounds[1] - bounds[0]
+        edge = max(CELL, float((size.prod() / MOST_CELLS) ** (1.0 / 3.0)))
+        shape = np.floor(size / edge).astype(int) + 1
+        low = bounds.mean(axis=0) - 0.5 * edge * shape if centred else bounds[0]
+        return cls(low, edge, shape)
+
+    def cells(self, points: np.ndarray) -> np.ndarray:
+        """Return the cells of points (M, 3): (3, M) indices, the nearest for those outside."""
+        cells = np.floor((points - self.low) / self.edge).astype(int)
+        return np.clip(cells, 0, self.shape - 1).T
+
+    def middles(self, cells: np.ndarray) -> np.ndarray:
+        """Return the middles of cells, (M, 3) indices: (M, 3) metres."""
+        return self.low + self.edge * (cells + 0.5)
+
+    def taken(self, points: np.ndarray) -> np.ndarray:
+        """Return which cells have one of some points (N, 3) in them: (X, Y, Z) bool."""
+        taken = np.zeros(self.shape, dtype=bool)
+        taken[tuple(self.cells(points))] = True
+        return taken
 
 
 def voxel_downsample(points: np.ndarray, voxel_size: float) -> np.ndarray:

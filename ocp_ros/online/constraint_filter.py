@@ -7,9 +7,7 @@ Each camera goes to the allowed place nearest to where it was to go, among those
 reaches. Where there is none it stays: nobody is sent through a place where it must not be.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +41,47 @@ class FilteredTargets(NamedTuple):
 
     targets: np.ndarray
     held: list[str]
+
+
+class FreeWays(NamedTuple):
+    """
+    How far a camera looks through free space, all around it.
+
+    :ivar position: (3,) metres, of the camera.
+    :ivar reach: (SECTORS,) metres to the first surface that it sees in each direction, or in one
+        beside it; 0 where it sees nothing.
+    """
+
+    position: np.ndarray
+    reach: np.ndarray
+
+    @classmethod
+    def of(cls, cloud: np.ndarray, state: RigState, camera: int) -> 'FreeWays':
+        """
+        Look around.
+
+        :param cloud: (N, 3) float32, metres: the points seen so far.
+        :param state: how the cameras are turned.
+        """
+        pose = Pose.of(state.placement[camera])
+        ways = (cloud[in_reach(cloud, pose, state.models[camera].lens)] - pose.position)[:, :2]
+        free = np.full(SECTORS, np.inf)
+        np.minimum.at(free, _sectors(ways), np.linalg.norm(ways, axis=1))
+        # Where nothing is seen, nothing is known.
+        free[np.isinf(free)] = 0.0
+        return cls(pose.position, np.min(
+            [np.roll(free, k) for k in range(-ASIDE, ASIDE + 1)], axis=0))
+
+    def clear(self, places: np.ndarray, least: float) -> np.ndarray:
+        """Return which places (P, 3) are so many metres before the first surface on the way."""
+        ways = (places - self.position)[:, :2]
+        return np.linalg.norm(ways, axis=1) + least <= self.reach[_sectors(ways)]
+
+
+def _sectors(ways: np.ndarray) -> np.ndarray:
+    """Return the numbers of the directions of ways (M, 2)."""
+    turns = np.arctan2(ways[:, 1], ways[:, 0]) / (2.0 * np.pi)
+    return np.floor(SECTORS * turns).astype(int) % SECTORS
 
 
 class ConstraintFilter:
@@ -110,7 +149,7 @@ class ConstraintFilter:
             going = np.linalg.norm(targets[camera] - positions[camera]) > STAYS
             if found is None and going and state is not None and not prepared:
                 found = self._nearest(positions[camera], targets[camera], others, bounds, max_step,
-                                      None, partial(looked_through, cloud, state, camera))
+                                      None, FreeWays.of(cloud, state, camera))
             if found is None:
                 held.append(f'{name.name} stays at {np.round(positions[camera], 2).tolist()}: '
                             f'found no feasible position within {max_step:g} m')
@@ -145,14 +184,13 @@ class ConstraintFilter:
 
     def _nearest(self, position: np.ndarray, target: np.ndarray, others: np.ndarray,
                  bounds: np.ndarray, max_step: float, newest: np.ndarray | None,
-                 free: Callable[[np.ndarray, float], np.ndarray] | None = None
-                 ) -> np.ndarray | None:
+                 free: FreeWays | None = None) -> np.ndarray | None:
         """
         Return the allowed place that is nearest to a target, about; None if there is none.
 
         :param newest: points of which some may not be known yet; None if all are.
-        :param free: tells of places (P, 3), with metres to keep clear, which are free whatever is
-            known of the floor; None where floor is asked for.
+        :param free: where the camera may go, whatever is known of the floor; None where floor is
+            asked for.
         """
         if newest is not None:
             reach = max_step + self.rig.keep_clear + ROUNDING
@@ -161,7 +199,7 @@ class ConstraintFilter:
 
         def allowed(places: np.ndarray) -> np.ndarray:
             good = apart(places, others, self.rig.spacing)
-            good &= self._inside(places, bounds) if free is None else free(
+            good &= self._inside(places, bounds) if free is None else free.clear(
                 places, self.rig.keep_clear)
             good[good] = self._allowed.allowed(
                 places[good], unknown=free is not None) if good.any() else False
@@ -187,31 +225,3 @@ class ConstraintFilter:
         """Tell which places are far enough inside the observed bounding box: (P,) bool."""
         inside, _ = kept_inside(places, bounds, self.wall_margin)
         return (np.abs(inside - places) <= ROUNDING).all(axis=1)
-
-
-def looked_through(cloud: np.ndarray, state: RigState, camera: int, places: np.ndarray,
-                   clear: float) -> np.ndarray:
-    """
-    Tell which places lie before the first surface that a camera sees on the way there.
-
-    :param cloud: (N, 3) float32, metres: the points seen so far.
-    :param state: how the cameras are turned.
-    :param places: (P, 3) metres, at the height of the camera, about.
-    :param clear: metres to keep from surfaces.
-    :returns: (P,) bool.
-    """
-    pose = Pose.of(state.placement[camera])
-    ways = (cloud[in_reach(cloud, pose, state.models[camera].lens)] - pose.position)[:, :2]
-    free = np.full(SECTORS, np.inf)
-    np.minimum.at(free, _sectors(ways), np.linalg.norm(ways, axis=1))
-    # Where nothing is seen, nothing is known.
-    free[np.isinf(free)] = 0.0
-    around = np.min([np.roll(free, k) for k in range(-ASIDE, ASIDE + 1)], axis=0)
-    ways = (places - pose.position)[:, :2]
-    return np.linalg.norm(ways, axis=1) + clear <= around[_sectors(ways)]
-
-
-def _sectors(ways: np.ndarray) -> np.ndarray:
-    """Return the numbers of the directions of ways (M, 2)."""
-    turns = np.arctan2(ways[:, 1], ways[:, 0]) / (2.0 * np.pi)
-    return np.floor(SECTORS * turns).astype(int) % SECTORS

@@ -57,14 +57,14 @@ class _Layers(NamedTuple):
 
 def missing_surfaces(scene: Scene) -> tuple[str, ...]:
     """Return which of ``ceiling`` and ``floor`` a scan does not show."""
-    return _missing(scene, _layers_of(scene), ceiling_of(scene).points)
+    return _missing(scene, _layers_of(scene), ceiling_of(scene).points, _lean(scene))
 
 
-def _missing(scene: Scene, layers: _Layers, ceiling: np.ndarray) -> tuple[str, ...]:
-    """Return the same for the level surfaces and the points of the ceiling."""
+def _missing(scene: Scene, layers: _Layers, ceiling: np.ndarray, lean: float) -> tuple[str, ...]:
+    """Return the same for the level surfaces, the points of the ceiling and the lean, degrees."""
     floor, least = floor_height(scene), LAYER_SHARE * layers.plan
     # A floor that slopes is at many heights.
-    thick = LAYER if _lean(scene) < TILTED else SLAB
+    thick = LAYER if lean < TILTED else SLAB
     lacking = {'ceiling': _area(scene, ceiling) < least,
                'floor': layers.within(floor - thick, floor + thick) < least}
     return tuple(surface for surface, lacks in lacking.items() if lacks)
@@ -79,10 +79,9 @@ def room_notes(scene: Scene) -> list[str]:
     """
     layers, floor = _layers_of(scene), floor_height(scene)
     top = float(np.percentile(scene.points[:, 2], 99.5))
-    ceiling = ceiling_of(scene).points
-    missing = _missing(scene, layers, ceiling)
+    ceiling, lean = ceiling_of(scene).points, _lean(scene)
+    missing = _missing(scene, layers, ceiling, lean)
     bare, lidless = 'floor' in missing, 'ceiling' in missing
-    lean = _lean(scene)
     # Where walls are plumb the floor slopes, as in a lecture room or on a ramp.
     tilt = lean >= TILTED and not _plumb(scene)
     notes = [] if lean < TILTED else [
@@ -159,7 +158,7 @@ def _lean(scene: Scene) -> float:
 
 
 def _plumb(scene: Scene) -> bool:
-    """Tell whether walls that face different ways all stand plumb."""
+    """Return whether walls that face different ways all stand plumb."""
     normals, areas = scene.normals_or_estimate, scene.pitch.astype(np.float64) ** 2
     leaning = np.abs(normals[:, 2]) < np.sin(np.deg2rad(LEANING))
     # What is across all of them is the way up.

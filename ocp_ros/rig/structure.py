@@ -10,6 +10,8 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from ocp_ros.geometry.normals import LEVEL, STEEP
+from ocp_ros.geometry.voxels import CellGrid
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.scenes.scene import Scene
 
@@ -19,8 +21,6 @@ STAND_OFF, REACH = 0.1, 0.25
 FLAT = 0.08
 #: Points that the plane of a surface is taken from, and the least cosine between their normals.
 VOTERS, ALIKE = 8, 0.9
-#: Least part of a normal that is upright on a ceiling, and most on a wall.
-LEVEL, STEEP = 0.7, 0.3
 #: Metres, and shares of the room's height: ceilings are higher than a head, walls go up to them.
 HEADROOM, HEADROOM_SHARE, WALL_SHARE = 2.0, 0.8, 0.8
 #: Metres that what stands in the way is high, such as a knee wall, a fence or a cupboard.
@@ -32,9 +32,8 @@ COLUMN, CEILING_DROP, WALL_DROP = 0.2, 0.25, 0.5
 LOWER_PART, LAYER = 0.4, 0.1
 #: Square metres: what is smaller is no ceiling and no wall.
 LEAST_AREA = 1.0
-#: Metres: the ball that is carried through the air of a room, and the least edge of its cells.
-BALL, CELL = 0.2, 0.1
-MOST_CELLS = 4_000_000
+#: Metres: the ball that is carried through the air of a room.
+BALL = 0.2
 
 
 class Contact(NamedTuple):
@@ -189,7 +188,9 @@ def walls_of(scene: Scene) -> MountSurface:
     columns = _Columns(scene)
     around = int(np.ceil(0.4 / columns.edge))
     top = ndimage.maximum_filter(columns.highest(scene.points), 2 * around + 1)
-    return _upright(scene, columns, WALL_SHARE, top - WALL_DROP)
+    floor = floor_height(scene)
+    high = floor + WALL_SHARE * (np.percentile(scene.points[:, 2], 99.0) - floor)
+    return _upright(scene, columns, np.maximum(top - WALL_DROP, high))
 
 
 def standing_of(scene: Scene) -> MountSurface:
@@ -198,24 +199,16 @@ def standing_of(scene: Scene) -> MountSurface:
 
     :returns: its upright points with level normals.
     """
-    return _upright(scene, _Columns(scene), STANDING / max(_height(scene), STANDING))
+    high = min(floor_height(scene) + STANDING, np.percentile(scene.points[:, 2], 99.0))
+    columns = _Columns(scene)
+    return _upright(scene, columns, np.full(columns.shape, high))
 
 
-def _height(scene: Scene) -> float:
-    """Return how high a room is, metres."""
-    return float(np.percentile(scene.points[:, 2], 99.0)) - floor_height(scene)
-
-
-def _upright(scene: Scene, columns: _Columns, share: float, least: np.ndarray | None = None
-             ) -> MountSurface:
-    """Find what is upright and goes up to a share of the room's height, and so high by column."""
-    points, floor = scene.points, floor_height(scene)
+def _upright(scene: Scene, columns: _Columns, least: np.ndarray) -> MountSurface:
+    """Find what is upright and goes up to some height, z in metres by column."""
     steep = np.abs(scene.normals_or_estimate[:, 2]) <= STEEP
-    column = columns.of(points)
-    reached = columns.highest(points[steep])[column]
-    chosen = steep & (reached >= floor + share * _height(scene))
-    if least is not None:
-        chosen &= reached >= least[column]
+    high = columns.highest(scene.points[steep]) >= least
+    chosen = steep & high[columns.of(scene.points)]
     return _surface(scene, chosen, scene.normals_or_estimate * np.array([1.0, 1.0, 0.0]))
 
 
@@ -242,30 +235,20 @@ class Air:
     """
 
     def __init__(self, scene: Scene, space: FreePlane, centred: bool = False) -> None:
-        self.edge = max(CELL, float((scene.size.prod() / MOST_CELLS) ** (1.0 / 3.0)))
-        shape = np.floor(scene.size / self.edge).astype(int) + 1
-        self.low = scene.bounds[0]
-        if centred:
-            self.low = scene.bounds.mean(axis=0) - 0.5 * self.edge * shape
-        taken = np.zeros(shape, dtype=bool)
-        taken[tuple(self._cells(scene.points, shape))] = True
+        self.grid = CellGrid.over(scene.bounds, centred)
+        edge, shape = self.grid.edge, self.grid.shape
         # A ball that does not fit through the gaps between the points of a surface.
         self.ball = max(BALL, 1.5 * float(np.median(scene.pitch)))
-        free = ndimage.distance_transform_edt(~taken) * self.edge > self.ball
-        middles = [self.low[k] + self.edge * (np.arange(shape[k]) + 0.5) for k in (0, 1)]
+        free = ndimage.distance_transform_edt(~self.grid.taken(scene.points)) * edge > self.ball
+        middles = [self.grid.low[k] + edge * (np.arange(shape[k]) + 0.5) for k in (0, 1)]
         columns = np.stack(np.meshgrid(*middles, indexing='ij'), axis=-1)
         free &= space.contains(columns)[..., None]
         parts, count = ndimage.label(free)
         #: Whether there is any.
         self._found = count > 0
         largest = int(np.argmax(np.bincount(parts.ravel())[1:])) + 1 if count else 0
-        self._away = self.edge * ndimage.distance_transform_edt(
+        self._away = edge * ndimage.distance_transform_edt(
             parts != largest) if count else np.zeros(shape)
-
-    def _cells(self, positions: np.ndarray, shape: np.ndarray) -> np.ndarray:
-        """Return the cells of positions (M, 3): (3, M) indices, the nearest for those outside."""
-        cells = np.floor((positions - self.low) / self.edge).astype(int)
-        return np.clip(cells, 0, np.array(shape) - 1).T
 
     def cells(self, height: float | None = None) -> np.ndarray:
         """
@@ -275,13 +258,14 @@ class Air:
         """
         free = self._away == 0.0 if self._found else np.zeros(self._away.shape, dtype=bool)
         if height is None:
-            return self.low + self.edge * (np.argwhere(free) + 0.5)
-        level = int(np.clip((height - self.low[2]) / self.edge, 0, free.shape[2] - 1))
-        flat = self.low[:2] + self.edge * (np.argwhere(free[:, :, level]) + 0.5)
+            return self.grid.middles(np.argwhere(free))
+        low, edge = self.grid.low, self.grid.edge
+        level = int(np.clip((height - low[2]) / edge, 0, free.shape[2] - 1))
+        flat = low[:2] + edge * (np.argwhere(free[:, :, level]) + 0.5)
         return np.column_stack([flat, np.full(len(flat), height)])
 
     def closed(self, positions: np.ndarray) -> np.ndarray:
         """Tell which positions (M, 3), metres, the ball does not come near: (M,) bool."""
-        away = self._away[tuple(self._cells(positions, self._away.shape))]
+        away = self._away[tuple(self.grid.cells(positions))]
         # In a corner of three walls the ball's middle stays root 3 radii away.
-        return away > max(self.ball + self.edge, np.sqrt(3.0) * (self.ball - 0.5 * BALL))
+        return away > max(self.ball + self.grid.edge, np.sqrt(3.0) * (self.ball - 0.5 * BALL))

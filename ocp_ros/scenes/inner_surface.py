@@ -21,6 +21,7 @@ from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.geometry.packed_bits import no_bits, unpack
 from ocp_ros.geometry.visibility import FINE, SurfelVisibility
+from ocp_ros.geometry.voxels import CellGrid
 from ocp_ros.scenes.mesh_files import sampled
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Mesh, MIN_POINTS, Scene, SceneError
@@ -28,9 +29,8 @@ from ocp_ros.scenes.scene import Mesh, MIN_POINTS, Scene, SceneError
 #: Points on the faces that the air is looked for between: at least, at most, and for each square
 #: metre.
 PILOT, MOST_PILOT, DENSE = 150_000, 2_000_000, 60.0
-#: Metres: least edge of the cells of air, and the ball that has to fit in.
-CELL, BALL = 0.1, 0.2
-MOST_CELLS = 4_000_000
+#: Metres: the ball that has to fit in the air.
+BALL = 0.2
 #: Of eight level directions from a cell, how many have to end at a surface.
 SHUT = 5
 #: Ways up from what has a roof, and how many of them have to end at it.
@@ -43,7 +43,7 @@ ROOFED_SHARE = 0.4
 #: Metres: how far from a side the air is looked for, and how far beside the air a face may be.
 #: What doors and windows show of the world outside is not of the room.
 REACH, BESIDE = 2.0, 0.45
-#: Metres: points are this far before their face, so that each side of a thin one is told apart.
+#: Metres: points are this far before their face, so that the sides of a thin one differ.
 BEFORE = 0.001
 #: Angles to the normal, and how many directions at each, in which a side looks for the air.
 TILTS = ((0.0, 1), (np.deg2rad(35.0), 4), (np.deg2rad(65.0), 7))
@@ -118,7 +118,7 @@ def inner_surface(mesh: Mesh, samples: int, apart: float, name: str) -> InnerSur
         samples = min(int(share * area / apart ** 2), samples)
     rows = sampled(corners, int(ENOUGH * samples / max(share, 1.0 / MOST_TIMES)))
     hidden, seen = 1.0 - float(seen.any(axis=1).mean()), air.seen_from(rows, rays)
-    sides = [np.hstack([rows[kept, :3] + sign * BEFORE * rows[kept, 3:], sign * rows[kept, 3:]])
+    sides = [np.hstack([_before(rows[kept], sign), sign * rows[kept, 3:]])
              for kept, sign in zip(seen.T, (1.0, -1.0))]
     found = np.vstack(sides)
     count = min(samples, len(found))
@@ -138,9 +138,9 @@ def _area(corners: np.ndarray) -> float:
 
 
 def _solid(rows: np.ndarray, rays: MeshRays) -> bool:
-    """Tell whether one side of most faces is shut in, given points and normals (N, 6)."""
-    shut = [np.all([np.isfinite(_lengths(rays, rows, sign, *way)) for way in _directions()],
-                   axis=0) for sign in (1.0, -1.0)]
+    """Return whether one side of most faces is shut in, given points and normals (N, 6)."""
+    shut = [np.all([np.isfinite(rays.lengths(_before(rows, sign), _ways(rows, sign, *way)))
+                    for way in _directions()], axis=0) for sign in (1.0, -1.0)]
     return float(np.logical_or(*shut).mean()) >= SOLID
 
 
@@ -160,18 +160,16 @@ def _ways(rows: np.ndarray, sign: float, tilt: float, turn: float) -> np.ndarray
     return np.cos(tilt) * normals + np.sin(tilt) * (np.cos(turn) * along + np.sin(turn) * across)
 
 
-def _lengths(rays: MeshRays, rows: np.ndarray, sign: float, tilt: float, turn: float
-             ) -> np.ndarray:
-    """Return how far it is from one side of faces to the next face: (N,) metres, or inf."""
-    return rays.lengths(rows[:, :3] + sign * BEFORE * rows[:, 3:], _ways(rows, sign, tilt, turn))
+def _before(rows: np.ndarray, sign: float) -> np.ndarray:
+    """Return the places (N, 3) before one side of faces, given points and normals (N, 6)."""
+    return rows[:, :3] + sign * BEFORE * rows[:, 3:]
 
 
 class EnclosedAir(NamedTuple):
     """
     The enclosed air.
 
-    :ivar low: (3,) metres, corner of the first cell.
-    :ivar edge: of the cells, metres.
+    :ivar grid: of its cells.
     :ivar cells: (X, Y, Z) bool, those of the largest part that hangs together.
     :ivar beside: (X, Y) metres from each column to the nearest one with such cells.
     :ivar others: (X, Y, Z) bool, the cells of the other parts that are large enough for a room.
@@ -180,8 +178,7 @@ class EnclosedAir(NamedTuple):
     :ivar ball: metres that all of it is from surfaces.
     """
 
-    low: np.ndarray
-    edge: float
+    grid: CellGrid
     cells: np.ndarray
     beside: np.ndarray
     others: np.ndarray
@@ -196,12 +193,9 @@ class EnclosedAir(NamedTuple):
 
         :returns: None where none is large enough for a room.
         """
-        low, high = corners_of(points)
-        edge = max(CELL, float((np.prod(high - low) / MOST_CELLS) ** (1.0 / 3.0)))
-        shape = np.floor((high - low) / edge).astype(int) + 1
-        taken = np.zeros(shape, dtype=bool)
-        taken[tuple(np.floor((points - low) / edge).astype(int).T)] = True
-        away = ndimage.distance_transform_edt(~taken) * edge
+        grid = CellGrid.over(corners_of(points))
+        edge = grid.edge
+        away = ndimage.distance_transform_edt(~grid.taken(points)) * edge
         # However few points there are, they shut what is between them.
         ball = max(BALL, 1.5 * spacing)
         taken, free = away <= 1.5 * spacing, away > ball
@@ -218,7 +212,7 @@ class EnclosedAir(NamedTuple):
             return None
         room = parts == order[0]
         beside = edge * ndimage.distance_transform_edt(~room.any(axis=2))
-        return cls(low, edge, room, beside, np.isin(parts, order[1:]),
+        return cls(grid, room, beside, np.isin(parts, order[1:]),
                    tuple(volumes[order[1:]].tolist()), parts is found[0][0], ball)
 
     def seen_from(self, rows: np.ndarray, rays: MeshRays) -> np.ndarray:
@@ -229,38 +223,34 @@ class EnclosedAir(NamedTuple):
         :returns: (N, 2) bool: the side of the normal, and the other one.
         """
         found = np.zeros((len(rows), 2), dtype=bool)
-        column = self.cell(rows[:, :3])
+        column = self.grid.cells(rows[:, :3])
         near = np.flatnonzero(self.beside[tuple(column[:2])] <= max(
-            BESIDE, self.ball + 2.5 * self.edge))
+            BESIDE, self.ball + 2.5 * self.grid.edge))
         for side, sign in enumerate((1.0, -1.0)):
             left = near
             for way in _directions():
                 some = rows[left]
-                free = _lengths(rays, some, sign, *way)
-                reached = self._reached(some[:, :3], _ways(some, sign, *way), free)
+                ways = _ways(some, sign, *way)
+                free = rays.lengths(_before(some, sign), ways)
+                reached = self._reached(some[:, :3], ways, free)
                 found[left[reached], side] = True
                 left = left[~reached]
             if self.roofed:
                 found[:, side] &= _under_a_roof(rows, sign, found[:, side], rays)
         return found
 
-    def cell(self, points: np.ndarray) -> np.ndarray:
-        """Return the cells of points (N, 3): (3, N) indices, the nearest for those outside."""
-        cells = np.floor((points - self.low) / self.edge).astype(int)
-        return np.clip(cells, 0, np.array(self.cells.shape) - 1).T
-
     def _reached(self, points: np.ndarray, ways: np.ndarray, free: np.ndarray) -> np.ndarray:
-        """Tell of which points (N, 3) the ways, free so many metres, come into the air."""
-        reached = np.zeros(len(points), dtype=bool)
-        for away in np.arange(self.edge, max(REACH, 3.0 * (self.ball + self.edge)), self.edge):
+        """Tell of which points (N, 3) the ways come into the air, each in its free metres."""
+        reached, edge = np.zeros(len(points), dtype=bool), self.grid.edge
+        for away in np.arange(edge, max(REACH, 3.0 * (self.ball + edge)), edge):
             left = np.flatnonzero(~reached & (free > away))
-            reached[left] = self.cells[tuple(self.cell(points[left] + away * ways[left]))]
+            reached[left] = self.cells[tuple(self.grid.cells(points[left] + away * ways[left]))]
         return reached
 
 
 def _under_a_roof(rows: np.ndarray, sign: float, asked: np.ndarray, rays: MeshRays) -> np.ndarray:
     """Tell which sides of faces (N, 6) have something above them; only some are asked."""
-    starts, count = rows[asked, :3] + sign * BEFORE * rows[asked, 3:], np.zeros(len(rows), int)
+    starts, count = _before(rows[asked], sign), np.zeros(len(rows), int)
     for way in UP:
         count[asked] += np.isfinite(rays.lengths(starts, np.broadcast_to(way, starts.shape)))
     return count >= ROOFED
@@ -302,9 +292,9 @@ def without_outside(scene: Scene) -> Scene:
     if air is None:
         return scene
     cells = np.argwhere(air.cells | air.others)
-    looks = int(np.clip(len(cells) * air.edge ** 3, *LOOKS))
+    looks = int(np.clip(len(cells) * air.grid.edge ** 3, *LOOKS))
     chosen = cells[np.random.default_rng(0).permutation(len(cells))[:looks]]
-    count = _counted(scene, air.low + air.edge * (chosen + 0.5))
+    count = _counted(scene, air.grid.middles(chosen))
     missed = area[count == 0].sum()
     if missed < MISSED * area.sum():
         return scene
@@ -316,8 +306,7 @@ def without_outside(scene: Scene) -> Scene:
         return scene
     remark = (f'{100.0 * (1.0 - kept.mean()):.0f} % of the points left out: those of a solid '
               'model that the air of the room does not see')
-    return replace(scene, points=scene.points[kept], remarks=(*scene.remarks, remark),
-                   normals=None if scene.normals is None else scene.normals[kept])
+    return replace(scene.only(kept), remarks=(*scene.remarks, remark))
 
 
 def _counted(scene: Scene, places: np.ndarray) -> np.ndarray:
@@ -341,12 +330,12 @@ def _hidden(scene: Scene, air: EnclosedAir) -> tuple[np.ndarray, np.ndarray]:
     points, pitch = scene.points.astype(np.float64), scene.pitch
     index = ndimage.distance_transform_edt(
         ~(air.cells | air.others), return_distances=False, return_indices=True)
-    goals = air.low + air.edge * (index[(slice(None), *air.cell(points))].T + 0.5)
+    goals = air.grid.middles(index[(slice(None), *air.grid.cells(points))].T)
     length = np.linalg.norm(goals - points, axis=1)
     ways, tree = (goals - points) / length[:, None], cKDTree(points)
     hidden, away = np.zeros(len(points), dtype=bool), HIDING
     across = np.abs(np.einsum('nk,nk->n', ways, scene.normals_or_estimate)) >= ACROSS
-    while len(left := np.flatnonzero(~hidden & (length > away + air.edge))) and away < THICK:
+    while len(left := np.flatnonzero(~hidden & (length > away + air.grid.edge))) and away < THICK:
         nearest, _ = tree.query(points[left] + away * ways[left],
                                 distance_upper_bound=2.0 * float(np.median(pitch)))
         hidden[left] = nearest < np.minimum(ASIDE * away, SQUARE * pitch[left])

@@ -14,11 +14,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ocp_ros.geometry.normals import LEVEL, STEEP
 from ocp_ros.scenes.scene import MIN_POINTS, Scene
 
-#: Most of a normal that is upright on a wall.
-STEEP = 0.3
-#: Degrees and metres that planes are told apart by, how many are tried, and square metres that
+#: Degrees and metres by which planes differ, how many are tried, and square metres that
 #: one has at least.
 TURN, APART, PLANES, LEAST = 2.0, 0.1, 24, 1.0
 #: Metres behind a plane from which on points are behind it, up to which they are beside it, and
@@ -28,12 +27,12 @@ BEHIND, BESIDE, DEEP, LESS, ALONG = 0.1, 0.4, 0.5, 0.6, 0.9
 #: Points that are tried, and how near there is one before the plane: metres at least, and in
 #: multiples of the spacing.
 TRIED, NEAR, SPACINGS = 4000, 0.08, 1.5
-#: Metres: where points are as far apart, mirror images are not told from a room.
+#: Metres: where points are as far apart, mirror images look like a room.
 SPARSE = 0.3
 #: Metres that a mirror hangs before its wall.
 HUNG = (0.0, 0.03, 0.06)
-#: Least part of a normal that is upright on what is level, and the fewest other points.
-LEVEL, FEWEST = 0.7, 50
+#: The fewest points that are not level.
+FEWEST = 50
 #: Share of the points behind a mirror that have one before it, and of all points that have to be
 #: behind it.
 MATCHED, SHARE = 0.85, 0.005
@@ -76,8 +75,7 @@ def without_mirror_images(scene: Scene) -> Scene:
         return scene
     note = (f'found {left_out:,} points behind a wall that mirror the room before it; expected no '
             'mirror image; they are left out: cover mirrors when you scan')
-    return replace(scene, points=scene.points[kept], notes=(*scene.notes, note),
-                   normals=None if scene.normals is None else scene.normals[kept])
+    return replace(scene.only(kept), notes=(*scene.notes, note))
 
 
 def _planes(points: np.ndarray, normals: np.ndarray, area: np.ndarray

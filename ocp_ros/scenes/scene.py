@@ -92,6 +92,11 @@ class Scene:
         """Return the number of points."""
         return len(self.points)
 
+    def only(self, kept: np.ndarray) -> 'Scene':
+        """Return the room with some of its points, (N,) bool, alone."""
+        return replace(self, points=self.points[kept],
+                       normals=None if self.normals is None else self.normals[kept])
+
     @cached_property
     def bounds(self) -> np.ndarray:
         """Return the bounding box: (2, 3) float64, lowest and highest corner, metres."""

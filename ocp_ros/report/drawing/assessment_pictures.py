@@ -306,7 +306,7 @@ def floor_plan_of(judged: Assessment) -> Figure:
 
 
 def _draw_axes(axes: Axes, judged: Assessment, frame: np.ndarray, length: float) -> None:
-    """Draw the axes of the coordinates, so many metres long, from a corner of the room."""
+    """Draw the axes of the coordinates, of a length in metres, from a corner of the room."""
     corner, origin = frame @ judged.corner.at, judged.frame.to_map(np.zeros(3))
     # A little inside the room.
     corner = corner + 0.15 * length * np.sign(_corners(judged).mean(axis=0) - corner)

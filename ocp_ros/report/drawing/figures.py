@@ -69,10 +69,15 @@ def width_of(text: str, size: float, bold: bool = False) -> float:
     return text_to_path.get_text_width_height_descent(text, font, False)[0] / POINTS
 
 
+def in_one_line(text: str) -> str:
+    """Return a text as a figure shows it in one line, with nothing that it takes for a formula."""
+    text = ''.join(letter if letter.isprintable() else ' ' for letter in text)
+    return ' '.join(text.split()).replace('$', r'\$')
+
+
 def shortened(text: str, width: float, size: float, bold: bool = False) -> str:
     """Return a text, or as much of it as so many inches hold with three dots behind."""
-    text = ''.join(letter if letter.isprintable() else ' ' for letter in text)
-    text = ' '.join(text.split()).replace('$', r'\$')
+    text = in_one_line(text)
     if width_of(text, size, bold) <= width:
         return text
     letters = bisect_right(range(1, len(text)), width,
@@ -91,8 +96,8 @@ def write(figure: Figure, place: tuple[float, float], text: str, width: float, s
     :param align: ``left``, ``right`` or ``center``.
     """
     x, y = place / figure.get_size_inches()
-    while size > SMALLEST and shortened(text, np.inf, size, bold) != shortened(
-            text, width, size, bold):
+    whole = in_one_line(text)
+    while size > SMALLEST and width_of(whole, size, bold) > width:
         size = max(size - 0.2, SMALLEST)
     figure.text(x, y, shortened(text, width, size, bold), fontsize=size, color=colour,
                 fontweight='bold' if bold else 'normal', va='center', ha=align)

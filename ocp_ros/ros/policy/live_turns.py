@@ -61,7 +61,7 @@ from ocp_ros.util.settings import ConfigurationError
 #: Seconds between two looks at the clock, where no message comes, and between two times that a
 #: command is sent while the cameras have not arrived: it may have been lost.
 TICK, AGAIN = 0.1, 1.0
-#: Metres and radians by which poses differ at least for a person to be told anew what is left.
+#: Metres and radians by which poses differ at least for new instructions to a person.
 SAME = 0.05
 
 
@@ -339,7 +339,7 @@ class LiveTurns:
                                         heading_of(rotation))
         text = FINAL if self._final() else instructions(
             positions, targets, least, turns, self._config.arrival_angle, self._expected)
-        # What is left to do is told anew where it has changed by more than the noise of poses.
+        # Instructions are new where what is left to do has changed by more than noise of poses.
         left = np.column_stack([targets, positions, turns])
         same = (self._left.shape == left.shape and (np.abs(left - self._left) < SAME).all()
                 and _asked(text) == _asked(self._instruction))
