@@ -149,8 +149,10 @@ def test_a_large_building_keeps_its_walls(tmp_path):
     assert share == pytest.approx(2 * (x + y) * z / (2 * (x + y) * z + 2 * x * y), abs=0.02)
 
 
-def test_a_stray_part_of_a_model_does_not_matter(tmp_path):
-    assert_inside(read(tmp_path, solid_room(), box((300, 0, 0), (300.02, 0.02, 0.02))))
+@pytest.mark.parametrize('stray', [box((300, 0, 0), (300.02, 0.02, 0.02)),
+                                   [[(0, 0, 0), (0, 1e-6, 0), (3e6, 0, 0)]]])
+def test_a_stray_part_of_a_model_does_not_matter(tmp_path, stray):
+    assert_inside(read(tmp_path, solid_room(), stray))
 
 
 def test_bodies_without_a_room_are_refused(tmp_path):

@@ -25,10 +25,12 @@ from ocp_ros.geometry.voxels import CellGrid
 from ocp_ros.scenes.mesh_files import sampled
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Mesh, MIN_POINTS, Scene, SceneError
+from ocp_ros.util.kernels import njit
 
-#: Points on the faces that the air is looked for between: at least, at most, and for each square
-#: metre.
-PILOT, MOST_PILOT, DENSE = 150_000, 2_000_000, 60.0
+#: Points on the faces that the air is looked for between: at least, and for each square metre.
+PILOT, DENSE = 150_000, 60.0
+#: Points that are taken at most.
+MOST = 2_000_000
 #: Metres: the ball that has to fit in the air.
 BALL = 0.2
 #: Of eight level directions from a cell, how many have to end at a surface.
@@ -47,9 +49,8 @@ REACH, BESIDE = 2.0, 0.45
 BEFORE = 0.001
 #: Angles to the normal, and how many directions at each, in which a side looks for the air.
 TILTS = ((0.0, 1), (np.deg2rad(35.0), 4), (np.deg2rad(65.0), 7))
-#: Points that are taken for each one that is asked for, at most, and how many more than seem to be
-#: needed.
-MOST_TIMES, ENOUGH = 20, 1.05
+#: How many more points are taken than seem to be needed.
+ENOUGH = 1.05
 #: Share of the faces of which one side is shut in, from which on a model is made of solid bodies.
 SOLID = 0.9
 #: Share of the faces that is not worth a remark.
@@ -99,7 +100,7 @@ def inner_surface(mesh: Mesh, samples: int, apart: float, name: str) -> InnerSur
     """
     rays, corners = MeshRays(mesh), mesh.corners
     area = _area(corners)
-    pilot = sampled(corners, int(np.clip(DENSE * area, PILOT, MOST_PILOT)))
+    pilot = sampled(corners, int(np.clip(DENSE * area, PILOT, MOST)))
     air = EnclosedAir.of(pilot[:, :3], float(np.sqrt(area / len(pilot))))
     some = pilot[::len(pilot) // 4000]
     if air is None:
@@ -116,7 +117,7 @@ def inner_surface(mesh: Mesh, samples: int, apart: float, name: str) -> InnerSur
         return None
     if apart:
         samples = min(int(share * area / apart ** 2), samples)
-    rows = sampled(corners, int(ENOUGH * samples / max(share, 1.0 / MOST_TIMES)))
+    rows = sampled(corners, int(min(ENOUGH * samples / share, MOST)))
     hidden, seen = 1.0 - float(seen.any(axis=1).mean()), air.seen_from(rows, rays)
     sides = [np.hstack([_before(rows[kept], sign), sign * rows[kept, 3:]])
              for kept, sign in zip(seen.T, (1.0, -1.0))]
@@ -149,15 +150,25 @@ def _directions() -> list[tuple[float, float]]:
     return [(tilt, 2.0 * np.pi * k / count) for tilt, count in TILTS for k in range(count)]
 
 
-def _ways(rows: np.ndarray, sign: float, tilt: float, turn: float) -> np.ndarray:
+@njit(cache=True, nogil=True)
+def _ways(rows, sign, tilt, turn):
     """Return unit vectors (N, 3) from one side of faces, given points and normals (N, 6)."""
-    normals = sign * rows[:, 3:]
-    # Any direction along the face will do as long as it is not the normal.
-    other = np.where(np.abs(normals[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
-    along = np.cross(normals, other)
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    across = np.cross(normals, along)
-    return np.cos(tilt) * normals + np.sin(tilt) * (np.cos(turn) * along + np.sin(turn) * across)
+    ways = np.empty((len(rows), 3))
+    up, one, two = np.cos(tilt), np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn)
+    for row in range(len(rows)):
+        x, y, z = sign * rows[row, 3], sign * rows[row, 4], sign * rows[row, 5]
+        # Any direction along the face will do as long as it is not the normal.
+        if abs(z) < 0.9:
+            level = np.sqrt(x * x + y * y)
+            along = (y / level, -x / level, 0.0)
+        else:
+            level = np.sqrt(y * y + z * z)
+            along = (0.0, z / level, -y / level)
+        across = (y * along[2] - z * along[1], z * along[0] - x * along[2],
+                  x * along[1] - y * along[0])
+        for axis, normal in enumerate((x, y, z)):
+            ways[row, axis] = up * normal + one * along[axis] + two * across[axis]
+    return ways
 
 
 def _before(rows: np.ndarray, sign: float) -> np.ndarray:
@@ -241,11 +252,33 @@ class EnclosedAir(NamedTuple):
 
     def _reached(self, points: np.ndarray, ways: np.ndarray, free: np.ndarray) -> np.ndarray:
         """Tell of which points (N, 3) the ways come into the air, each in its free metres."""
-        reached, edge = np.zeros(len(points), dtype=bool), self.grid.edge
-        for away in np.arange(edge, max(REACH, 3.0 * (self.ball + edge)), edge):
-            left = np.flatnonzero(~reached & (free > away))
-            reached[left] = self.cells[tuple(self.grid.cells(points[left] + away * ways[left]))]
-        return reached
+        reach = max(REACH, 3.0 * (self.ball + self.grid.edge))
+        return _come_into(self.cells, (points - self.grid.low) / self.grid.edge, ways,
+                          np.minimum(free, reach) / self.grid.edge)
+
+
+@njit(cache=True, nogil=True)
+def _come_into(cells, points, ways, free):
+    """
+    Tell which ways come into some cells at one of their steps.
+
+    :param cells: (X, Y, Z) bool.
+    :param points: (N, 3) where they begin, in edges of a cell from the lowest corner.
+    :param ways: (N, 3) unit vectors.
+    :param free: (N,) edges of a cell until each way ends; the steps are one long.
+    :returns: (N,) bool.
+    """
+    come = np.zeros(len(points), dtype=np.bool_)
+    shape = np.array(cells.shape)
+    for row in range(len(points)):
+        step = 1.0
+        while step < free[row] and not come[row]:
+            x = min(max(int(np.floor(points[row, 0] + step * ways[row, 0])), 0), shape[0] - 1)
+            y = min(max(int(np.floor(points[row, 1] + step * ways[row, 1])), 0), shape[1] - 1)
+            z = min(max(int(np.floor(points[row, 2] + step * ways[row, 2])), 0), shape[2] - 1)
+            come[row] = cells[x, y, z]
+            step += 1.0
+    return come
 
 
 def _under_a_roof(rows: np.ndarray, sign: float, asked: np.ndarray, rays: MeshRays) -> np.ndarray:

@@ -190,7 +190,7 @@ def _mesh_of(corners: np.ndarray, source: SourceFrame, bounds: np.ndarray) -> Me
     :param bounds: (2, 3) metres, of the points that were kept: what is far outside is stray.
     """
     corners = source.to_map(corners[np.isfinite(corners).all(axis=(1, 2))])
-    inside = (corners.max(axis=1) >= bounds[0] - NEAR) & (corners.min(axis=1) <= bounds[1] + NEAR)
+    inside = (corners.min(axis=1) >= bounds[0] - NEAR) & (corners.max(axis=1) <= bounds[1] + NEAR)
     vertices = corners[inside.all(axis=1)].reshape(-1, 3)
     return Mesh(vertices.astype(np.float32),
                 np.arange(len(vertices), dtype=np.int32).reshape(-1, 3), exact=True)
