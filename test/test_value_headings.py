@@ -22,9 +22,8 @@ from ocp_ros.online.observation_map import (
     yaws_of,
 )
 from ocp_ros.online.rig_state import RigState
-from ocp_ros.policy.agent_config import AgentConfig
+from ocp_ros.policy.agent_config import AgentConfig, CheckpointError
 from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.policy.errors import CheckpointError
 from ocp_ros.policy.map_actor import MANY, MapActor
 from ocp_ros.policy.policy import ValuePolicy
 from ocp_ros.policy.value_network import valued, ValueMapNetwork

@@ -20,9 +20,8 @@ from ocp_ros.online.observation_map import (
     Window,
 )
 from ocp_ros.online.partial_map import LookHistory, PartialMap
-from ocp_ros.policy.agent_config import AgentConfig
+from ocp_ros.policy.agent_config import AgentConfig, CheckpointError
 from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.policy.errors import CheckpointError
 from ocp_ros.policy.map_actor import MapActor
 from ocp_ros.policy.policy import make_policy
 from ocp_ros.policy.value_network import ValueMapNetwork

@@ -26,8 +26,8 @@ from backports import zstd
 from benchmarks import results
 from benchmarks.drills.file_fuzz import read_one
 from benchmarks.drills.spoilt_files import gltf_of, good_files, write_e57, write_obj
+from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.policy.errors import CheckpointError
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.rooms.generator import generate_room

@@ -22,6 +22,7 @@ import numpy as np
 
 from ocp_ros.geometry.cameras import in_cone, OMNIDIRECTIONAL
 from ocp_ros.geometry.packed_bits import BLOCK, blocks_in_view, WORDS
+from ocp_ros.geometry.vector_rows import LANES, put_nearer
 from ocp_ros.util.kernels import njit
 
 f32, i32, u32, u64 = np.float32, np.int32, np.uint32, np.uint64
@@ -123,6 +124,13 @@ class Workspace(NamedTuple):
     :ivar flat: (256,) float32, cosine of the elevation.
     :ivar step_row: (256,) float32, change of the inverse distance per row along the disc.
     :ivar step_column: (256,) float32, the same per column.
+    :ivar size: (256,) float32, radius of the disc in rows of the map.
+    :ivar wide: (256,) float32, the same in columns.
+    :ivar own: (256,) uint32, the cell that the point is in.
+    :ivar value: (256,) float32, what its disc is in this cell, 1/m.
+    :ivar listed: (3, 257) uint32, numbers of the discs of one cell, of up to four, and of more.
+    :ivar four: (4, 256) float32, what the second kind is in the four cells around it, 1/m.
+    :ivar around_quad: (256,) uint32, the lower left of these.
     :ivar flags: (256,) uint8, whether a point is visible.
     :ivar octets: (32,) uint64, the same memory as ``flags``.
     :ivar distance: (N,) float32, of every point, metres.
@@ -138,6 +146,13 @@ class Workspace(NamedTuple):
     flat: np.ndarray
     step_row: np.ndarray
     step_column: np.ndarray
+    size: np.ndarray
+    wide: np.ndarray
+    own: np.ndarray
+    value: np.ndarray
+    listed: np.ndarray
+    four: np.ndarray
+    around_quad: np.ndarray
     flags: np.ndarray
     octets: np.ndarray
     distance: np.ndarray
@@ -148,9 +163,14 @@ class Workspace(NamedTuple):
     def of(cls, rows: int, count: int) -> 'Workspace':
         """Allocate for maps of so many rows and so many points."""
         cells, octets = (rows + 2) * (2 * rows + 2), np.zeros(BLOCK // 8, dtype=np.uint64)
-        maps = [np.full(cells, np.inf, dtype=np.float32) for _ in range(2)]
-        block = [np.empty(BLOCK, dtype=np.float32) for _ in range(6)]
-        return cls._make([*maps, *block, octets.view(np.uint8), octets,
+        # The last row may be written a vector beyond its end.
+        maps = [np.full(cells + LANES, np.inf, dtype=np.float32)[:cells] for _ in range(2)]
+        block = [np.empty(BLOCK, dtype=np.float32) for _ in range(8)]
+        own, around_quad = (np.empty(BLOCK, dtype=np.uint32) for _ in range(2))
+        return cls._make([*maps, *block, own, np.empty(BLOCK, dtype=np.float32),
+                          np.zeros((3, BLOCK + 1), dtype=np.uint32),
+                          np.empty((4, BLOCK), dtype=np.float32), around_quad,
+                          octets.view(np.uint8), octets,
                           np.empty(count, dtype=np.float32), np.empty(count, dtype=np.uint32),
                           np.empty(-(-count // BLOCK), dtype=np.uint32)])
 
@@ -227,28 +247,75 @@ def _clamped(value, inverse):
     return min(max(value, LOWEST * inverse), HIGHEST * inverse)
 
 
-@njit(nogil=True, inline='always', fastmath=FAST)
-def _splat_quad(inverse, row, column, reach, across, step_row, step_column, stride, inverse_map):
+@njit(nogil=True, fastmath=FAST, error_model='numpy')
+def _sort_block(surfels, number, settings, out):
+    """
+    Sort the discs of a block by how many cells they fill, and write what they are in their own.
+
+    :returns: how many fill their own cell alone, how many up to four, and how many more; their
+        numbers are in the rows of ``out.listed``.
+    """
+    cells, stride = f32(settings.rows) / PI, u32(2 * settings.rows + 2)
+    single, quad = f32(settings.single), f32(settings.quad)
+    first, count = _block(number, surfels.x.shape[0])
+    for j in range(count):
+        inverse, row, column = out.inverse[j], out.row[j], out.column[j]
+        size = surfels.radius[first + j] * inverse * cells
+        # So many cells is it wide where the rows are shortest.
+        out.size[j], out.wide[j] = size, size / out.flat[j]
+        own_row, own_column = i32(row), i32(column)
+        value = (inverse + out.step_row[j] * (f32(own_row) + HALF - row)
+                 + out.step_column[j] * (f32(own_column) + HALF - column))
+        out.own[j] = u32(own_row + 1) * stride + u32(own_column + 1)
+        out.value[j] = _clamped(value, inverse)
+    singles = quads = ellipses = u64(0)
+    for j in range(count):
+        # Whoever is not of a kind is overwritten by the next one.
+        out.listed[0, singles] = out.listed[1, quads] = out.listed[2, ellipses] = j
+        near, wide = out.inverse[j] > f32(0.0), out.wide[j]
+        singles += u64(near & (wide < single))
+        quads += u64(near & (wide >= single) & (wide < quad))
+        ellipses += u64(near & (wide >= quad))
+    return singles, quads, ellipses
+
+
+@njit(nogil=True, fastmath=FAST, error_model='numpy')
+def _splat_quads(listed, stride, out, inverse_map):
     """Fill those of the four nearest cells whose centre is within reach, in rows and columns."""
-    first_row, first_column = i32(row + HALF), i32(column + HALF)
-    down, left = row + HALF - f32(first_row), column + HALF - f32(first_column)
-    value = inverse - step_row * down - step_column * left
-    above, beside = down <= reach, left <= across
-    below, beyond = ONE - down <= reach, ONE - left <= across
-    nothing = f32(0.0)
-    cell = u64(u32(first_row) * u32(stride) + u32(first_column))
-    under = cell + u64(stride)
-    a = _clamped(value, inverse) if above & beside else nothing
-    b = _clamped(value + step_column, inverse) if above & beyond else nothing
-    c = _clamped(value + step_row, inverse) if below & beside else nothing
-    d = _clamped(value + step_row + step_column, inverse) if below & beyond else nothing
-    inverse_map[cell] = max(inverse_map[cell], a)
-    inverse_map[cell + u64(1)] = max(inverse_map[cell + u64(1)], b)
-    inverse_map[under] = max(inverse_map[under], c)
-    inverse_map[under + u64(1)] = max(inverse_map[under + u64(1)], d)
+    nothing, four = f32(0.0), out.four
+    for k in range(len(listed)):
+        j = listed[k]
+        inverse, row, column = out.inverse[j], out.row[j] + HALF, out.column[j] + HALF
+        step_row, step_column = out.step_row[j], out.step_column[j]
+        reach, across = max(out.size[j], HALF), max(out.wide[j], HALF)
+        first_row, first_column = i32(row), i32(column)
+        down, left = row - f32(first_row), column - f32(first_column)
+        value = inverse - step_row * down - step_column * left
+        above, beside = down <= reach, left <= across
+        below, beyond = ONE - down <= reach, ONE - left <= across
+        out.around_quad[k] = u32(first_row) * u32(stride) + u32(first_column)
+        four[0, k] = _clamped(value, inverse) if above & beside else nothing
+        four[1, k] = _clamped(value + step_column, inverse) if above & beyond else nothing
+        four[2, k] = _clamped(value + step_row, inverse) if below & beside else nothing
+        four[3, k] = (_clamped(value + step_row + step_column, inverse) if below & beyond
+                      else nothing)
+    for k in range(len(listed)):
+        cell = u64(out.around_quad[k])
+        under = cell + u64(stride)
+        inverse_map[cell] = max(inverse_map[cell], four[0, k])
+        inverse_map[cell + u64(1)] = max(inverse_map[cell + u64(1)], four[1, k])
+        inverse_map[under] = max(inverse_map[under], four[2, k])
+        inverse_map[under + u64(1)] = max(inverse_map[under + u64(1)], four[3, k])
 
 
 @njit(nogil=True, inline='always', fastmath=FAST)
+def _ceil(value):
+    """Return the least whole number that is no less; that of libm is a call."""
+    whole = i32(value)
+    return whole + i32(value > f32(whole))
+
+
+@njit(nogil=True, fastmath=FAST, error_model='numpy')
 def _splat_ellipse(inverse, row, column, flat, size, step_row, step_column, rows, inverse_map):
     """Fill the cells whose centre is within the disc, an ellipse in the map, and its own."""
     columns, stride = 2 * rows, 2 * rows + 2
@@ -258,37 +325,40 @@ def _splat_ellipse(inverse, row, column, flat, size, step_row, step_column, rows
     # |w|^2 + (n.w / n.u)^2 <= size^2 for an offset w, solved for the columns of each row.
     form = ONE + slope_column * slope_column
     whole = form + slope_row * slope_row
-    tilt = slope_row * slope_column * widen / form
+    shrink = widen / form
+    tilt, within = slope_row * slope_column * shrink, form * size * size
     height = size * math.sqrt(max(form / whole, f32(1e-4)))
+    low, high = LOWEST * inverse, HIGHEST * inverse
     own_row, own_column = i32(row), i32(column)
-    first_row = max(min(i32(math.ceil(row - height - HALF)), own_row), 0)
-    last_row = min(max(i32(math.floor(row + height - HALF)), own_row), rows - 1)
+    first_row = max(min(_ceil(row - height - HALF), own_row), 0)
+    last_row = min(max(-_ceil(HALF - row - height), own_row), rows - 1)
     for r in range(first_row, last_row + 1):
         down = f32(r) + HALF - row
-        root = max(form * size * size - down * down * whole, f32(0.0))
+        # A disc that reaches over the pole has these rows on both sides of it.
+        if min(row + f32(r) + HALF, f32(2 * rows) - row - f32(r) - HALF) <= size:
+            value = _clamped(inverse + step_row * down, inverse)
+            for cell in range(u64((r + 1) * stride + 1), u64((r + 1) * stride + 1 + columns)):
+                inverse_map[cell] = max(inverse_map[cell], value)
+            continue
         middle = column - tilt * down
-        reach = math.sqrt(root) * widen / form
-        first, last = i32(math.ceil(middle - reach - HALF)), i32(math.floor(middle + reach - HALF))
+        reach = math.sqrt(max(within - down * down * whole, f32(0.0))) * shrink
+        first, last = _ceil(middle - reach - HALF), -_ceil(HALF - middle - reach)
         if r == own_row:
             first, last = min(first, own_column), max(last, own_column)
         if last - first >= columns:
             first, last = 0, columns - 1
-        # A disc that reaches over the pole has these rows on both sides of it.
-        over = min(row + f32(r) + HALF, f32(2 * rows) - row - f32(r) - HALF) <= size
-        across = f32(0.0) if over else step_column
-        if over:
-            first, last = 0, columns - 1
-        value = inverse + step_row * down + across * (f32(first) + HALF - column)
-        start = (r + 1) * stride + 1
+        value = inverse + step_row * down + step_column * (f32(first) + HALF - column)
         if first >= 0 and last < columns:
-            for cell in range(u64(start + first), u64(start + last + 1)):
-                inverse_map[cell] = max(inverse_map[cell], _clamped(value, inverse))
-                value += across
+            cell = u64((r + 1) * stride + 1 + first)
+            for left in range(last - first, -1, -LANES):
+                put_nearer(inverse_map, cell, value, step_column, low, high, f32(left))
+                cell += u64(LANES)
+                value += step_column * f32(LANES)
         else:
             for c in range(first, last + 1):
-                cell = u64(start + c % columns)
+                cell = u64((r + 1) * stride + 1 + c % columns)
                 inverse_map[cell] = max(inverse_map[cell], _clamped(value, inverse))
-                value += across
+                value += step_column
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model='numpy')
@@ -299,37 +369,25 @@ def splat_surfels(surfels, blocks, position, farthest, settings, out):
     :param surfels: N :class:`Surfels`.
     :param blocks: (B,) the blocks to splat.
     :param position: (3,) float64, of the camera, metres.
-    :param farthest: its range and what an empty cell reads, metres.
+    :param farthest: its range, metres; where the map is empty it is this far away.
     :param settings: :class:`SurfelSettings`.
-    :param out: :class:`Workspace`.
+    :param out: :class:`Workspace`, whose maps are overwritten.
     """
     rows, stride = settings.rows, 2 * settings.rows + 2
-    inverse_map, cells = out.inverse_map, f32(rows) / PI
-    single, quad = f32(settings.single), f32(settings.quad)
+    inverse_map = out.inverse_map
     inverse_map[:] = ONE / f32(farthest)
     for number in blocks:
         project_block(surfels, number, position, farthest, settings, out)
-        start, count = _block(number, surfels.x.shape[0])
-        for j in range(count):
-            inverse = out.inverse[j]
-            if inverse == f32(0.0):
-                continue
-            # Local copies: the compiler cannot know that the map is not one of these arrays.
-            row, column, flat = out.row[j], out.column[j], out.flat[j]
-            step_row, step_column = out.step_row[j], out.step_column[j]
-            size = surfels.radius[start + j] * inverse * cells
-            if size < flat * single:
-                own_row, own_column = i32(row), i32(column)
-                value = (inverse + step_row * (f32(own_row) + HALF - row)
-                         + step_column * (f32(own_column) + HALF - column))
-                cell = u64(u32(own_row + 1) * u32(stride) + u32(own_column + 1))
-                inverse_map[cell] = max(inverse_map[cell], _clamped(value, inverse))
-            elif size < flat * quad:
-                _splat_quad(inverse, row, column, max(size, HALF), max(size / flat, HALF),
-                            step_row, step_column, stride, inverse_map)
-            else:
-                _splat_ellipse(inverse, row, column, flat, size, step_row, step_column, rows,
-                               inverse_map)
+        singles, quads, ellipses = _sort_block(surfels, number, settings, out)
+        for k in range(singles):
+            j = out.listed[0, k]
+            cell = u64(out.own[j])
+            inverse_map[cell] = max(inverse_map[cell], out.value[j])
+        _splat_quads(out.listed[1, :quads], stride, out, inverse_map)
+        for k in range(ellipses):
+            j = out.listed[2, k]
+            _splat_ellipse(out.inverse[j], out.row[j], out.column[j], out.flat[j], out.size[j],
+                           out.step_row[j], out.step_column[j], rows, inverse_map)
     _join_edges(rows, stride, inverse_map)
     _take_farthest(rows, stride, inverse_map, out.farthest_of_four)
 

@@ -1,16 +1,20 @@
 # Copyright 2026 The ocp_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which network the agent has, and its sizes."""
+"""Which network the agent has, its sizes, and the error of weights: without torch."""
 
 from dataclasses import dataclass
 
-from ocp_ros.util.settings import ConfigurationError, MOST_CAMERAS, setting
+from ocp_ros.util.settings import ConfigurationError, MOST_CAMERAS, setting, UserError
 
 #: What a network reads: a map of what was observed (``map``), or the observed cloud, as one head
 #: for all cameras reads it in the paper (``paper``) or camera by camera (``cloud``).
 MAP, CLOUD, PAPER = INPUTS = 'map', 'cloud', 'paper'
 #: Numbers that a unit makes of a cloud at most.
 MOST = 1 << 23
+
+
+class CheckpointError(UserError):
+    """Weights that cannot be used; the message says what was found and expected."""
 
 
 @dataclass(frozen=True)

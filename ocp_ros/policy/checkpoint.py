@@ -17,8 +17,7 @@ from safetensors import SafetensorError
 import safetensors.torch
 import torch
 
-from ocp_ros.policy.agent_config import AgentConfig
-from ocp_ros.policy.errors import CheckpointError
+from ocp_ros.policy.agent_config import AgentConfig, CheckpointError
 from ocp_ros.policy.networks import actor_of
 from ocp_ros.util.files import LARGEST, read_regular, write_atomically
 from ocp_ros.util.settings import from_nested, to_nested

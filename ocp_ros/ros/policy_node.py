@@ -24,7 +24,7 @@ from std_msgs.msg import UInt8MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from ocp_ros.online.online_planner import Online
-from ocp_ros.policy.errors import CheckpointError
+from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.rig.placement_file import created_by, Placed, Placement, placement_of, save_placement
 from ocp_ros.rig.rig_file import Camera
 from ocp_ros.ros.interface import topics

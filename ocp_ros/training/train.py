@@ -24,8 +24,8 @@ from stable_baselines3.common.vec_env import SubprocVecEnv, VecMonitor
 import torch
 
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.policy.errors import CheckpointError
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.training.encoded_environment import playable
 from ocp_ros.training.run_folder import BEST, claim, records, REPLAY, STATE, VALUES

@@ -20,8 +20,8 @@ from torch import Tensor
 from torch.nn.functional import grid_sample, smooth_l1_loss
 
 from ocp_ros.online.observation_map import CELLS, used_part, yaws_of
+from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.policy.checkpoint import read_metadata
-from ocp_ros.policy.errors import CheckpointError
 from ocp_ros.policy.value_network import ValueMap
 from ocp_ros.training.augmentation import turned_maps
 from ocp_ros.training.sac_state import load_slots, saved_slots

@@ -22,8 +22,8 @@ import numpy as np
 from rich.progress import Progress
 import torch
 
+from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.policy.errors import CheckpointError
 from ocp_ros.policy.value_network import ValueMapNetwork
 from ocp_ros.training.run_folder import add_record, BEST, records, VALUES, VALUES_STATE
 from ocp_ros.training.sac_state import new_run

@@ -18,7 +18,7 @@ from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
-from ocp_ros.policy.errors import CheckpointError
+from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.ros.runtime.parameters import configured, declare, follow
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.util.settings import ConfigurationError, setting

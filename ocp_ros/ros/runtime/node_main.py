@@ -28,7 +28,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from ocp_ros.policy.errors import CheckpointError
+from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.ros.runtime.network import stay_local
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.util.settings import ConfigurationError
