@@ -130,4 +130,4 @@ class Episode:
     @property
     def observed_cloud(self) -> np.ndarray:
         """Return all points seen since the episode began: (M, 3) float32, metres, map frame."""
-        return self.scene.points[self.observed.mask]
+        return self.scene.points.compress(self.observed.mask, axis=0)
