@@ -228,6 +228,20 @@ def test_zones_keep_cameras_out(rooms):
         ' '.join(inside))
 
 
+@pytest.mark.parametrize('mount', MOUNTS)
+def test_mounting_zones_hold_cameras(rooms, mount):
+    rail = {'box': [[0.5, 0.09, 1.85], [5.5, 0.25, 2.75]]}
+    allowed = allowed_of(rooms['box'], mount, keep_in=[rail], keep_clear=0.0)
+    low, high = np.array(rail['box'])
+    places = np.unique(allowed.candidates(D455, 3000)[:, :3], axis=0)
+    assert len(places) > 10 and ((places >= low) & (places <= high)).all()
+    drawn = np.random.default_rng(0).uniform(0.0, (6.0, 4.0, 2.8), (50, 3))
+    # Whoever is sent elsewhere goes to the nearest place in the zone, where there is floor.
+    there = allowed.allowed(np.hstack([allowed.onto_mount(drawn), np.zeros_like(drawn)]))
+    assert there.mean() > 0.9
+    assert 'in none of the keep_in zones' in ' '.join(allowed.broken(level(3.0, 2.0, 2.0)))
+
+
 def test_cameras_keep_apart_from_each_other_and_from_those_in_place(rooms):
     allowed = allowed_of(rooms['box'], 'plane', cameras=2, spacing=0.6, fixed=[
         {'sensor': 'kinect_v2', 'position': [3.0, 2.0, 1.9], 'name': 'door'}])

@@ -64,6 +64,9 @@ def found_by(scene, rig, evaluations=120, seed=0, start=()):
 
 HEIGHTS = {'plane': (1.9, 1.9), 'ceiling': (2.5, 2.75), 'rods': (2.0, 2.0), 'walls': (1.7, 2.3),
            'free': (1.2, 2.2)}
+#: Along one wall, and a thin one through the room.
+RAILS = [{'box': [[0, 0, 0], [6, 0.3, 3]]},
+         {'polygon': [[0, 1.2], [3.8, 1.2], [3.75, 1.25], [0, 1.25]]}]
 
 
 @settings(deadline=None, max_examples=20)
@@ -72,13 +75,17 @@ HEIGHTS = {'plane': (1.9, 1.9), 'ceiling': (2.5, 2.75), 'rods': (2.0, 2.0), 'wal
        cameras=strategies.lists(strategies.sampled_from(
            ['realsense_d455', 'kinect_v2', 'omnidirectional', 'vlp16']), min_size=1, max_size=3),
        side=strategies.floats(1.0, 5.0), in_place=strategies.booleans(),
-       seed=strategies.integers(0, 99), seen_by=strategies.integers(1, 2))
+       seed=strategies.integers(0, 99), seen_by=strategies.integers(1, 2),
+       rails=strategies.booleans())
 def test_whatever_is_asked_every_camera_keeps_to_it(
-        furnished, mount, spacing, keep_clear, low, cameras, side, in_place, seed, seen_by):
+        furnished, mount, spacing, keep_clear, low, cameras, side, in_place, seed, seen_by,
+        rails):
     fixed = [{'sensor': 'kinect_v2', 'position': [1.0, 1.0, 2.0], 'name': 'door'}] * in_place
     zone = {'polygon': [[side, 0.0], [side + 0.8, 0.0], [side + 0.8, 4.0], [side, 4.0]]}
+    # The second zone holds two cameras, but for what the fixed one takes of it.
+    spacing = min(spacing, 0.4) if rails else spacing
     rig = rig_of(1, mount=MOUNTS[mount], pitch=[low, low + 15.0], spacing=spacing,
-                 keep_clear=keep_clear, keep_out=[zone], fixed=fixed)
+                 keep_clear=keep_clear, keep_out=[zone], fixed=fixed, keep_in=RAILS * rails)
     several = [rig_of(1, name).cameras[0]._replace(name=f'{name}_{k}')
                for k, name in enumerate(cameras)]
     rig = replace(rig, cameras=tuple(several),
@@ -94,6 +101,7 @@ def test_whatever_is_asked_every_camera_keeps_to_it(
     assert (z >= least - 0.011).all() and (z <= most + 0.011).all()
     assert (x > 0).all() and (x < 6).all() and (y > 0).all() and (y < 4).all()
     assert not ((x > side) & (x < side + 0.8)).any()
+    assert not rails or ((y <= 0.3) | ((y >= 1.2) & (y <= 1.25) & (x + y <= 5.0))).all()
     assert not ((abs(x - 4) < 0.5) & (abs(y - 2) < 0.5) & (z < 2)).any()
     places = np.vstack([poses[:, :3], *(one['position'] for one in fixed)])
     away = np.linalg.norm(places[:, None] - places[None], axis=2)

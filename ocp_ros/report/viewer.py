@@ -41,7 +41,7 @@ ROUND = 3
 PLAIN, WALL = '#dcdcd6', 0.3
 #: How far a cone is drawn, as a share of the room's diagonal.
 CONE = 0.12
-REGION, KEEP_OUT, MORE = '#009e73', '#cc79a7', '#e69f00'
+REGION, KEEP_OUT, MOUNTING, MORE = '#009e73', '#cc79a7', '#0072b2', '#e69f00'
 
 
 class Layer(NamedTuple):
@@ -191,7 +191,9 @@ def layers_of(judged: Assessment) -> Iterator[Layer]:
     for name, zones, colour in (
             ('regions', {region.name: region.zone for region in rig.regions}, REGION),
             ('keep-out zones',
-             {f'keep-out zone {k + 1}': zone for k, zone in enumerate(rig.keep_out)}, KEEP_OUT)):
+             {f'keep-out zone {k + 1}': zone for k, zone in enumerate(rig.keep_out)}, KEEP_OUT),
+            ('mounting zones',
+             {f'mounting zone {k + 1}': zone for k, zone in enumerate(rig.keep_in)}, MOUNTING)):
         yield Layer(name, [_line(_outline(zone, scene, judged.floor), colour, label)
                            for label, zone in zones.items()])
     more = judged.found.get('one_more')

@@ -23,6 +23,7 @@ from ocp_ros.rig.structure import (
     STAND_OFF,
     walls_of,
 )
+from ocp_ros.rig.zones import nearest_of
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.settings import ConfigurationError
 
@@ -206,14 +207,15 @@ class FeasibleRegion:
         :returns: (M, 3); as it was where there is no ceiling or wall near.
         """
         on, heights, _ = self.rig.mount
-        moved = positions.copy()
+        moved = (nearest_of(self.rig.keep_in, positions, self.floor) if self.rig.keep_in
+                 else positions.copy())
         if on == 'walls':
-            contact = self.surface.at(positions)
+            contact = self.surface.at(moved)
             off = np.where(contact.on, STAND_OFF - contact.distances, 0.0)
             moved += off[:, None] * contact.normals
         if heights is None:
-            z = self.surface.height_above(positions[:, :2]) - STAND_OFF
-            moved[:, 2] = np.where(np.isfinite(z), z, positions[:, 2])
+            z = self.surface.height_above(moved[:, :2]) - STAND_OFF
+            moved[:, 2] = np.where(np.isfinite(z), z, moved[:, 2])
         else:
             moved[:, 2] = np.clip(moved[:, 2], *(self.floor + np.array(heights)))
         return moved
@@ -294,6 +296,11 @@ class FeasibleRegion:
             yield Check(f'keep-out zone {number}', inside, lambda k, number=number: (
                 f'found a position in keep-out zone {number}; expected one outside; '
                 'move it out'))
+        if self.rig.keep_in:
+            inside = [zone.contains(positions, self.floor) for zone in self.rig.keep_in]
+            yield Check('keep_in', ~np.any(inside, axis=0), lambda k: (
+                f'found {_place(positions[k])}, in none of the keep_in zones; expected a position '
+                'in one; move it there'))
         yield from self._turned(poses, models)
         for fixed in self.rig.fixed:
             away = np.linalg.norm(positions - fixed.pose[:3], axis=1)

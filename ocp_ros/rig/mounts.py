@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Candidate positions and headings that a mount offers, before constraints apply."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.motion import outwards
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.rig.structure import floor_height, MountSurface, STAND_OFF
+from ocp_ros.rig.zones import lattice_of, nearest_of, Zone
 from ocp_ros.scenes.scene import Scene
 
 #: Places that are looked at, and metres between the levels where cameras may hang at any height.
@@ -48,31 +50,43 @@ def places_in(rig: Rig, scene: Scene, space: FreePlane,
     on, heights, _ = rig.mount
     floor = floor_height(scene)
     if on == 'walls':
-        return _along_walls(floor + np.array(heights), space, surface)
-    if on == 'free':
-        low, high = heights
-        levels = floor + np.linspace(low, high, int(np.ceil((high - low) / LEVELS)) + 1)
+        return _along_walls(floor + np.array(heights), space, surface, rig.keep_in, floor)
+    low, high = scene.bounds[:, 2] if heights is None else floor + np.array(heights)
+    if rig.keep_in:
+        places = lattice_of(rig.keep_in, np.append(space.low, low), np.append(space.high, high),
+                            floor, DENSE, on != 'free')
+        places = places[space.contains(places[:, :2])]
+        places, z = places[:, :2], places[:, 2]
+    elif on == 'free':
+        levels = np.linspace(low, high, int(np.ceil((high - low) / LEVELS)) + 1)
         grid = space.grid(max(DENSE // len(levels), 1))
         places = np.repeat(grid, len(levels), axis=0)
         z = np.tile(levels, len(grid))
     else:
         places = space.grid(DENSE)
+    if on != 'free':
         z = surface.height_above(places) - STAND_OFF if heights is None else np.full(
             len(places), floor + heights[0])
         places, z = places[np.isfinite(z)], z[np.isfinite(z)]
     return MountPlaces(np.column_stack([places, z]), np.zeros(len(places)))
 
 
-def _along_walls(heights: np.ndarray, space: FreePlane, walls: MountSurface) -> MountPlaces:
-    """List places on the side of walls that faces the floor."""
+def _along_walls(heights: np.ndarray, space: FreePlane, walls: MountSurface,
+                 zones: Sequence[Zone], ground: float) -> MountPlaces:
+    """List places on the side of walls that faces the floor, in zones where there are some."""
     low, high = heights
     z = walls.points[:, 2]
     near = np.flatnonzero((z >= low - BAND) & (z <= high + BAND))
+    if zones:
+        away = nearest_of(zones, walls.points[near], ground) - walls.points[near]
+        near = near[np.linalg.norm(away, axis=1) <= BAND]
     near = near[::max(len(near) // DENSE, 1)]
     points, normals = walls.points[near].astype(np.float64), walls.normals[near]
     positions, inwards = [], []
     for side in (-1.0, 1.0):
         moved = points + side * STAND_OFF * normals
+        if zones:
+            moved = nearest_of(zones, moved, ground)
         moved[:, 2] = np.clip(moved[:, 2], low, high)
         floor = space.contains(moved[:, :2] + 2.0 * side * STAND_OFF * normals[:, :2])
         positions.append(moved[floor])

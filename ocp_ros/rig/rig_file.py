@@ -116,6 +116,7 @@ class Rig:
     :ivar keep_clear: metres from a camera to any surface but the one it hangs on.
     :ivar spacing: metres, least distance of two cameras.
     :ivar keep_out: where no camera may be.
+    :ivar keep_in: zones of which each camera has to be in one; none where they may be anywhere.
     :ivar regions: what matters more than the rest.
     :ivar seen_by: how many cameras have to see a place.
     :ivar calibratable: what pairs of cameras share that link all of them; None if not required.
@@ -130,6 +131,7 @@ class Rig:
     keep_clear: float
     spacing: float
     keep_out: tuple[Zone, ...]
+    keep_in: tuple[Zone, ...]
     regions: tuple[Region, ...]
     seen_by: int
     calibratable: Calibratable | None
@@ -181,10 +183,11 @@ class Rig:
         :param expected: the value that goes with this rig.
         :raises ConfigurationError: if there are such places, and rooms are turned.
         """
-        if any(degrees) and (self.fixed or self.keep_out or self.regions):
+        if any(degrees) and (
+                self.fixed or self.keep_out or self.keep_in or self.regions):
             raise ConfigurationError(
-                f'{found} with {self.document.name}, whose fixed, keep_out or regions are places '
-                f'in the map; expected {expected}: they do not turn with the room')
+                f'{found} with {self.document.name}, whose fixed, keep_out, keep_in or regions '
+                f'are places in the map; expected {expected}: they do not turn with the room')
 
     @property
     def fixed_poses(self) -> np.ndarray:
@@ -333,8 +336,8 @@ def rig_from(document: Document) -> Rig:
     return Rig(cameras, fixed, _mount(document), (float(np.deg2rad(low)), float(np.deg2rad(high))),
                tuple(map(float, np.deg2rad(data.get('roll', [0.0])))),
                float(data.get('keep_clear', 0.2)), float(data.get('spacing', SPACING)),
-               tuple(zone_of(document, ('keep_out', k))
-                     for k in range(len(data.get('keep_out', ())))),
+               *(tuple(zone_of(document, (key, k)) for k in range(len(data.get(key, ()))))
+                 for key in ('keep_out', 'keep_in')),
                regions, seen_by, _calibratable(data), document)
 
 

@@ -137,6 +137,8 @@ RIG = mapping(
               {'type': 'number', 'minimum': -180, 'maximum': 180}, [0, 90], 1, 8),
     keep_clear=number('metres, 0 to 10', 0.2, minimum=0, maximum=10),
     spacing=number('metres, 0 to 100', 0.5, minimum=0, maximum=100),
+    keep_in=many('a list of boxes and polygons', KEEP_OUT,
+                 [{'box': [[0, 0, 2.4], [4, 0.3, 2.6]]}], 0, 1000),
     keep_out=many('a list of boxes and polygons', KEEP_OUT, [{'box': [[0, 0, 0], [1, 1, 3]]}], 0,
                   1000),
     regions=many('a list of regions', REGION,

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parts of a room: boxes, and polygons between two heights."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,10 @@ from ocp_ros.util.yaml_files import describe, Document, Way
 
 #: Square metres: polygons of less have no inside.
 LEAST_AREA = 1e-6
+#: Metres from the faces of a zone to what is brought inside: files round to a tenth of it.
+INSIDE = 0.001
+#: Metres between places that fill a zone, at least.
+FINEST = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +46,68 @@ class Zone:
         if self.polygon is not None:
             inside[inside] = _in_polygon(points[inside, :2], self.polygon)
         return inside
+
+    def nearest(self, points: np.ndarray, floor: float) -> np.ndarray:
+        """
+        Bring points inside, each to the place there that is about the nearest.
+
+        :param points: (M, 3) metres, map frame.
+        :param floor: height of the floor, metres, map frame.
+        :returns: (M, 3), a millimetre from the faces; those inside stay.
+        """
+        lift = np.array([0.0, 0.0, floor if self.above_floor else 0.0])
+        inset = np.minimum(INSIDE, 0.5 * (self.high - self.low))
+        moved = np.clip(points, self.low + lift + inset, self.high + lift - inset)
+        if self.polygon is not None:
+            out = ~_in_polygon(moved[:, :2], self.polygon)
+            moved[out, :2] = _onto_edge(moved[out, :2], self.polygon)
+        return moved
+
+
+def _onto_edge(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Move points (M, 2) to the nearest edge of a polygon, and a millimetre across it."""
+    along = np.roll(corners, -1, axis=0) - corners
+    length = np.linalg.norm(along, axis=1)
+    share = np.einsum('mpk,pk->mp', points[:, None] - corners, along) / length ** 2
+    on_edge = corners + np.clip(share, 0.0, 1.0)[..., None] * along
+    edge = np.argmin(np.linalg.norm(on_edge - points[:, None], axis=2), axis=1)
+    found = on_edge[np.arange(len(points)), edge]
+    way = found - points
+    return found + INSIDE * way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), INSIDE)
+
+
+def nearest_of(zones: Sequence[Zone], points: np.ndarray, floor: float) -> np.ndarray:
+    """Bring points (M, 3), metres, into the nearest of some zones; see :meth:`Zone.nearest`."""
+    moved = np.stack([zone.nearest(points, floor) for zone in zones])
+    away = np.linalg.norm(moved - points, axis=2)
+    return moved[np.argmin(away, axis=0), np.arange(len(points))]
+
+
+def lattice_of(zones: Sequence[Zone], low: np.ndarray, high: np.ndarray, floor: float, most: int,
+               flat: bool) -> np.ndarray:
+    """
+    Fill what zones have in a box with places: (P, 3) metres, about as many as asked for.
+
+    :param low: (3,) metres, map frame, lowest corner of the box.
+    :param high: (3,) metres, its highest corner.
+    :param flat: whether one level will do.
+    """
+    found = [np.empty((0, 3))]
+    for zone in zones:
+        lift = np.array([0.0, 0.0, floor if zone.above_floor else 0.0])
+        lowest = np.maximum(zone.low + lift, low)
+        size = np.minimum(zone.high + lift, high) - lowest
+        if (size < 0.0).any():
+            continue
+        step, count = FINEST, np.full(3, most)
+        while count.prod() > max(most / len(zones), 1):
+            count = np.maximum(np.ceil(size / step), 1).astype(int)
+            count[2] = 1 if flat else count[2]
+            step *= 1.2
+        places = lowest + size * (np.stack(np.meshgrid(*map(np.arange, count), indexing='ij'),
+                                           axis=-1).reshape(-1, 3) + 0.5) / count
+        found.append(places[zone.contains(places, floor)])
+    return np.concatenate(found)
 
 
 def _in_polygon(points: np.ndarray, corners: np.ndarray) -> np.ndarray:

@@ -31,7 +31,8 @@ NONE = np.empty((0, 2))
 STYLES = {
     'must-see region': {'edgecolor': '#00664d', 'hatch': '//', 'linestyle': '-'},
     'weighted region': {'edgecolor': '#00664d', 'hatch': '..', 'linestyle': '--'},
-    'keep-out zone': {'edgecolor': '#9c2f6b', 'hatch': 'xx', 'linestyle': '-'}}
+    'keep-out zone': {'edgecolor': '#9c2f6b', 'hatch': 'xx', 'linestyle': '-'},
+    'mounting zone': {'edgecolor': '#0072b2', 'hatch': '', 'linestyle': '-.'}}
 
 
 def camera_colour(number: int) -> str:
@@ -190,7 +191,8 @@ def corners_of(zone: Zone) -> np.ndarray:
 def zones_of(rig: Rig) -> list[tuple[str, Zone]]:
     """Return the kind of each zone of a rig, a key of :data:`STYLES`, and the zone."""
     return [*(('must-see region' if region.must_see else 'weighted region', region.zone)
-              for region in rig.regions), *(('keep-out zone', zone) for zone in rig.keep_out)]
+              for region in rig.regions), *(('keep-out zone', zone) for zone in rig.keep_out),
+            *(('mounting zone', zone) for zone in rig.keep_in)]
 
 
 def draw_zones(axes: Axes, rig: Rig, frame: np.ndarray, level: float) -> None:
