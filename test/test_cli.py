@@ -79,6 +79,7 @@ def test_every_example_can_be_read_and_stands_in_the_help_of_its_command(example
     (['view', 'holes.ply', '--drop-nonfinite'], {'room', 'written'}),
     (['rooms', 'preview', 'holes.ply', '--drop-nonfinite', '--scale', '1.1', '--points', '1000',
       '--out', 'b.png'], {'written'}),
+    (['room', '6', '4', '3', '--out', 'made.yaml'], {'written', 'size', 'openings', 'boxes'}),
     (['rooms', 'list', '--count', '2'], {'rooms'}),
     (['rooms', 'make', '8', '--points', '1000', '--out', 'made'], {'folder', 'written'}),
     (['rooms', 'preview', '8', '--points', '1000', '--out', 'a.png'], {'written'}),

@@ -210,8 +210,8 @@ def test_every_cheap_command_in_the_documentation_runs(command, tmp_path, monkey
 
 def test_the_commands_are_found():
     found = {command[0] for command in commands()}
-    assert found == {'plan', 'info', 'score', 'calibrate', 'view', 'rooms', 'train', 'evaluate',
-                     'benchmark', 'replay'}
+    assert found == {'plan', 'info', 'score', 'calibrate', 'view', 'room', 'rooms', 'train',
+                     'evaluate', 'benchmark', 'replay'}
 
 
 def templates():

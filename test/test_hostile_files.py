@@ -225,7 +225,7 @@ def test_settings_of_a_training_that_are_no_plain_data_are_refused(tmp_path, tex
 
 
 NAMES = sorted(['npy.npy', 'records.npy', 'pcd_ascii.pcd', 'pcd_binary.pcd', 'pcd_packed.pcd',
-                'ply_ascii.ply', 'ply_binary.ply', 'txt.txt', 'xyz.xyz', 'rig.yaml',
+                'ply_ascii.ply', 'ply_binary.ply', 'txt.txt', 'xyz.xyz', 'rig.yaml', 'room.yaml',
                 'placement.yaml', 'train.yaml', *GUARDED_FORMATS])
 
 

@@ -232,6 +232,9 @@ def good_files(folder: Path) -> dict[str, Callable]:
                              'off.off': write_off, 'stl.stl': write_stl,
                              'glb.glb': write_glb}.items():
         write_mesh(folder / name, mesh)
+    (folder / 'room.yaml').write_text(
+        'size: [6, 4.5, 2.7]\nopenings: [{wall: south, at: 1, width: 0.9, height: 2.1}]\n'
+        'boxes: [{box: [[2, 1, 0], [4, 2, 0.75]]}]\n')
     readers: dict[str, Callable] = {path.name: load_scene for path in sorted(folder.iterdir())}
     (folder / 'rig.yaml').write_bytes((ROOT / 'config/rig/mixed.yaml').read_bytes())
     (folder / 'train.yaml').write_bytes((ROOT / 'config/train/map_sac.yaml').read_bytes())

@@ -12,6 +12,7 @@ from ocp_ros.cli import (
     info_command,
     plan_command,
     replay_command,
+    room_command,
     rooms_command,
     score_command,
     train_command,
@@ -29,8 +30,8 @@ def commands() -> Commands:
     """
     made = Commands('ocp', 'Where do I put my depth cameras? Tools that need no ROS graph.')
     for command in (plan_command, score_command, calibrate_command, info_command, view_command,
-                    rooms_command, train_command, evaluate_command, benchmark_command,
-                    replay_command):
+                    room_command, rooms_command, train_command, evaluate_command,
+                    benchmark_command, replay_command):
         command.add_arguments(made)
     return made
 

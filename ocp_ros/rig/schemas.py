@@ -7,15 +7,22 @@ Editors complete and check files with them (docs/rig.schema.json, docs/placement
 messages about a file that breaks one are made of their descriptions and examples.
 """
 
-from collections.abc import Iterable
-from typing import Any
-
 from ocp_ros.geometry.visibility import MESH, PRESETS
 from ocp_ros.rig.rig_config import KINDS
 from ocp_ros.scenes.up_axis import UP_AXES
 from ocp_ros.util.settings import FEWEST_POINTS, MOST_POINTS
+from ocp_ros.util.yaml_files import (
+    array,
+    many,
+    mapping,
+    number,
+    one_of,
+    one_or_two,
+    Schema,
+    text,
+    whole,
+)
 
-Schema = dict[str, Any]
 MOUNTS = ('plane', 'ceiling', 'walls', 'free')
 #: Metres that nothing in a room exceeds.
 FAR = 1000.0
@@ -24,51 +31,6 @@ LONGEST_NAME = 60
 #: Degrees: no depth camera sees less.
 NARROWEST = 1.0
 POINT = {'type': 'number', 'minimum': -FAR, 'maximum': FAR}
-
-
-def number(description: str, example: float, **limits: float) -> Schema:
-    """Describe a number; limits as JSON Schema calls them."""
-    return {'description': description, 'type': 'number', **limits, 'examples': [example]}
-
-
-def whole(description: str, example: int, **limits: int) -> Schema:
-    """Describe a whole number; limits as JSON Schema calls them."""
-    return {'description': description, 'type': 'integer', **limits, 'examples': [example]}
-
-
-def text(description: str, example: str, **limits: str) -> Schema:
-    """Describe a text; limits as JSON Schema calls them."""
-    return {'description': description, 'type': 'string', **limits, 'examples': [example]}
-
-
-def one_of(choices: Iterable[str], example: str) -> Schema:
-    """Describe one of some words."""
-    return {'description': f'one of {", ".join(choices)}', 'enum': list(choices),
-            'examples': [example]}
-
-
-def array(items: Schema, least: int, most: int) -> Schema:
-    """Describe a list without words of its own."""
-    return {'type': 'array', 'items': items, 'minItems': least, 'maxItems': most}
-
-
-def one_or_two(description: str, example: Any, low: float, high: float) -> Schema:
-    """Describe a number or the lowest and highest of a range."""
-    one = {'type': 'number', 'minimum': low, 'maximum': high}
-    return {'description': description, 'examples': [example], 'anyOf': [one, array(one, 2, 2)]}
-
-
-def many(description: str, items: Schema, example: Any, least: int = 0, most: int = 64) -> Schema:
-    """Describe a list."""
-    return {'description': description, **array(items, least, most), 'examples': [example]}
-
-
-def mapping(description: str, example: Any, required: tuple[str, ...] = (), **keys: Schema
-            ) -> Schema:
-    """Describe a mapping that has no other keys."""
-    return {'description': description, 'type': 'object', 'properties': keys,
-            'required': list(required), 'additionalProperties': False, 'examples': [example]}
-
 
 NAME = text(f'a name of letters, digits, _, - and blanks, at most {LONGEST_NAME}', 'door',
             pattern=f'^[A-Za-z0-9_][A-Za-z0-9_ -]{{0,{LONGEST_NAME - 1}}}$')

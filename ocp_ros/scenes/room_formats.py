@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ocp_ros.scenes.laser_files import las_unit, read_e57_points, read_las_points
+from ocp_ros.scenes.measured_room import read_measured_room
 from ocp_ros.scenes.mesh_files import MESHES, read_mesh
 from ocp_ros.scenes.pcd_files import read_pcd_fields
 from ocp_ros.scenes.ply_files import has_faces, read_ply_fields
@@ -18,6 +19,8 @@ from ocp_ros.util.shown_text import printable
 #: The largest step between two float32 coordinates, as a share of the extent of a scan: 2 mm in
 #: 10 m.
 COARSE = 2e-4
+#: Rooms from measures. Other files have these suffixes as well: no list of scans has them.
+MEASURED = ('.yaml', '.yml')
 #: What columns of normals are called.
 NORMALS = (('nx', 'ny', 'nz'), ('normal_x', 'normal_y', 'normal_z'))
 
@@ -108,4 +111,5 @@ def declared_by(path: Path) -> Declared:
 READERS = {'.las': read_las_points, '.laz': read_las_points, '.npy': _read_npy, '.pcd': _read_pcd,
            '.ply': _read_ply, '.ptx': read_ptx_points, '.e57': read_e57_points,
            **dict.fromkeys(('.asc', '.csv', '.pts', '.txt', '.xyz'), read_points),
-           **dict.fromkeys(MESHES, read_mesh)}
+           **dict.fromkeys(MESHES, read_mesh),
+           **dict.fromkeys(MEASURED, read_measured_room)}

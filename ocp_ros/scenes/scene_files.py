@@ -16,9 +16,10 @@ from plyfile import PlyData, PlyElement
 from ocp_ros.geometry.clouds import away_from, corners_of
 from ocp_ros.geometry.voxels import SMALLEST, voxel_downsample, voxel_size_for
 from ocp_ros.scenes.inner_surface import inner_surface, without_outside
+from ocp_ros.scenes.measured_room import room_between
 from ocp_ros.scenes.mesh_files import sampled, SAMPLES
 from ocp_ros.scenes.mirror_images import without_mirror_images
-from ocp_ros.scenes.room_formats import Declared, declared_by, READERS
+from ocp_ros.scenes.room_formats import Declared, declared_by, MEASURED, READERS
 from ocp_ros.scenes.scene import (
     check_numbers,
     check_points,
@@ -39,6 +40,7 @@ from ocp_ros.scenes.up_axis import (
     UP_CHOICES,
 )
 from ocp_ros.util.files import write_atomically
+from ocp_ros.util.settings import UserError
 from ocp_ros.util.shown_text import printable
 
 FAR = 1000.0
@@ -129,6 +131,8 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
     :param said: what the file says of its own unit and axes.
     :param corners: (T, 3, 3) of the triangles of a mesh that the points are on.
     """
+    if corners is None and (corners := room_between(rows[:, :3])) is not None:
+        rows = sampled(corners, ROUGH)
     remarks: tuple[str, ...] = ()
     if scale == 0.0 and said.metres != 1.0 or up == BY_FILE and said.up != 'z':
         remarks = (said.remark,)
@@ -245,7 +249,8 @@ def scans_in(folder: str | Path) -> list[Path]:
     Meshes that :func:`save_scene` has put beside their rooms are none, nor are hidden files.
     """
     found = sorted(path for path in Path(folder).glob('*')
-                   if path.suffix.lower() in READERS and not path.name.startswith('.'))
+                   if path.suffix.lower() in {*READERS}.difference(MEASURED)
+                   and not path.name.startswith('.'))
     meshes = set(map(mesh_of, found))
     return [path for path in found if path not in meshes]
 
@@ -323,8 +328,8 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
             return rows, None
         corners = rows.reshape(-1, 3, 3)
         return sampled(corners, ROUGH), corners
-    except SceneError:
-        raise
+    except UserError as error:
+        raise SceneError(str(error)) from error
     except ImportError as error:
         raise SceneError(f'{path.name}: found a {path.suffix} file and no package that reads it; '
                          f'expected {error}') from error

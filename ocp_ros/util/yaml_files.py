@@ -7,7 +7,7 @@ Of YAML only mappings, lists, texts, numbers, true, false and null are read, as 
 ``on`` and ``no`` are words, 010 is ten, and there are no tags and no aliases.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 import difflib
@@ -39,6 +39,7 @@ Validator = extend(
         'integer', lambda _, value: isinstance(value, int) and not isinstance(value, bool)))
 #: Keys and places in lists that lead to a value.
 Way = tuple[str | int, ...]
+Schema = dict[str, Any]
 #: Bytes, and keys and values: files with more are something else.
 LARGEST, MOST = 1_000_000, 20_000
 NUMBER = re.compile(r'[-+]?(\d{1,300}(\.\d*)?|\.\d+)([eE][-+]?\d{1,2})?')
@@ -343,3 +344,47 @@ def describe(value: Any) -> str:
         return 'nothing'
     text = repr(value) if isinstance(value, str) else shown(value)
     return text if len(text) <= 60 else text[:57] + '...'
+
+
+def number(description: str, example: float, **limits: float) -> Schema:
+    """Describe a number; limits as JSON Schema calls them."""
+    return {'description': description, 'type': 'number', **limits, 'examples': [example]}
+
+
+def whole(description: str, example: int, **limits: int) -> Schema:
+    """Describe a whole number; limits as JSON Schema calls them."""
+    return {'description': description, 'type': 'integer', **limits, 'examples': [example]}
+
+
+def text(description: str, example: str, **limits: str) -> Schema:
+    """Describe a text; limits as JSON Schema calls them."""
+    return {'description': description, 'type': 'string', **limits, 'examples': [example]}
+
+
+def one_of(choices: Iterable[str], example: str) -> Schema:
+    """Describe one of some words."""
+    return {'description': f'one of {", ".join(choices)}', 'enum': list(choices),
+            'examples': [example]}
+
+
+def array(items: Schema, least: int, most: int) -> Schema:
+    """Describe a list without words of its own."""
+    return {'type': 'array', 'items': items, 'minItems': least, 'maxItems': most}
+
+
+def one_or_two(description: str, example: Any, low: float, high: float) -> Schema:
+    """Describe a number or the lowest and highest of a range."""
+    one = {'type': 'number', 'minimum': low, 'maximum': high}
+    return {'description': description, 'examples': [example], 'anyOf': [one, array(one, 2, 2)]}
+
+
+def many(description: str, items: Schema, example: Any, least: int = 0, most: int = 64) -> Schema:
+    """Describe a list."""
+    return {'description': description, **array(items, least, most), 'examples': [example]}
+
+
+def mapping(description: str, example: Any, required: tuple[str, ...] = (), **keys: Schema
+            ) -> Schema:
+    """Describe a mapping that has no other keys."""
+    return {'description': description, 'type': 'object', 'properties': keys,
+            'required': list(required), 'additionalProperties': False, 'examples': [example]}

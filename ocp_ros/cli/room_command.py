@@ -1,0 +1,52 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""``ocp room``: a room from measures, for whoever has a tape and no scanner."""
+
+import argparse
+from pathlib import Path
+
+from ocp_ros.cli.arguments import add_overwrite
+from ocp_ros.cli.common import claim_file, Commands, Found, LOOK
+from ocp_ros.util.shown_text import printable
+
+
+def add_arguments(commands: Commands) -> None:
+    """Add ``ocp room``."""
+    room = commands.add(LOOK, 'room', 'make a room from measures',
+                        'ocp room 6 4.5 2.7 --door south 1 0.9 2.1 --box 2 1 0 4 2 0.75 '
+                        '--out out/room.yaml')
+    for name, axis in (('length', 'x'), ('width', 'y'), ('height', 'z')):
+        room.add_argument(name, metavar=name.upper(), help=f'metres along {axis}')
+    openings = {'action': 'append', 'default': []}
+    room.add_argument('--door', nargs=4, metavar=('WALL', 'AT', 'WIDTH', 'HEIGHT'), **openings,
+                      help='an open door in the south (y = 0), east, north or west (x = 0) wall: '
+                      'metres along it from the corner with the lower x or y, width and height')
+    room.add_argument('--window', nargs=5, metavar=('WALL', 'AT', 'WIDTH', 'HEIGHT', 'SILL'),
+                      help='the same, and the metres from the floor to its sill', **openings)
+    room.add_argument('--box', nargs=6, metavar=('X', 'Y', 'Z', 'X2', 'Y2', 'Z2'), **openings,
+                      help='furniture: its lowest and its highest corner')
+    room.add_argument('--out', type=Path, default=Path('out/room.yaml'), metavar='FILE',
+                      help='room file to write: docs/reference/room.md')
+    add_overwrite(room)
+    room.set_defaults(run=run, show=show)
+
+
+def run(arguments: argparse.Namespace) -> Found:
+    """Write a room file."""
+    from ocp_ros.scenes.measured_room import document_of, triangles_of
+    from ocp_ros.util.files import write_atomically
+    from ocp_ros.util.yaml_files import written
+    claim_file(arguments, arguments.out, 'a room file')
+    document = document_of((arguments.length, arguments.width, arguments.height),
+                           [*arguments.door, *arguments.window], arguments.box)
+    triangles_of(document)
+    write_atomically(arguments.out, written(document.data, arguments.out.suffix).encode())
+    return {'written': [arguments.out], **document.data}
+
+
+def show(found: Found) -> None:
+    """Print what was written and what to do with it."""
+    path = printable(str(found['written'][0]))
+    print(f'wrote {path}: {" x ".join(f"{edge:g}" for edge in found["size"])} m, '
+          f'{len(found["openings"])} doors and windows, {len(found["boxes"])} boxes\n'
+          f'next: ocp plan {path}')

@@ -1,0 +1,170 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Rooms from measures: a box with doors, windows and furniture, or the corners of a room.
+
+x runs along the length, y along the width, z up, from the south-west corner of the floor. The
+walls are south (y = 0), east, north and west (x = 0).
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from ocp_ros.util.yaml_files import (
+    array,
+    check,
+    Document,
+    many,
+    mapping,
+    number,
+    one_of,
+    read_document,
+    Schema,
+)
+
+#: Walls, and where each is: its axis, and whether it is at the far end of it.
+WALLS = {'south': (1, False), 'east': (0, True), 'north': (1, True), 'west': (0, False)}
+#: Metres: no room is larger.
+LARGEST = 500.0
+#: How many points are the corners of a room.
+CORNERS = 8
+LENGTH: Schema = {'type': 'number', 'minimum': 0.0, 'maximum': LARGEST}
+OPENING = mapping(
+    'a wall, and at, width and height', {'wall': 'south', 'at': 1.0, 'width': 0.9, 'height': 2.1},
+    ('wall', 'at', 'width', 'height'), wall=one_of(WALLS, 'south'),
+    at=number('metres along the wall from the corner with the lower x or y', 1.0, minimum=0,
+              maximum=LARGEST),
+    width=number('metres above 0', 0.9, exclusiveMinimum=0, maximum=LARGEST),
+    height=number('metres above 0', 2.1, exclusiveMinimum=0, maximum=LARGEST),
+    sill=number('metres above the floor', 0.9, minimum=0, maximum=LARGEST))
+BOX = mapping(
+    'a mapping with the key box', {'box': [[1, 1, 0], [2, 1.8, 0.75]]}, ('box',),
+    box=many('the lowest and the highest corner, metres', array(LENGTH, 3, 3),
+             [[1, 1, 0], [2, 1.8, 0.75]], 2, 2))
+ROOM = mapping(
+    'a room with the key size', {'size': [6, 4.5, 2.7]}, ('size',),
+    size=many('length, width and height in metres, each from 0.5 to 500',
+              {'type': 'number', 'minimum': 0.5, 'maximum': LARGEST}, [6, 4.5, 2.7], 3, 3),
+    openings=many('a list of doors and windows that let one look out', OPENING,
+                  [{'wall': 'south', 'at': 1.0, 'width': 0.9, 'height': 2.1}], 0, 100),
+    boxes=many('a list of boxes', BOX, [{'box': [[1, 1, 0], [2, 1.8, 0.75]]}], 0, 1000))
+#: Corners of a box by number: x counts 1, y 2, z 4.
+FACES = np.array([[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2],
+                  [1, 3, 7, 5]])
+
+
+def read_measured_room(path: Path) -> np.ndarray:
+    """
+    Read a room file, see docs/reference/room.md, as the triangles of its surfaces.
+
+    :returns: (T, 9) float64, the corners of each triangle, metres, z up.
+    :raises ConfigurationError: if it is none, in one sentence.
+    """
+    return triangles_of(read_document(path, ROOM)).reshape(-1, 9)
+
+
+def triangles_of(document: Document) -> np.ndarray:
+    """
+    Return the surfaces of a room.
+
+    :param document: that :data:`ROOM` holds for.
+    :returns: (T, 3, 3) metres, the corners of triangles.
+    :raises ConfigurationError: for what is not inside the room.
+    """
+    size = np.array(document.data['size'], dtype=np.float64)
+    floor, ceiling = _box(np.zeros(3), size)[:2]
+    quads = [floor, ceiling, *(quad for wall in WALLS for quad in _wall(document, wall, size))]
+    for k, data in enumerate(document.data.get('boxes', ())):
+        low, high = np.array(data['box'], dtype=np.float64)
+        if not (low < high).all() or (high > size).any():
+            raise document.error(
+                ('boxes', k, 'box'), f'corners from {low.tolist()} to {high.tolist()}',
+                f'the lowest corner first, and the highest within {size.tolist()}',
+                'correct those that are not')
+        quads += list(_box(low, high)[int(low[2] == 0.0):])
+    corners = np.array(quads)
+    return np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
+
+
+def _box(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return the faces of a box, the lower one first: (6, 4, 3) metres."""
+    bits = (np.arange(8)[:, None] >> np.arange(3)) & 1
+    return np.where(bits, high, low)[FACES]
+
+
+def _wall(document: Document, wall: str, size: np.ndarray) -> list[np.ndarray]:
+    """Return what openings leave of a wall: rectangles (4, 3) metres."""
+    axis, far = WALLS[wall]
+    length, height = size[1 - axis], size[2]
+    openings = []
+    for k, data in enumerate(document.data.get('openings', ())):
+        left, low = data['at'], data.get('sill', 0.0)
+        right, high = left + data['width'], low + data['height']
+        if data['wall'] == wall and (right > length or high > height):
+            raise document.error(
+                ('openings', k), f'an opening up to {right:g} m along the {wall} wall and '
+                f'{high:g} m up', f'one within its {length:g} x {height:g} m', 'correct it')
+        if data['wall'] == wall:
+            openings.append((left, right, low, high))
+    across = np.unique([0.0, length, *(edge for one in openings for edge in one[:2])])
+    up = np.unique([0.0, height, *(edge for one in openings for edge in one[2:])])
+    found = []
+    for left, right in zip(across, across[1:]):
+        for low, high in zip(up, up[1:]):
+            if not any(one[0] <= left and right <= one[1] and one[2] <= low and high <= one[3]
+                       for one in openings):
+                quad = np.zeros((4, 3))
+                quad[:, axis] = far * size[axis]
+                quad[:, 1 - axis] = left, right, right, left
+                quad[:, 2] = low, low, high, high
+                found.append(quad)
+    return found
+
+
+def room_between(points: np.ndarray) -> np.ndarray | None:
+    """
+    Return the surfaces of a room whose eight corners some points are.
+
+    :param points: (N, 3), in any unit.
+    :returns: (T, 3, 3) corners of triangles; None where they are no eight corners.
+    """
+    if len(points) != CORNERS or not np.isfinite(points).all():
+        return None
+    try:
+        hull = ConvexHull(points)
+    except QhullError:
+        return None
+    return points[hull.simplices] if len(hull.vertices) == CORNERS else None
+
+
+def document_of(size: Sequence[str], openings: Sequence[Sequence[str]],
+                boxes: Sequence[Sequence[str]]) -> Document:
+    """
+    Return a room file of what somebody has typed.
+
+    :param size: length, width and height, metres.
+    :param openings: the wall of each, and at, width, height and sill, metres, the last may lack.
+    :param boxes: x, y, z of the lowest corner of each and of the highest one, metres.
+    :raises ConfigurationError: if it is none.
+    """
+    document = Document('room', {
+        'size': list(map(_number, size)),
+        'openings': [{'wall': wall, **dict(zip(('at', 'width', 'height', 'sill'),
+                                               map(_number, numbers)))}
+                     for wall, *numbers in openings],
+        'boxes': [{'box': [list(map(_number, box[:3])), list(map(_number, box[3:]))]}
+                  for box in boxes]})
+    check(document, ROOM)
+    return document
+
+
+def _number(text: str) -> float | str:
+    """Read a number; what is none stays, for the schema to refuse."""
+    try:
+        value = float(text)
+    except ValueError:
+        return text
+    return value if np.isfinite(value) else text

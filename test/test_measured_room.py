@@ -1,0 +1,107 @@
+# Copyright 2026 The ocp_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rooms from measures: what is written down is the room that is planned for."""
+
+from hypothesis import given, settings, strategies
+import numpy as np
+import pytest
+
+from ocp_ros.cli.main import main
+from ocp_ros.rig.structure import ceiling_of, floor_height, walls_of
+from ocp_ros.scenes.measured_room import document_of, triangles_of
+from ocp_ros.scenes.scene import SceneError
+from ocp_ros.scenes.scene_files import load_scene, scans_in, scene_of
+
+SIZE = (6.0, 4.5, 2.7)
+
+
+def made(folder, *arguments):
+    """Return what ``ocp room`` makes of a room of 6 x 4.5 x 2.7 m."""
+    path = folder / 'room.yaml'
+    assert main(['room', *map(str, SIZE), *arguments, '--out', str(path)]) == 0
+    return path
+
+
+def within(points, low, high):
+    """Return which points are in a box, its faces included."""
+    return ((points >= np.array(low) - 0.005) & (points <= np.array(high) + 0.005)).all(axis=1)
+
+
+def test_a_room_from_a_tape_measure_has_its_measures(tmp_path):
+    scene = load_scene(made(
+        tmp_path, '--door', *['south', '1', '0.9', '2.1'],
+        '--window', *['east', '2', '1.5', '1.2', '0.9'],
+        *['--box', '2', '1', '0', '4', '2', '0.75']), max_points=20_000)
+    np.testing.assert_allclose(scene.bounds, [(0, 0, 0), SIZE], atol=0.01)
+    assert floor_height(scene) == pytest.approx(0.0, abs=0.005)
+    assert ceiling_of(scene).points[:, 2].mean() == pytest.approx(SIZE[2], abs=0.005)
+    points = scene.points
+    for low, high in (((1.02, 0, 0.02), (1.88, 0, 2.08)), ((6, 2.02, 0.92), (6, 3.48, 2.08)),
+                      # Nobody sees what the box stands on, nor what is in it.
+                      ((2.02, 1.02, 0), (3.98, 1.98, 0.73))):
+        assert not within(points, low, high).any()
+    top = within(points, (2, 1, 0.745), (4, 2, 0.755))
+    assert top.sum() > 100 and (scene.normals[top][:, 2] > 0.99).mean() > 0.9
+    # All surfaces are where walls are looked for, and nothing is outside of them.
+    walls = walls_of(scene).points
+    assert {round(float(edge), 1) for edge in np.ptp(walls[:, :2], axis=0)} == {6.0, 4.5}
+
+
+@settings(deadline=None, max_examples=50)
+@given(size=strategies.tuples(*[strategies.floats(1.0, 30.0)] * 3), data=strategies.data())
+def test_openings_take_their_area_from_the_walls_and_boxes_add_theirs(size, data):
+    shares = strategies.floats(0.05, 0.9)
+    openings, lost = [], 0.0
+    for wall, length in (('south', size[0]), ('west', size[1])):
+        at, width, sill, height = (data.draw(shares) for _ in range(4))
+        at, width = at * length, width * (1.0 - at) * length
+        sill, height = sill * size[2], height * (1.0 - sill) * size[2]
+        openings.append((wall, at, width, height, sill))
+        lost += width * height
+    low = np.array(size) * [data.draw(shares) for _ in range(3)]
+    high = low + (np.array(size) - low) * data.draw(shares)
+    corners = triangles_of(document_of(size, openings, [[*low, *high]]))
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0],
+                                         corners[:, 2] - corners[:, 0]), axis=1).sum()
+
+    def surface(edges):
+        return 2.0 * (edges[0] * edges[1] + edges[1] * edges[2] + edges[2] * edges[0])
+    assert area == pytest.approx(surface(size) + surface(high - low) - lost, rel=1e-6)
+
+
+@pytest.mark.parametrize(('size', 'arguments', 'words'), [
+    ('6 4.5 nan', '', "size[2]: found 'nan'; expected length, width and height in metres"),
+    ('6 4.5 270', '--door souht 1 1 2', "did you mean 'south'?"),
+    ('6 4.5 2.7', '--door south 5.5 0.9 2.1', 'up to 6.4 m along the south wall'),
+    ('6 4.5 2.7', '--door west 1 0.9 2.8', 'one within its 4.5 x 2.7 m'),
+    ('6 4.5 2.7', '--box 1 1 0 2 5 1', 'the highest within [6.0, 4.5, 2.7]'),
+    ('6 4.5 2.7', '--box 1 1 0 1 2 1', 'the lowest corner first'),
+    ('6 4.5 x', '', "found 'x'")])
+def test_measures_that_cannot_be_are_refused(tmp_path, capsys, size, arguments, words):
+    out = tmp_path / 'room.yaml'
+    assert main(['room', *size.split(), *arguments.split(), '--out', str(out)]) == 2
+    assert words in capsys.readouterr().err and not out.exists()
+
+
+def test_another_yaml_file_is_no_room_and_no_scan_of_a_folder(tmp_path):
+    path = tmp_path / 'rig.yaml'
+    path.write_text('cameras: [{sensor: kinect_v2}]\n')
+    with pytest.raises(SceneError, match='rig.yaml: line 1, cameras: found the unknown key'):
+        load_scene(path)
+    assert scans_in(tmp_path) == []
+
+
+@pytest.mark.parametrize('scale', [1.0, 0.001])
+def test_eight_corners_are_a_room(tmp_path, scale):
+    corners = np.array([(x, y, z) for x in (1.0, 7.0) for y in (0.0, 4.5) for z in (0.0, 2.7)])
+    turned = corners @ [[0.8, 0.6, 0], [-0.6, 0.8, 0], [0, 0, 1]]
+    np.savetxt(tmp_path / 'corners.txt', turned[[3, 0, 6, 1, 5, 2, 7, 4]] / scale)
+    scene = load_scene(tmp_path / 'corners.txt', scale=scale, max_points=10_000)
+    assert len(scene) > 9_000 and scene.mesh.exact
+    assert floor_height(scene) == pytest.approx(0.0, abs=0.005)
+    back = scene.points @ np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]])
+    np.testing.assert_allclose([back.min(axis=0), back.max(axis=0)], [corners[0], corners[-1]],
+                               atol=0.01)
+    np.testing.assert_allclose(scene_of(turned).size, scene.size, atol=0.02)
+    with pytest.raises(SceneError, match='found 8 points'):
+        scene_of(np.vstack([corners[:-1], [[4.0, 2.0, 1.0]]]))
