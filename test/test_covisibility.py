@@ -2,16 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cameras that share enough of what they see to be calibrated to each other."""
 
+from itertools import combinations
+
+from conftest import box_room
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from ocp_ros.geometry.packed_bits import pack
+from ocp_ros.api import plan, score
+from ocp_ros.geometry.packed_bits import no_bits, pack
 from ocp_ros.planning.findings import verdict
 from ocp_ros.rig.rig_file import Calibratable, rig_of
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.rig_plan import RigPlanner
-from ocp_ros.simulation.covisibility import covisibility
+from ocp_ros.simulation.covisibility import covisibility, watched
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import View
@@ -124,3 +130,49 @@ def test_no_proof_is_claimed(room):
 def test_bad_values_are_refused(value, words):
     with pytest.raises(ConfigurationError, match=words):
         rig_of(2, 'd455', calibratable=value)
+
+
+@settings(deadline=None, max_examples=60)
+@given(seed=st.integers(0, 9999), cameras=st.integers(1, 6), seen_by=st.integers(1, 4),
+       angle=st.floats(0.0, 100.0))
+def test_air_counts_where_enough_cameras_look_from_enough_directions(
+        seed, cameras, seen_by, angle):
+    rng = np.random.default_rng(seed)
+    cells, positions = rng.uniform(0, 4, (300, 3)), rng.uniform(0, 4, (cameras, 3))
+    seen = rng.random((cameras, 300)) < 0.7
+    numbers = np.flatnonzero(rng.random(300) < 0.3)
+    views = [View(no_bits(0), pack(some), position) for some, position in zip(seen, positions)]
+    ways = cells[None] - positions[:, None]
+    ways /= np.linalg.norm(ways, axis=2, keepdims=True)
+    between = np.rad2deg(np.arccos(np.clip(np.einsum('ank,bnk->abn', ways, ways), -1, 1)))
+    found = [any(all(between[one, other, n] >= angle for one, other in combinations(some, 2))
+                 for some in combinations(np.flatnonzero(seen[:, n]), seen_by)) for n in numbers]
+    assert watched(cells, numbers, views, seen_by, np.deg2rad(angle)) == np.mean(found)
+    # Cameras that are everywhere at once see from all directions.
+    everywhere = [view._replace(position=None) for view in views]
+    enough = (seen[:, numbers].sum(axis=0) >= seen_by).mean()
+    assert watched(cells, numbers, everywhere, seen_by, np.deg2rad(angle)) == enough
+
+
+def test_a_volume_that_two_cameras_watch_from_two_sides_is_planned_for():
+    region = {'name': 'stage', 'box': [[1.5, 1.0, 0.3], [4.0, 3.0, 1.8]], 'must_see': 0.9,
+              'air': {'seen_by': 2, 'angle': 45}}
+    rig = rig_of(3, 'd455', mount={'on': 'walls', 'height': [1.6, 2.4]}, regions=[region])
+    found = plan(box_room(), rig, evaluations=500)
+    assert found.broken == () and found.gap is None
+    (part,) = found.found['scores']['regions']
+    assert part['of'] == 'air' and part['seen'] >= 0.9
+    # Side by side they do not do.
+    beside = found.poses[[0, 0, 0]]
+    beside[:, 0] += 0.01 * np.arange(3)
+    assert score(box_room(), beside, rig).found['scores']['regions'][0]['seen'] == 0.0
+
+
+@pytest.mark.parametrize(('region', 'words'), [
+    ({'air': {'seen_by': 3}}, r'regions\[0\].air.seen_by: found 3; expected at most 2'),
+    ({'air': {'angle': 150}}, r'air.angle: found 150; expected degrees, 0 to 120'),
+    ({'air': {}, 'box': [[1, 1, 1], [1.01, 1.01, 1.01]]}, 'found no air of box in it')])
+def test_air_that_cannot_be_watched_is_refused(region, words):
+    with pytest.raises(ConfigurationError, match=words):
+        plan(box_room(), {'cameras': [{'sensor': 'kinect_v2', 'count': 2}], 'regions': [
+            {'name': 'stage', 'box': [[1, 1, 1], [2, 2, 2]], **region}]}, evaluations=10)

@@ -74,8 +74,9 @@ def scores_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
         'space_coverage': worth.space_coverage, 'volume': simulator.volume,
         'seen_by': rig.seen_by, 'seen': len(worth.seen) / points, 'points': points,
         'overlap': overlap,
-        'regions': [{'name': region.name, 'seen': float(share), 'must_see': region.must_see,
-                     'weight': region.weight, 'met': bool(share >= region.must_see)}
+        'regions': [{'name': region.name, 'of': region.parts, 'seen': float(share),
+                     'must_see': region.must_see, 'weight': region.weight,
+                     'met': bool(share >= region.must_see)}
                     for region, share in zip(rig.regions, worth.regions)],
         **_links_of(objective, views),
         'cameras': [{'name': camera.name, 'depth_error': added.depth_error, 'only': added.only}
@@ -108,7 +109,7 @@ def broken_by(region: FeasibleRegion, poses: np.ndarray, scores: dict[str, Any])
     :param scores: from :func:`scores_of`.
     """
     return region.broken(poses) + [
-        f'{part["name"]}: found {100.0 * part["seen"]:.1f} % of its points seen; expected '
+        f'{part["name"]}: found {100.0 * part["seen"]:.1f} % of its {part["of"]} seen; expected '
         f'{100.0 * part["must_see"]:.1f} % (must_see); turn or move a camera towards it'
         for part in scores['regions'] if not part['met']] + _apart(scores)
 

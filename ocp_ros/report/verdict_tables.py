@@ -56,7 +56,8 @@ def show_verdict(console: Console, found: Mapping[str, Any]) -> None:
                                          for count, points in scores['overlap'].items()))
     for region in scores['regions']:
         must = f', {percent(region["must_see"])} required' if region['must_see'] else ''
-        console.print(f'region {region["name"]}: {percent(region["seen"])} seen{must}')
+        console.print(f'region {region["name"]}: {percent(region["seen"])} of its {region["of"]} '
+                      f'seen{must}')
     if 'calibratable' in scores:
         console.print(links_line(scores['calibratable']))
     _show_rest(console, found)
@@ -120,8 +121,9 @@ def quality(search: dict[str, Any]) -> Iterator[str]:
                f'{random["median"]:.4f}, best {random["best"]:.4f}')
     yield (f'lower bound {everywhere:.4f}: the objective value with a camera at each of the '
            f'{search["candidates"]:,} candidates')
-    share = everywhere / loss if loss > 0.0 else 1.0
-    yield f'{percent(min(share, 1.0))} of the objective value is not visible from any candidate'
+    if loss > 0.0:
+        share = percent(min(everywhere / loss, 1.0))
+        yield f'{share} of the objective value is not visible from any candidate'
     yield search['certificate']['sentence']
 
 

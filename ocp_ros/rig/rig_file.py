@@ -76,13 +76,26 @@ class Mount(NamedTuple):
     footprint: float = 0.0
 
 
+class Watched(NamedTuple):
+    """
+    When a place in the air counts as seen.
+
+    :ivar seen_by: by so many cameras.
+    :ivar angle: radians, the least between the lines of sight of any two of these.
+    """
+
+    seen_by: int
+    angle: float
+
+
 class Region(NamedTuple):
     """
     A part of the room that matters more than the rest.
 
     :ivar weight: how much, the whole room being 1.
-    :ivar must_see: the share of its points that has to be seen; 0 where none has.
+    :ivar must_see: the share of its points, or of its air, that has to be seen; 0 where none has.
     :ivar where: the place in the file, for messages.
+    :ivar air: when its air counts as seen; None for a region whose points do.
     """
 
     name: str
@@ -90,6 +103,12 @@ class Region(NamedTuple):
     weight: float
     must_see: float
     where: str
+    air: Watched | None = None
+
+    @property
+    def parts(self) -> str:
+        """Say in a word what of the region is to be seen."""
+        return 'points' if self.air is None else 'air'
 
 
 class Calibratable(NamedTuple):
@@ -327,7 +346,7 @@ def rig_from(document: Document) -> Rig:
     """
     data = document.data
     cameras, fixed = _cameras(document)
-    regions = tuple(_regions(document))
+    regions = tuple(_regions(document, len(cameras) + len(fixed)))
     seen_by = data.get('seen_by', 1)
     if seen_by > len(cameras) + len(fixed):
         raise document.error(('seen_by',), str(seen_by), f'at most {len(cameras) + len(fixed)}, '
@@ -425,8 +444,8 @@ def _calibratable(data: dict[str, Any]) -> Calibratable | None:
         float(asked.get('overlap', OVERLAP)), float(np.deg2rad(asked.get('angle', ANGLE))))
 
 
-def _regions(document: Document) -> Iterator[Region]:
-    """Read the regions, each with a name of its own."""
+def _regions(document: Document, most: int) -> Iterator[Region]:
+    """Read the regions, each with a name of its own, of a rig of so many cameras."""
     names = set()
     for k, data in enumerate(document.data.get('regions', [])):
         if data['name'] in names:
@@ -436,4 +455,17 @@ def _regions(document: Document) -> Iterator[Region]:
         must_see = data.get('must_see', False)
         share = MUST_SEE * must_see if isinstance(must_see, bool) else float(must_see)
         yield Region(data['name'], zone_of(document, ('regions', k)),
-                     float(data.get('weight', 1.0)), share, document.where('regions', k))
+                     float(data.get('weight', 1.0)), share, document.where('regions', k),
+                     _watched(document, ('regions', k, 'air'), most))
+
+
+def _watched(document: Document, way: Way, most: int) -> Watched | None:
+    """Read when the air of a region counts as seen, where it is asked for its air."""
+    data = document.value(*way[:-1]).get('air')
+    if data is None:
+        return None
+    seen_by = data.get('seen_by', 1)
+    if seen_by > most:
+        raise document.error((*way, 'seen_by'), str(seen_by), f'at most {most}, as many as there '
+                             'are cameras', 'lower it or add cameras')
+    return Watched(seen_by, float(np.deg2rad(data.get('angle', 0.0))))

@@ -75,6 +75,10 @@ KEEP_OUT = mapping('a box or a polygon', {'box': [[0, 0, 0], [1, 1, 3]]}, (), **
 REGION = mapping(
     'a name with a box or a polygon', {'name': 'table', 'box': [[1, 1, 0.5], [2, 2, 1.2]]},
     ('name',), name=NAME, **ZONE,
+    air=mapping(
+        'a mapping with seen_by, angle or neither', {'seen_by': 2, 'angle': 30}, (),
+        seen_by=whole('a whole number of cameras, 1 or more', 2, minimum=1, maximum=64),
+        angle=number('degrees, 0 to 120', 30.0, minimum=0, maximum=120)),
     weight=number('a number from 0 to 1000, the whole room being 1', 3.0, minimum=0,
                   maximum=1000),
     must_see={'description': 'true, false or the share that has to be seen, above 0, at most 1',

@@ -81,6 +81,23 @@ def covisibility(points: np.ndarray, views: Sequence[View], asked: Calibratable,
     return Covisibility(shares, _spanning(shares), asked.overlap)
 
 
+def watched(cells: np.ndarray, numbers: np.ndarray, views: Sequence[View], seen_by: int,
+            angle: float) -> float:
+    """
+    Return the share of some places in the air that enough cameras see from enough directions.
+
+    :param cells: (M, 3) metres, map frame, of all places in the engine's order.
+    :param numbers: (S,) of those that are asked for, S >= 1.
+    :param views: of C cameras; those of several positions at once see from any direction.
+    :param seen_by: how many cameras have to see a place.
+    :param angle: radians, the least between the lines of sight of any two of them.
+    """
+    nowhere = np.full(3, np.nan)
+    positions = np.array([nowhere if view.position is None else view.position for view in views])
+    return float(_watched(cells, numbers, np.stack([view.covered for view in views]), positions,
+                          seen_by, np.cos(angle))) / len(numbers)
+
+
 def _spanning(shares: np.ndarray) -> list[tuple[int, int]]:
     """Return the links of a maximum spanning tree (Prim's method), the last camera first."""
     count = len(shares)
@@ -125,3 +142,47 @@ def _shared(points, seen, positions, cosine):
                         total += 1
             found[one, other] = found[other, one] = total
     return found
+
+
+@njit(cache=True, nogil=True)
+def _clique(linked, among, count):
+    """Tell whether some (bits of ``among``) have so many of which each is linked to all others."""
+    if count == 0:
+        return True
+    one, everyone = 0, among
+    while among:
+        # Linked are those after it alone.
+        if among & np.uint64(1) and _clique(linked, everyone & linked[one], count - 1):
+            return True
+        among, one = among >> np.uint64(1), one + 1
+    return False
+
+
+@njit(cache=True, nogil=True)
+def _watched(cells, numbers, covered, positions, seen_by, cosine):
+    """
+    Count the places that enough cameras see from enough directions; see :func:`watched`.
+
+    :param covered: (C, V) uint64, packed bits of the places.
+    :param positions: (C, 3) metres; NaN for cameras that see from any direction.
+    :param cosine: of the least angle between two lines of sight.
+    """
+    count, total = len(covered), 0
+    ways, linked = np.empty((count, 3)), np.empty(count, dtype=np.uint64)
+    for number in numbers:
+        word, bit = number >> 6, np.uint64(number & 63)
+        among, seers = np.uint64(0), 0
+        for one in range(count):
+            linked[one] = 0
+            if covered[one, word] >> bit & np.uint64(1):
+                among |= np.uint64(1) << np.uint64(one)
+                seers += 1
+                ways[one] = cells[number] - positions[one]
+                ways[one] /= max(np.sqrt((ways[one] ** 2).sum()), 1e-9)
+                for other in range(one):
+                    # Not a number is not above anything.
+                    if not (ways[one] * ways[other]).sum() > cosine + 1e-9:
+                        linked[other] |= np.uint64(1) << np.uint64(one)
+        if seers >= seen_by and _clique(linked, among, seen_by):
+            total += 1
+    return total

@@ -7,14 +7,15 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ocp_ros.geometry.coverage import space_coverage
 from ocp_ros.geometry.packed_bits import count_bits, no_bits, pack, seen_by, Subset, unpack
 from ocp_ros.rig.rig_file import Region, Rig
 from ocp_ros.rig.structure import floor_height
-from ocp_ros.simulation.covisibility import Covisibility, covisibility, ROUNDING
+from ocp_ros.simulation.covisibility import Covisibility, covisibility, ROUNDING, watched
 from ocp_ros.simulation.simulator import Simulator, View
-from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.util.settings import ConfigurationError, MOST_CAMERAS
 
 #: What it costs to miss all of what a region says must be seen; the room itself costs 1.
 MUST = 10.0
@@ -72,8 +73,8 @@ class Objective:
         self.fixed = [simulator.look(pose, count + k) for k, pose in enumerate(rig.fixed_poses)]
         self._nothing = View(no_bits(len(simulator.scene)), no_bits(len(simulator.grid)))
         self._order = simulator.visibility.order
-        self._regions = [self._points_of(region) for region in rig.regions]
-        self._sizes = np.array([count_bits(bits) for bits in self._regions], dtype=np.float64)
+        self._regions = [self._points_of(region) if region.air is None else self._air_of(region)
+                         for region in rig.regions]
         self._weights = np.array([region.weight for region in rig.regions])
         self._must = np.array([region.must_see for region in rig.regions])
 
@@ -81,13 +82,34 @@ class Objective:
         """Return the points in a region: (W,) packed bits."""
         scene = self.simulator.scene
         inside = region.zone.contains(scene.points, floor_height(scene))
+        self._check_inside(region, inside)
+        return pack(inside[self._order])
+
+    def _air_of(self, region: Region) -> np.ndarray:
+        """Return the cells of the coverage grid that are air in a region: (S,) in its order."""
+        scene, cells = self.simulator.scene, self._cells
+        numbers = np.flatnonzero(region.zone.contains(cells, floor_height(scene)))
+        # What has points in its middle is no air.
+        edge = 0.5 * self.simulator.cell_volume ** (1.0 / 3.0)
+        free = cKDTree(scene.points).query(cells[numbers], distance_upper_bound=0.5 * edge)[0]
+        numbers = numbers[np.isinf(free)]
+        self._check_inside(region, numbers >= 0)
+        return numbers
+
+    def _check_inside(self, region: Region, inside: np.ndarray) -> None:
+        """Refuse a region without anything in it that is asked for."""
         if not inside.any():
+            scene = self.simulator.scene
             low, high = (', '.join(f'{value:.2f}' for value in corner) for corner in scene.bounds)
             raise ConfigurationError(
-                f'{region.where}: found no points of {scene.name} in it; expected some, within '
-                f'({low}) to ({high}); correct its corners, or choose a region that is '
+                f'{region.where}: found no {region.parts} of {scene.name} in it; expected some, '
+                f'within ({low}) to ({high}); correct its corners, or choose a region that is '
                 'in the scan')
-        return pack(inside[self._order])
+
+    @cached_property
+    def _cells(self) -> np.ndarray:
+        """Return the cells of the coverage grid in the engine's order: (M, 3) metres."""
+        return self.simulator.grid[self.simulator.visibility.place_order].astype(np.float64)
 
     @cached_property
     def _points(self) -> np.ndarray:
@@ -101,8 +123,8 @@ class Objective:
         :returns: (N,) loss of each point in the engine's order, and how much of their sum is
             free: first for the weights of all regions, then for each that must be seen.
         """
-        shares = [unpack(bits, len(self.simulator.scene)) / size
-                  for bits, size in zip(self._regions, self._sizes)]
+        shares = [unpack(bits, len(self.simulator.scene)) / count_bits(bits)
+                  for bits in self._regions]
         if self._weights.any():
             yield self._weights @ shares, 0.0
         for share, must in zip(shares, self._must):
@@ -127,30 +149,47 @@ class Objective:
         everyone, missing = self._with_fixed(views), self._missing(views)
         seen = self._seen(everyone)
         covered = seen_by([view.covered for view in everyone], self.rig.seen_by)[-1]
-        loss, error, shares = self._loss_of(seen)
+        loss, error, shares = self._loss_of(seen, everyone)
         return RigEvaluation(
             loss + missing, error, space_coverage(covered, self.simulator.cell_volume), shares,
             Subset(seen, self._order), missing <= ROUNDING)
 
     def loss(self, views: Sequence[View]) -> float:
         """Return the loss alone, of views as for :meth:`judge`."""
-        return self._loss_of(self._seen(self._with_fixed(views)))[0] + self._missing(views)
+        everyone = self._with_fixed(views)
+        return self._loss_of(self._seen(everyone), everyone)[0] + self._missing(views)
 
     def promise(self, views: Sequence[View]) -> float:
         """
-        Return the mean of what the loss were if 1, 2, ... ``seen_by`` cameras had to see a place.
+        Return the mean of what the loss were if 1, 2, ... cameras had to see a place.
+
+        They are as many at most as the rig asks for, or a region of air.
 
         It tells too few cameras apart, which are worth nothing yet.
 
         :param views: as for :meth:`judge`.
         """
-        levels = [self._loss_of(seen)[0] for seen in self._levels(self._with_fixed(views))]
+        everyone = self._with_fixed(views)
+        seen = self._levels(everyone)
+        most = max([len(seen), *(region.air.seen_by for region in self.rig.regions if region.air)])
+        levels = [self._loss_of(seen[min(count, len(seen)) - 1], everyone, count)[0]
+                  for count in range(1, most + 1)]
         return float(np.mean(levels)) + self._missing(views)
 
-    def _loss_of(self, seen: np.ndarray) -> tuple[float, float, np.ndarray]:
-        """Return loss, depth error and shares of the regions where these points are seen."""
+    def _loss_of(self, seen: np.ndarray, views: Sequence[View], most: int = MOST_CAMERAS
+                 ) -> tuple[float, float, np.ndarray]:
+        """
+        Return loss, depth error and shares of the regions.
+
+        :param seen: packed bits of the points that count as seen.
+        :param views: of all cameras, for regions of air.
+        :param most: cameras that are asked to see these.
+        """
         error = self.simulator.depth_error(seen)
-        shares = np.array([count_bits(seen & bits) for bits in self._regions]) / self._sizes
+        shares = np.array([
+            count_bits(seen & part) / count_bits(part) if region.air is None else
+            watched(self._cells, part, views, min(region.air.seen_by, most), region.air.angle)
+            for region, part in zip(self.rig.regions, self._regions)])
         loss = (error / self.simulator.depth_error.worst + self._weights @ (1.0 - shares)
                 + MUST * np.maximum(self._must - shares, 0.0).sum())
         return float(loss), error, shares

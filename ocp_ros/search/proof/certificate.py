@@ -55,4 +55,6 @@ def not_covered(objective: Objective) -> str | None:
                 'one camera has to see a place')
     if objective.rig.calibratable is not None:
         return 'found calibratable; expected a rig without it, for bounds do not know of pairs'
+    if any(region.air for region in objective.rig.regions):
+        return 'found regions of air; expected regions of points, for bounds do not know of pairs'
     return None
