@@ -24,7 +24,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import Header, String
 
 from ocp_ros.cli.main import main
@@ -374,6 +374,19 @@ def test_a_bag_without_clouds_is_refused(tmp_path, form, capsys):
     recording.add('/chatter', 'std_msgs/msg/String', S, serialize_message(String(data='hello')))
     assert main(['replay', str(recording.write(tmp_path, form))]) == 2
     assert 'found no clouds among /chatter (std_msgs/msg/String)' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('form', FORMATS)
+def test_who_recorded_depth_images_is_told_what_makes_clouds_of_them(tmp_path, form, capsys):
+    recording = Recording()
+    recording.add('/cam/depth/image_raw', 'sensor_msgs/msg/Image', S, serialize_message(
+        Image(height=1, width=1, step=2, encoding='16UC1', data=[0, 0])))
+    path = recording.write(tmp_path, form)
+    with pytest.raises(ConfigurationError) as refused:
+        recorded_clouds(path, ['cam'], {})
+    assert 'ros2 run depth_image_proc point_cloud_xyz_node' in str(refused.value)
+    assert main(['replay', str(path)]) == 2
+    assert str(refused.value) in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(('options', 'place', 'remedy'), [

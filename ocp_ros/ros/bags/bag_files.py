@@ -32,6 +32,8 @@ UNPACKED, UNPACKED_PER_BYTE = 500_000_000, 50
 ALIAS = re.compile(rb'(^|[\s,\[{])\*\w')
 #: What a file begins with that is a ROS 1 bag, and how files of ROS 2 bags are called.
 ROS1, ROS2_FILES, PACKED = b'#ROSBAG V', ('.mcap', '.db3'), '.zstd'
+#: How types of images end.
+IMAGES = ('/Image', '/CompressedImage')
 
 
 class Topic(NamedTuple):
@@ -144,6 +146,26 @@ class Bag:
     def topics(self) -> list[Topic]:
         """Return all topics by name."""
         return [Topic(*topic) for topic in self._found['topics']]
+
+    @property
+    def clouds(self) -> list[str]:
+        """
+        Return the topics of clouds by name.
+
+        :raises ConfigurationError: if there is none; of depth images it is said what makes clouds
+            of them.
+        """
+        names = [topic.name for topic in self.topics if KINDS.get(topic.kind) == CLOUD]
+        if not names:
+            found = ', '.join(f'{t.name} ({t.kind})' for t in self.topics) or 'no topic at all'
+            images = any(topic.kind.endswith(IMAGES) and 'depth' in topic.name
+                         for topic in self.topics)
+            remedy = ('play it, let ros2 run depth_image_proc point_cloud_xyz_node make clouds of '
+                      'the depth images, and record these') if images else (
+                'record a topic of clouds')
+            raise ConfigurationError(f'{self.path}: found no clouds among {found}; expected '
+                                     f'{CLOUD}; {remedy}')
+        return names
 
     @property
     def start(self) -> int:

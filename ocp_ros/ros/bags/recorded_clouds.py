@@ -11,7 +11,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 
 from ocp_ros.geometry.cameras import OPTICAL_TO_BODY
-from ocp_ros.ros.bags.bag_files import Bag, CLOUD, KINDS, Recorded
+from ocp_ros.ros.bags.bag_files import Bag, Recorded
 from ocp_ros.ros.bags.bag_replay import OPTICAL_ENDS
 from ocp_ros.ros.interface.conversions import MessageError, msg_to_cloud
 from ocp_ros.util.settings import check_known, ConfigurationError
@@ -33,7 +33,7 @@ def recorded_clouds(path: Path, names: Sequence[str], chosen: Mapping[str, str],
     :raises ConfigurationError: if the bag cannot be read, or whose a topic is is not clear.
     """
     with Bag(path) as bag:
-        topics = [topic.name for topic in bag.topics if KINDS.get(topic.kind) == CLOUD]
+        topics = bag.clouds
         check_known(chosen.values(), topics, f'{path}: topics')
         return {name: _cloud(bag, topic, frame)
                 for name, topic in (chosen or topics_of_cameras(path, names, topics)).items()}

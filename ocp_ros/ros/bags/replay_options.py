@@ -59,12 +59,12 @@ def chosen_topics(bag: Bag, wanted: tuple[str, ...]) -> dict[str, tuple[str, str
         if KINDS.get(known[name].kind) not in TYPES:
             raise ConfigurationError(f'{bag.path}: found {known[name].kind} on {name}; expected '
                                      f'{" or ".join(TYPES)}; leave it out')
-    if not any(KINDS.get(known[name].kind) == CLOUD for name in names or known):
-        found = ', '.join(f'{t.name} ({t.kind})' for t in known.values()) or 'no topic at all'
-        raise ConfigurationError(f'{bag.path}: found no clouds among {found}; expected {CLOUD}; '
-                                 'record a topic of clouds')
+    clouds = bag.clouds
+    if names and not set(names).intersection(clouds):
+        raise ConfigurationError(f'{bag.path}: found no clouds among {", ".join(names)}; expected '
+                                 f'one at least of {", ".join(clouds)}; name it')
     if not names:
-        names = {topic.name: topic.name for topic in known.values() if topic.kind == CLOUD}
+        names = {name: name for name in clouds}
         if (poses := _poses_among(list(known.values()))) is not None:
             names[poses] = topics.CAMERA_POSES
     return {name: (KINDS[known[name].kind], new) for name, new in names.items()}
