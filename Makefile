@@ -33,7 +33,7 @@ test: $(READY)  ## run the tests, on up to four cores; the whole-system drills a
 test-system: $(READY)  ## run the drills of whole systems: soak, training demo, Ray cluster, interrupted nodes
 	$(TEST) -m system
 
-lint: $(READY)  ## check style, as ament_flake8 and ament_pep257 would, and types
+lint: $(READY)  ## check style, by the rules of ament_flake8, ament_pep257 and ament_copyright, and types
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/flake8 ocp_ros benchmarks test launch setup.py
 	$(VENV)/bin/mypy

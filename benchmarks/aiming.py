@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Measure what rotating cameras is worth: the depth error of the final placement in generated rooms.
 
@@ -15,11 +27,8 @@ import tempfile
 import time
 from typing import Any
 
-import numpy as np
-from rclpy.logging import get_logger
-from std_msgs.msg import Header
-
 from benchmarks import results
+import numpy as np
 from ocp_ros.geometry.cameras import heading_of
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.policy.checkpoint import Checkpoint
@@ -33,6 +42,8 @@ from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.resources import find_model
+from rclpy.logging import get_logger
+from std_msgs.msg import Header
 
 RIG = """
 cameras: [{{sensor: {sensor}, count: {cameras}}}]

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Write what ``ocp benchmark`` has found as a page with tables and figures.
 
@@ -13,13 +25,12 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-import numpy as np
-
 from benchmarks import results
 from benchmarks.comparison_page import write_page
 from benchmarks.placement_examples import draw_examples, Example
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+import numpy as np
 from ocp_ros.compare.judging import judged_room, MOUNTING, MOUNTINGS
 from ocp_ros.compare.protocol import CONTROLS, placing, POOL
 from ocp_ros.compare.summary import budgets_of, last_runs, Rows

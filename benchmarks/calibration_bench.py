@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Measure how near ``ocp calibrate`` comes to where cameras hang: ``python -m`` this module.
 
@@ -25,12 +37,9 @@ from pathlib import Path
 import sys
 from typing import NamedTuple
 
-import numpy as np
-from scipy.ndimage import gaussian_filter
-from scipy.spatial.transform import Rotation
-
 from benchmarks import results
 from benchmarks.fused_scan import scan_by_hand
+import numpy as np
 from ocp_ros.geometry.cameras import angle_between, CameraModel, Pose
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.geometry.visibility import FINE, SurfelVisibility
@@ -45,6 +54,8 @@ from ocp_ros.scenes.mesh_files import sampled
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Mesh, Scene
 from ocp_ros.scenes.scene_files import load_scene
+from scipy.ndimage import gaussian_filter
+from scipy.spatial.transform import Rotation
 
 #: Metres and degrees that a start is off.
 STARTS = ((0.1, 3.0), (0.3, 10.0), (1.0, 30.0))

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 How many cameras are needed: counted up from plan to plan, against each number planned anew.
 
@@ -10,15 +22,14 @@ import argparse
 from collections.abc import Sequence
 import sys
 
-from rich.console import Console
-from rich.table import Table
-
 from benchmarks import results
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.rig_file import rig_of, with_count
 from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.rig_plan import RigPlan, RigPlanner
+from rich.console import Console
+from rich.table import Table
 
 
 def curves(room: str, sensor: str, evaluations: int, most: int, points: int, seed: int

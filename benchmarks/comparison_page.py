@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """A page without a server: rooms to turn around, and what each planner made of them."""
 
 from collections.abc import Mapping
@@ -8,13 +20,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
-
 from ocp_ros.report.drawing.plan_marks import CAMERA_COLOURS
 from ocp_ros.report.drawing.room_drawing import HEIGHTS, heights_of, room_of
 from ocp_ros.report.drawing.room_pictures import UNOBSERVED
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.files import write_atomically
+import plotly.graph_objects as go
 
 #: Points that are drawn of a room, and of what a placement misses.
 MOST = 6000

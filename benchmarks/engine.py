@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Measure how true the engine's visibility is and how fast it is: ``python -m benchmarks.engine``.
 
@@ -12,13 +24,12 @@ from collections.abc import Sequence
 import sys
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-
 from benchmarks import results
 from benchmarks.engine_bench import EXTENTS, FIGURES, measure_engine
 from benchmarks.fused_bench import EXTENTS as FUSED_EXTENTS
 from benchmarks.fused_bench import measure_fused
+from rich.console import Console
+from rich.table import Table
 
 
 def show(figures: dict[str, Any]) -> None:

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Measure the engine: how true its visibility is, and how fast it is.
 
@@ -14,12 +26,8 @@ import os
 import time
 from typing import Any, NamedTuple
 
-import numpy as np
-import open3d as o3d
-from rich.console import Console
-from rich.progress import track
-
 from benchmarks.numpy_twin import Twin
+import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, Pose
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import Subset
@@ -32,6 +40,9 @@ from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+import open3d as o3d
+from rich.console import Console
+from rich.progress import track
 
 #: Points of a room at which methods are compared by speed.
 MIDDLE = 40_000
@@ -148,7 +159,7 @@ def numpy_twin(case: Case) -> np.ndarray:
 def removal(points: np.ndarray, position: np.ndarray, max_range: float, radius: float
             ) -> np.ndarray:
     """
-    Tell which points Open3D's hidden point removal (Katz et al., 2007) keeps.
+    Tell which points hidden point removal keeps: that of Open3D, after Katz et al. (2007).
 
     :param points: (N, 3), metres.
     :param position: (3,) of the camera, metres.

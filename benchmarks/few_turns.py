@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 How good placements are after few long turns and after many short ones.
 
@@ -19,12 +31,8 @@ import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
-
 from benchmarks.results import stamped
+import numpy as np
 from ocp_ros.compare.protocol import BenchmarkTask, placing, Protocol, run_task, TRUTH
 from ocp_ros.compare.summary import NEGLIGIBLE, pair
 from ocp_ros.rooms.splits import SETS
@@ -34,6 +42,9 @@ from ocp_ros.simulation.simulation_config import EpisodeConfig
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.worker_pool import WorkerPool
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
 
 #: Turns, and the longest move of one, metres.
 LENGTHS = ((3, 2.0), (5, 2.0), (8, 2.0), (14, 2.0), (30, 0.5))

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Measure how well a scan that was fused of noisy frames tells what another frame sees.
 
@@ -15,10 +27,6 @@ what was not scanned and hides nothing, keep it from 1.
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any, NamedTuple
-
-import numpy as np
-from rich.console import Console
-from rich.progress import track
 
 from benchmarks.engine_bench import (
     agreement,
@@ -36,6 +44,7 @@ from benchmarks.fused_scan import (
     hand_held_path,
     scan_by_hand,
 )
+import numpy as np
 from ocp_ros.geometry.cameras import Pose
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.geometry.shadow_maps import in_reach
@@ -43,6 +52,8 @@ from ocp_ros.geometry.visibility import CubeVisibility, FAST, FINE, PAPER, Surfe
 from ocp_ros.rooms.generator import mesh_of, plan_of
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Scene
+from rich.console import Console
+from rich.progress import track
 
 #: Metres that a point of a scan may lie behind the surface that it belongs to.
 TOLERANCE = 0.05

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Scans as a depth camera in the hand makes them: noisy frames along a path, fused to one cloud.
 
@@ -15,8 +27,6 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
-
 from ocp_ros.geometry.cameras import CameraModel, Pose, rotation_matrix
 from ocp_ros.geometry.voxels import thinned_to
 from ocp_ros.rooms.generator import mesh_of, plan_of
@@ -24,6 +34,7 @@ from ocp_ros.rooms.room_plan import RoomPlan
 from ocp_ros.rooms.scanning import Boxes, boxes_of, free
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Mesh, Scene
+from scipy.ndimage import gaussian_filter1d
 
 #: Pixels of a frame, and what the camera measures: 60 x 47 degrees, 0.4 to 4.5 m.
 WIDTH, HEIGHT = 160, 120

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 How well the depth error measures a room, whatever its scan: turned, or with stray points.
 
@@ -14,10 +26,8 @@ import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-import numpy as np
-from scipy.stats import spearmanr
-
 from benchmarks import results
+import numpy as np
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.engine_config import EngineConfig, PROMISING
@@ -37,6 +47,7 @@ from ocp_ros.search.candidate_pool import Pool, random_sites
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+from scipy.stats import spearmanr
 
 RIG = rig_of(4, 'realsense_d455', mount={'on': 'walls'})
 #: Points of scans and of the judge, places that it looks from, and rows of its maps.

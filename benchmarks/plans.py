@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 What plans deliver in the test rooms, beside the online planner and a search that sees the truth.
 
@@ -17,11 +29,10 @@ import json
 from pathlib import Path
 import time
 
-import numpy as np
-
 from benchmarks import results
 from benchmarks.measure import geometric, HUNG, Judge, OFF
 from benchmarks.promise import DENSE, rig_named
+import numpy as np
 from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.planning.promise import expected
 from ocp_ros.rig.motion import mounted

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Choose the generated rooms of all sets, and print them for ``ocp_ros/rooms/splits.py``.
 
@@ -10,7 +22,6 @@ the best of a short search leaves at least 5 % of the depth error that placement
 import sys
 
 import numpy as np
-
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene import Scene

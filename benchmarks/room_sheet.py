@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Compare generated rooms with real ones, and draw twelve of them."""
 
 import argparse
@@ -8,18 +20,17 @@ from pathlib import Path
 import sys
 from typing import Any
 
-import numpy as np
-from rich.console import Console
-from rich.table import Table
-
 from benchmarks import results
 from benchmarks.room_likeness import generated, likeness, S3DIS_POINTS, shares_of_kinds, summary
+import numpy as np
 from ocp_ros.compare.protocol import rooms_in, rooms_of_s3dis
 from ocp_ros.report.drawing.room_pictures import draw_rooms, titled
 from ocp_ros.rooms.furniture import KINDS
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_cache import load_cached
 from ocp_ros.util.shown_text import printable
+from rich.console import Console
+from rich.table import Table
 
 #: Two of each kind, as they come.
 SHOWN = (3, 11, 8, 12, 1, 19, 0, 7, 21, 40, 5, 17)

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """``ocp_ros.plan`` and ``ocp_ros.score``: what the commands do, in one call of Python."""
 
 from collections.abc import Mapping
@@ -10,7 +22,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
-
 from ocp_ros.planning.assessment import Assessment, judge
 from ocp_ros.planning.rig_planning import CAMERAS, Counting, MOUNT, PlannedRig, PlanTask
 from ocp_ros.report.verdict_tables import as_text, show_plan, show_verdict

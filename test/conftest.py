@@ -1,13 +1,27 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Fixtures for real nodes on real DDS in one process, without launch files."""
 
 from contextlib import contextmanager, ExitStack
 from dataclasses import replace
 import faulthandler
 from functools import cache
+from importlib.util import find_spec
 import os
 from pathlib import Path
+import re
 import sys
 import time
 
@@ -21,13 +35,13 @@ sys.path.insert(0, str(ROOT))
 os.environ.setdefault('OMP_NUM_THREADS', '1')
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
-import numpy as np
-import pytest
+import numpy as np  # noqa: E402
 
 # Nothing here that takes long to import: the process that hands out the tests reads this too, and
 # the others begin when it has done so.
-from ocp_ros.policy.agent_config import AgentConfig, CLOUD, PAPER
-from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.policy.agent_config import AgentConfig, CLOUD, PAPER  # noqa: E402
+from ocp_ros.util.settings import ConfigurationError  # noqa: E402
+import pytest  # noqa: E402
 
 #: Seconds after which what a test waits for has hung. No test waits as long, on whatever machine:
 #: a limit is never a speed.
@@ -43,6 +57,25 @@ MOUNTS = {'plane': {'on': 'plane', 'height': 1.9}, 'ceiling': {'on': 'ceiling'},
           'rods': {'on': 'ceiling', 'height': 2.0},
           'walls': {'on': 'walls', 'height': [1.7, 2.3]},
           'free': {'on': 'free', 'height': [1.2, 2.2]}}
+
+
+#: What tests import that can only run where a package is there.
+NEEDED = {'rclpy': r'^(from|import) (rclpy|[a-z]+_msgs|std_srvs|ocp_ros\.(demo|ros\.runtime))',
+          'rosbags': r'^from rosbags'}
+LACKING = [name for name in NEEDED if not find_spec(name)]
+
+
+def pytest_ignore_collect(collection_path):
+    """Leave out the tests of what is not there."""
+    if collection_path.suffix == '.py' and any(
+            re.search(NEEDED[name], collection_path.read_text(), re.M) for name in LACKING):
+        return True
+    return None
+
+
+def pytest_report_header():
+    """Say which tests are left out."""
+    return [f'found no {name}: the tests that need it are left out' for name in LACKING]
 
 
 @pytest.hookimpl(wrapper=True)
@@ -104,10 +137,9 @@ def checkpoint(small_agent):
 
 def random_checkpoint(agent, seed=0, **known):
     """Return a checkpoint with random weights."""
-    import torch
-
     from ocp_ros.policy.checkpoint import Checkpoint
     from ocp_ros.policy.networks import Actor
+    import torch
     torch.manual_seed(seed)
     return Checkpoint(agent, Actor(agent).state_dict(), **known)
 
@@ -233,10 +265,9 @@ class Probe:
     def start_policy(self, **parameters):
         """Start a policy_node whose turns this node sends, and whose commands it hears."""
         from geometry_msgs.msg import PoseArray
-        from sensor_msgs.msg import PointCloud2
-
         from ocp_ros.ros.interface import qos, topics
         from ocp_ros.ros.policy_node import PolicyNode
+        from sensor_msgs.msg import PointCloud2
         self.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
         policy = self.graph.add(PolicyNode, **parameters)
         self.clouds = self.publisher(PointCloud2, topics.OBSERVATION, qos.LOOP)
@@ -245,9 +276,8 @@ class Probe:
 
     def send_turn(self, stamp, points, poses):
         """Publish a turn: points (N, 3) and a PoseArray, which gets the stamp in nanoseconds."""
-        from std_msgs.msg import Header
-
         from ocp_ros.ros.interface.conversions import cloud_to_msg, ns_to_stamp
+        from std_msgs.msg import Header
         poses.header = Header(stamp=ns_to_stamp(stamp), frame_id='map')
         self.poses.publish(poses)
         self.clouds.publish(cloud_to_msg(points, poses.header))
@@ -276,7 +306,7 @@ class Here:
     def __init__(self, workers=0, ray_address=None):
         self.played = []
 
-    def map(self, function, tasks):
+    def map(self, function, tasks):  # noqa: A003
         """Run all tasks, in their order."""
         self.played += tasks
         return map(function, tasks)
@@ -296,9 +326,8 @@ class Here:
 @pytest.fixture
 def here(monkeypatch):
     """Let a run play in this process: others take longer to start than all there is to do."""
-    from stable_baselines3.common.vec_env import DummyVecEnv
-
     from ocp_ros.training import train
+    from stable_baselines3.common.vec_env import DummyVecEnv
     monkeypatch.setattr(train, 'WorkerPool', Here)
     monkeypatch.setattr(train, 'SubprocVecEnv', lambda made, start_method: DummyVecEnv(made))
 

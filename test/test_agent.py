@@ -1,14 +1,23 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """The agents that read the observed cloud: observation cache, networks, policy."""
 
 from dataclasses import replace
 
 from conftest import assert_same, batch, made_room, observation, random_checkpoint, ROOT
 import numpy as np
-import pytest
-import torch
-
 from ocp_ros.policy.agent_config import AgentConfig, CLOUD, MAP, PAPER
 from ocp_ros.policy.encoder import Encoder
 from ocp_ros.policy.networks import Actor, ExtractionUnit, Extractor
@@ -20,6 +29,8 @@ from ocp_ros.training.augmentation import SYMMETRIES, turn_observation
 from ocp_ros.training.encoded_environment import encoded_space
 from ocp_ros.training.run_folder import read_config
 from ocp_ros.util.settings import ConfigurationError
+import pytest
+import torch
 
 AGENT = AgentConfig(CLOUD, points=128, keys_1=16, group_1=8, radius_1=2.0, keys_2=8, group_2=8,
                     radius_2=4.0, channels=16, hidden=32, pooled=24)

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Where cameras look: within limits, for what all of them see together, and at what is unseen."""
 
 from conftest import box_room, flat_clouds
@@ -7,9 +19,6 @@ from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
 import numpy as np
-import pytest
-from scipy.spatial.transform import Rotation
-
 from ocp_ros.geometry.cameras import angle_between, CameraModel, heading_of, rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import count_bits
@@ -23,6 +32,8 @@ from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+import pytest
+from scipy.spatial.transform import Rotation
 
 MODEL = SENSORS['realsense_d455'].model
 ALL_AROUND = CameraModel(max_range=6.0)

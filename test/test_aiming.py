@@ -1,21 +1,24 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Nodes turn cameras that look one way: commands, the loop with a simulation, live rigs, words."""
 
 from copy import deepcopy
 
 from conftest import box_room, HUNG
-import numpy as np
-import pytest
-
-pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
-
 from geometry_msgs.msg import PoseArray, Quaternion
-from rclpy.node import Node
-from scipy.spatial import cKDTree
-from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Header, String
-
+import numpy as np
 from ocp_ros.geometry.cameras import (
     angle_between,
     heading_of,
@@ -46,6 +49,11 @@ from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+import pytest
+from rclpy.node import Node
+from scipy.spatial import cKDTree
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header, String
 
 SMALL = {'scene__points': 3000, 'engine__preset': 'fast', 'engine__error_rows': 32,
          'engine__coverage_cell': 0.5, 'rig__sensors': 'realsense_d455'}

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """The shape of the tree: who may import whom, and files that must agree."""
 
 import ast
@@ -8,7 +20,6 @@ import sys
 import xml.etree.ElementTree as ElementTree
 
 from conftest import ROOT
-
 import ocp_ros
 
 PACKAGE = ROOT / 'ocp_ros'
@@ -60,6 +71,16 @@ def test_geometry_needs_numpy_and_numba_alone():
             assert tops <= sys.stdlib_module_names | {'numpy', 'numba', 'ocp_ros'}, path
 
 
+def test_every_source_file_names_its_license_as_ament_copyright_reads_it():
+    year, license_text = (ROOT / 'setup.py').read_text().split('\n#\n', 1)
+    header = license_text.split('\n\n')[0]
+    assert re.fullmatch(r'# Copyright \d{4} The ocp_ros authors', year)
+    assert header.startswith('# Licensed under the Apache License, Version 2.0')
+    for folder in ('ocp_ros', 'test', 'launch', 'benchmarks'):
+        for path in (ROOT / folder).rglob('*.py'):
+            assert path.read_text().startswith(f'{year}\n#\n{header}\n\n'), path
+
+
 def test_the_version_is_the_same_everywhere():
     package = ElementTree.parse(ROOT / 'package.xml').getroot()
     setup = (ROOT / 'setup.py').read_text()
@@ -87,11 +108,3 @@ def test_every_entry_point_exists():
         names = {node.name for node in ast.parse(path.read_text()).body
                  if isinstance(node, ast.FunctionDef)}
         assert function in names, module
-
-
-def test_every_source_file_names_its_license():
-    for path in [*PACKAGE.rglob('*.py'), *ROOT.glob('benchmarks/**/*.py'),
-                 *ROOT.glob('test/*.py'), *ROOT.glob('launch/*.py')]:
-        lines = path.read_text().splitlines()[:2]
-        assert lines[0].startswith('# Copyright '), path
-        assert lines[1] == '# SPDX-License-Identifier: Apache-2.0', path

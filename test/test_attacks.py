@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """No file reads another one, calls out, runs code or takes the machine; nor does a folder."""
 
 import json
@@ -10,13 +22,11 @@ import stat
 import subprocess
 import sys
 
-from conftest import box_room, made_room, ROOT
-import numpy as np
-import pytest
-
 from benchmarks.drills.file_fuzz import read_one
 from benchmarks.drills.hostile_files import hostile_files, Listener, outcome_of, SECRET
 from benchmarks.drills.spoilt_files import gltf_of
+from conftest import box_room, made_room, ROOT
+import numpy as np
 from ocp_ros.planning.rig_planning import PlannedRig, PlanTask
 from ocp_ros.rig.rig_file import load_rig, rig_of
 from ocp_ros.rooms.generator import generate_room
@@ -28,6 +38,7 @@ from ocp_ros.search import priced_search
 from ocp_ros.search.budget import Budget
 from ocp_ros.util.files import FileSet, recover, sha256_of_file, write_atomically
 from ocp_ros.util.settings import ConfigurationError
+import pytest
 
 #: Files that take long to be refused, or a reader that is slow to start.
 SLOW = ('glTF', 'OBJ')

@@ -1,15 +1,25 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """The comparison of planners: one protocol, results that are kept, sums that can be checked."""
 
 from dataclasses import replace
 import json
 
+from benchmarks.benchmark_report import main as write_report
 from conftest import Here, rows_for
 import numpy as np
-import pytest
-
-from benchmarks.benchmark_report import main as write_report
 from ocp_ros.cli import main as cli
 from ocp_ros.compare import comparison
 from ocp_ros.compare.protocol import (
@@ -36,6 +46,7 @@ from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import room_names
 from ocp_ros.util.settings import ConfigurationError
+import pytest
 
 SMALL = Protocol(rooms=('3',), rotations=(0.0,), planners=('random', 'annealing'), budgets=(5, 30),
                  seeds=2, points=3000, judged_points=4000, truths=2, truth_budget=300,

@@ -1,12 +1,21 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """The laboratory: every module can be imported, and a tiny case of the largest ones runs."""
 
 from importlib import import_module
 import json
-
-from conftest import Here, ROOT, rows_for
-import pytest
 
 from benchmarks import (
     benchmark_report,
@@ -16,9 +25,11 @@ from benchmarks import (
     fused_bench,
     results,
 )
+from conftest import Here, ROOT, rows_for
 from ocp_ros.compare import comparison
 from ocp_ros.compare.protocol import Protocol
 from ocp_ros.util.settings import ConfigurationError
+import pytest
 
 #: Modules that need ROS 2.
 OF_ROS = {'rclpy', 'std_msgs', 'geometry_msgs', 'sensor_msgs', 'rosgraph_msgs'}

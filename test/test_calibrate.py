@@ -1,14 +1,23 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """ocp calibrate: cameras are found where they hang, or refused with the reason."""
 
 import json
 
-import numpy as np
-import pytest
-import yaml
-
 from benchmarks.calibration_bench import cast, off
+import numpy as np
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.cameras import angle_between, CameraModel, heading_of, OPTICAL_TO_BODY, Pose
 from ocp_ros.registration.alignment import matched, Matches, Patches, Poses, Surfaces
@@ -30,6 +39,8 @@ from ocp_ros.rooms.generator import generate_room, mesh_of, plan_of
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_files import save_scene
+import pytest
+import yaml
 
 SEED, SENSOR = 501, 'realsense_d455'
 MODEL = SENSORS[SENSOR].model

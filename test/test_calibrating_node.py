@@ -1,19 +1,22 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """``policy_node`` with a scan: where live cameras hang, on real DDS, and bags of what they see."""
 
-import numpy as np
-import pytest
-
-pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
-
-from geometry_msgs.msg import PoseArray
-from rclpy.node import Node
-from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Header
-from std_srvs.srv import Trigger
-
 from benchmarks.calibration_bench import cast
+from geometry_msgs.msg import PoseArray
+import numpy as np
 from ocp_ros.geometry.cameras import OPTICAL_TO_BODY, Pose
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rooms.generator import generate_room, mesh_of, plan_of
@@ -25,6 +28,11 @@ from ocp_ros.ros.runtime import diagnostics
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.util.settings import ConfigurationError
+import pytest
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
 
 SEED = 501
 TRUE = np.array([0.4, 0.5, 2.2, 0.7, 0.4, 0.0])

@@ -1,13 +1,23 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Small rooms as people have them, each with its right answer; skipped where they are absent."""
 
 from pathlib import Path
 import warnings
 
 import numpy as np
-import pytest
-
 from ocp_ros.geometry.cameras import heading_of, OPTICAL_TO_BODY
 from ocp_ros.registration.calibration import calibrate
 from ocp_ros.registration.scan_surfaces import ScanSurfaces
@@ -17,6 +27,7 @@ from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_files import load_cloud, load_scene, SceneWarning
 from ocp_ros.simulation.problem import Problem
+import pytest
 
 CASES = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'cases'
 pytestmark = pytest.mark.skipif(not CASES.is_dir(), reason=f'{CASES} is not there')

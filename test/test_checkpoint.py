@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Weights in files and messages: whole, or refused."""
 
 import json
@@ -8,12 +20,11 @@ from conftest import random_checkpoint
 from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
-import pytest
-import torch
-
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError, KEY, write_atomically
 from ocp_ros.util.resources import find_model
+import pytest
+import torch
 
 
 def test_a_checkpoint_comes_back_as_it_went(small_agent, tmp_path):

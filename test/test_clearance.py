@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Cameras on a plane keep a distance from every surface, whoever plans and whatever was seen."""
 
 from dataclasses import replace
@@ -7,9 +19,6 @@ from dataclasses import replace
 from conftest import box_room, box_sides
 from hypothesis import given, settings, strategies
 import numpy as np
-import pytest
-from scipy.spatial import cKDTree
-
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.plane_cells import close_near
@@ -31,6 +40,8 @@ from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+import pytest
+from scipy.spatial import cKDTree
 
 HEIGHT, MARGIN = 1.9, 0.1
 #: Metres: who keeps a clearance may be off by this where single precision rounds.

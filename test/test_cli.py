@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """What all commands of ocp have in common: contents, examples, and JSON on stdout alone."""
 
 import json
@@ -13,12 +25,11 @@ from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
 import numpy as np
-from plyfile import PlyData, PlyElement
-import pytest
-
 from ocp_ros.cli import main as cli
 from ocp_ros.cli.common import document
 from ocp_ros.scenes.scene_files import save_scene
+from plyfile import PlyData, PlyElement
+import pytest
 
 PLACEMENT = """\
 cameras:

@@ -1,16 +1,21 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Several policies on one topic: one commands, the others hold and say so."""
 
-import numpy as np
-import pytest
-
-pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
-
 from geometry_msgs.msg import PoseArray
-from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Header
-
+import numpy as np
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import (
     cloud_to_msg,
@@ -22,6 +27,8 @@ from ocp_ros.ros.policy.commander import Commander
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.runtime import diagnostics
 from ocp_ros.ros.sim_node import SimNode
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
 
 SMALL = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
          'engine__coverage_cell': 0.5, 'resend_period': 0.05, 'auto_reset': True}

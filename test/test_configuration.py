@@ -1,16 +1,27 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Configuration: defaults, round trips, and errors that say what to do."""
 
 from conftest import ROOT
 import numpy as np
-import pytest
-import yaml
-
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.training.run_folder import read_config
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.util.settings import ConfigurationError, from_flat, from_nested, leaves, to_nested
+import pytest
+import yaml
 
 
 def test_what_is_left_out_keeps_its_default():

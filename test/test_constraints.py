@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Where cameras may hang: in the air of the room, on their mount, away from all else."""
 
 from dataclasses import replace
@@ -7,8 +19,6 @@ from dataclasses import replace
 from conftest import box_room, box_sides, l_shaped, made_room
 from hypothesis import given, settings, strategies
 import numpy as np
-import pytest
-
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.sensors import SENSORS
@@ -16,6 +26,7 @@ from ocp_ros.rig.structure import floor_height
 from ocp_ros.rooms.generator import plan_of
 from ocp_ros.scenes.scene import Scene, turned
 from ocp_ros.util.settings import ConfigurationError
+import pytest
 
 MOUNTS = {
     'plane': {'on': 'plane', 'height': 1.9}, 'ceiling': {'on': 'ceiling'},

@@ -1,23 +1,28 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Messages to arrays and back, for any layout of a cloud."""
 
 from array import array
 
+from benchmarks.drills.malformed import spoilt_cloud, spoilt_fields, spoilt_poses
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Pose, PoseArray, Quaternion
 from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
 import numpy as np
-import pytest
-
-pytest.importorskip('rclpy', reason='messages need ROS 2 (rclpy)')
-
-from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Pose, PoseArray, Quaternion
-from sensor_msgs.msg import PointCloud2, PointField
-from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
-
-from benchmarks.drills.malformed import spoilt_cloud, spoilt_fields, spoilt_poses
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.ros.interface.conversions import (
     bytes_to_msg,
@@ -34,6 +39,9 @@ from ocp_ros.ros.interface.conversions import (
     shortened,
     stamp_to_ns,
 )
+import pytest
+from sensor_msgs.msg import PointCloud2, PointField
+from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
 
 
 @st.composite

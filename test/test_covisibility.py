@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Cameras that share enough of what they see to be calibrated to each other."""
 
 from itertools import combinations
@@ -8,8 +20,6 @@ from conftest import box_room
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
-import pytest
-
 from ocp_ros.api import plan, score
 from ocp_ros.geometry.packed_bits import no_bits, pack
 from ocp_ros.planning.findings import verdict
@@ -22,6 +32,7 @@ from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import View
 from ocp_ros.util.settings import ConfigurationError
+import pytest
 
 #: Points along a line two metres in front of cameras that stand on another line.
 POINTS = np.column_stack([np.linspace(0.0, 9.9, 100), np.full(100, 2.0), np.zeros(100)])

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """The main jobs, as a user starts them: node processes over DDS."""
 
 import json
@@ -10,14 +22,11 @@ import sys
 
 from conftest import HUNG, ROOT
 import numpy as np
-import pytest
-
-pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
-
 from ocp_ros.demo import demo, train_demo
 from ocp_ros.demo.node_processes import NodeProcess
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.rooms.generator import generate_room
+import pytest
 
 WASHITSU = ROOT.parent / 'shared' / 'data' / 'rooms' / 'washitsu.ply'
 READY = {'sim_node': 'cameras', 'policy_node': 'weights', 'trainer_node': 'updates so far'}

@@ -1,14 +1,23 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """The depth observation error: against its twin and ray casting, and what must hold of it."""
 
 from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
 import numpy as np
-import pytest
-import twins
-
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.depth_error import DepthError, five_viewpoints, LARGEST_CUBE
 from ocp_ros.geometry.packed_bits import no_bits, pack
@@ -18,6 +27,8 @@ from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.simulation.viewpoints import paper_viewpoints
+import pytest
+import twins
 
 #: Sides of cubes, in multiples of what they are in the engine.
 SHARE = 0.75

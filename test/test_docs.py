@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """What the documentation says is what there is."""
 
 import ast
@@ -268,10 +280,9 @@ def test_the_index_lists_every_page():
 
 
 def test_the_picture_of_the_architecture_shows_the_layers_and_topics_there_are():
-    from test_architecture import LAYERS
-
     from benchmarks.docs import architecture_picture
     from ocp_ros.ros.interface import topics
+    from test_architecture import LAYERS
     assert list(architecture_picture.LAYERS) == LAYERS
     names = {value for name, value in vars(topics).items()
              if name.isupper() and isinstance(value, str)}

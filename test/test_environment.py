@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """The simulated rig: moves, rewards, episodes and the Gymnasium environment."""
 
 from dataclasses import replace
@@ -11,9 +23,6 @@ from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
 import numpy as np
-import pytest
-from stable_baselines3.common.env_checker import check_env as check_env_sb3
-
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.rig.motion import bounded_moves, kept_inside
@@ -25,6 +34,8 @@ from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.reward import potential, reward
 from ocp_ros.simulation.simulation_config import EpisodeConfig, RewardConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+import pytest
+from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
 SMALL = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=32, coverage_cell=0.5))
 seeds = st.integers(0, 2 ** 32 - 1)

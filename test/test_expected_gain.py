@@ -1,17 +1,28 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """What moves are expected to bring is what the engine says of what has been seen."""
 
 import re
 
 import numpy as np
-import pytest
-
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.online.expected_gain import ExpectedGain
 from ocp_ros.online.rig_state import RigState
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene import SceneError
+import pytest
 
 RANGE = 4.0
 

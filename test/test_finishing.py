@@ -1,12 +1,22 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Searching on a lattice and finishing between its places."""
 
 import time
 
 import numpy as np
-import pytest
-
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.motion import mounted
 from ocp_ros.search.finishing import (
@@ -26,6 +36,7 @@ from ocp_ros.search.solve import Archive, KEPT, solve
 from ocp_ros.simulation.problem import space_of
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+import pytest
 
 
 @pytest.fixture(scope='module')

@@ -1,18 +1,24 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Clouds of any frame come to that of the poses, or are refused with what to do."""
 
 import sys
 from types import ModuleType
 
-import numpy as np
-import pytest
-
-pytest.importorskip('rclpy', reason='frames need ROS 2 (rclpy)')
-
 from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
-from std_msgs.msg import Header
-
+import numpy as np
 from ocp_ros.geometry.cameras import Pose, rotation_matrix
 from ocp_ros.ros.interface.conversions import (
     MessageError,
@@ -21,6 +27,8 @@ from ocp_ros.ros.interface.conversions import (
     positions_to_msg,
 )
 from ocp_ros.ros.interface.frames import in_range, LiveRig, placed, Transforms
+import pytest
+from std_msgs.msg import Header
 
 POSES = [Pose(np.array([1.0, 2.0, 1.9]), rotation_matrix(0.5 * np.pi, 0.0, 0.0)),
          Pose(np.array([4.0, 2.0, 1.9]), rotation_matrix(0.0, 0.5 * np.pi, 0.0))]
@@ -91,6 +99,7 @@ def tf2(monkeypatch):
     known, module = {}, ModuleType('tf2_ros')
 
     class Buffer:
+
         def lookup_transform(self, target, source, time):
             if source not in known:
                 raise Unknown(f'{source} does not exist')

@@ -1,15 +1,20 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Messages that lie, sent to nodes on real DDS; ``make fuzz`` sends many more."""
 
 from functools import partial
-
-import numpy as np
-import pytest
-
-pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
-
-from std_msgs.msg import Header, UInt8MultiArray
 
 from benchmarks.drills.fuzz_targets import (
     BATCH,
@@ -21,12 +26,15 @@ from benchmarks.drills.fuzz_targets import (
 )
 from benchmarks.drills.fuzz_trainer import TrainerTarget
 from benchmarks.drills.malformed import known_lies, spoilt_weights
+import numpy as np
 from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import cloud_to_msg, MessageError, msg_to_cloud
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.ros.trainer_node import TrainerNode
+import pytest
+from std_msgs.msg import Header, UInt8MultiArray
 
 SIM = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
        'engine__coverage_cell': 0.5, 'rig__cameras': 3, 'auto_reset': True}

@@ -1,17 +1,24 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Cameras, blocks of points, packed bits, clouds of fixed size and the coverage grid."""
 
+from benchmarks.docs.sensor_table import pixel_size
 from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
 import numpy as np
-import pytest
-from scipy.spatial import cKDTree
-import twins
-from twins import MODELS
-
-from benchmarks.docs.sensor_table import pixel_size
 from ocp_ros.geometry.cameras import CameraModel, Pose, rotation_matrix
 from ocp_ros.geometry.clouds import fixed_size
 from ocp_ros.geometry.coverage import coverable_cell, coverage_grid, space_coverage
@@ -28,6 +35,10 @@ from ocp_ros.geometry.packed_bits import (
     unpack,
 )
 from ocp_ros.rig.sensors import SENSORS
+import pytest
+from scipy.spatial import cKDTree
+import twins
+from twins import MODELS
 
 seeds = st.integers(0, 2 ** 32 - 1)
 

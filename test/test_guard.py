@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Commands are held to a rig file, whatever the planner and the turns are."""
 
 from conftest import box_room, box_sides
@@ -7,9 +19,6 @@ from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
 import numpy as np
-import pytest
-from scipy.spatial import cKDTree
-
 from ocp_ros.geometry.cameras import Pose
 from ocp_ros.geometry.shadow_maps import in_reach
 from ocp_ros.online.constraint_filter import ABOVE, ConstraintFilter
@@ -18,6 +27,8 @@ from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.structure import floor_height
 from ocp_ros.scenes.scene import Scene
+import pytest
+from scipy.spatial import cKDTree
 
 MARGIN = 0.1
 FIXED = {'sensor': 'omnidirectional', 'position': [3.0, 2.0, 1.9]}

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Files that lie about themselves: refused soon, in one sentence, and without much memory."""
 
 import os
@@ -8,9 +20,6 @@ import struct
 import subprocess
 import sys
 import warnings
-
-import numpy as np
-import pytest
 
 from benchmarks.drills.file_fuzz import main as fuzz_main
 from benchmarks.drills.file_fuzz import read_one, SENTENCE
@@ -21,6 +30,7 @@ from benchmarks.drills.spoilt_files import (
     write_packed_pcd,
     write_ply,
 )
+import numpy as np
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.rooms.generator import generate_room
@@ -31,6 +41,7 @@ from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.training.run_folder import read_config
 from ocp_ros.util.files import read_regular
 from ocp_ros.util.settings import ConfigurationError
+import pytest
 
 ROOM = generate_room(3, 2500).points
 #: Spoilt files of each format; of those that a process of its own reads only one, for time's sake.

@@ -1,19 +1,30 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """ocp info: what it measures of a room is what the room is like."""
 
 import json
 from pathlib import Path
 
 import numpy as np
-import pytest
-
 from ocp_ros.cli.main import main
 from ocp_ros.report.room_facts import facts_of, openings_of, SIDES
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.structure import Air
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.up_axis import map_from_file
+import pytest
 
 SIZE = np.array([5.0, 4.0, 2.5])
 

@@ -1,13 +1,22 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Models of solid bodies: what their rooms show, and what hides what."""
 
+from benchmarks.drills.spoilt_files import write_obj
 from conftest import box_room
 import numpy as np
-import pytest
-from scipy.spatial import cKDTree
-
-from benchmarks.drills.spoilt_files import write_obj
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.structure import ceiling_of, floor_height, walls_of
@@ -19,6 +28,8 @@ from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.settings import ConfigurationError
+import pytest
+from scipy.spatial import cKDTree
 
 #: Corners of a box by number: x counts 1, y 2, z 4.
 SIDES = np.array([[0, 2, 3], [0, 3, 1], [4, 5, 7], [4, 7, 6], [0, 1, 5], [0, 5, 4], [2, 6, 7],

@@ -1,15 +1,21 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """The final placement of ``policy_node`` as a file."""
 
-import numpy as np
-import pytest
-
-pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
-
 from geometry_msgs.msg import PoseArray
-from std_msgs.msg import Header
-
+import numpy as np
 from ocp_ros.cli import main as cli
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.rig.placement_file import load_placement
@@ -17,6 +23,8 @@ from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import positions_to_msg
 from ocp_ros.scenes.scene_files import save_scene
+import pytest
+from std_msgs.msg import Header
 
 POSITIONS = np.array([[4.0, 4.0, 1.9], [5.0, 4.0, 1.9], [4.0, 5.0, 1.9]])
 HEADINGS = np.deg2rad([[30.0, 10.0, 0.0], [-100.0, 20.0, 90.0], [40.0, 0.0, 0.0]])

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """What a policy tells, transitions made of it, and the learner that is fed with them."""
 
 from contextlib import suppress
@@ -10,9 +22,6 @@ import time
 
 from conftest import assert_same, HUNG, observation
 import numpy as np
-import pytest
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
 from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.training.encoded_environment import encoded_space
 from ocp_ros.training.experience import (
@@ -25,6 +34,8 @@ from ocp_ros.training.experience import (
 from ocp_ros.training.learner import Learner, LearnerConfig
 from ocp_ros.training.training_config import SacConfig
 from ocp_ros.training.transitions import Assembler, Reward, Transition
+import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 SAC = SacConfig(learning_starts=12, batch_size=8, buffer_size=400, device='cpu')
 

@@ -1,28 +1,27 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """``policy_node`` with live cameras on real DDS: a rig that carries out commands, or does not."""
 
 from array import array
 import re
 
+from benchmarks.drills.live_rig import BODY, CAMERAS, episode_in, HEADINGS, MAP, OPTICAL, Rig, S
 from conftest import HUNG
-import numpy as np
-import pytest
-from scipy.spatial import cKDTree
-
-pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
-
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray, Quaternion
-from rclpy.lifecycle import TransitionCallbackReturn
-from rclpy.logging import get_logger
-from rclpy.qos import qos_check_compatible, QoSCompatibility
-from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Header, String
-from std_srvs.srv import SetBool, Trigger
-from visualization_msgs.msg import Marker, MarkerArray
-
-from benchmarks.drills.live_rig import BODY, CAMERAS, episode_in, HEADINGS, MAP, OPTICAL, Rig, S
+import numpy as np
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import (
     cloud_to_msg,
@@ -38,6 +37,15 @@ from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.runtime import diagnostics
 from ocp_ros.util.settings import ConfigurationError
+import pytest
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.logging import get_logger
+from rclpy.qos import qos_check_compatible, QoSCompatibility
+from scipy.spatial import cKDTree
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header, String
+from std_srvs.srv import SetBool, Trigger
+from visualization_msgs.msg import Marker, MarkerArray
 
 
 @pytest.fixture

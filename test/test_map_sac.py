@@ -1,14 +1,21 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Soft actor-critic on the map actor's network: in one process, and over what nodes tell."""
 
 from conftest import assert_same
 import numpy as np
-import pytest
-from stable_baselines3.common.env_checker import check_env
-from stable_baselines3.common.logger import configure
-import torch
-
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.online.observation_map import BOX, CELLS, NUMBERS, OF_OTHERS, OF_ROOM
 from ocp_ros.policy.agent_config import AgentConfig
@@ -36,6 +43,10 @@ from ocp_ros.training.train import train
 from ocp_ros.training.training_config import SacConfig, TrainingConfig
 from ocp_ros.training.transitions import Assembler, Reward
 from ocp_ros.util.settings import from_nested
+import pytest
+from stable_baselines3.common.env_checker import check_env
+from stable_baselines3.common.logger import configure
+import torch
 
 AGENT = AgentConfig(inputs='map')
 SAC = SacConfig(learning_starts=1, batch_size=8, buffer_size=64, device='cpu',

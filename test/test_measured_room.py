@@ -1,16 +1,27 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Rooms from measures: what is written down is the room that is planned for."""
 
 from hypothesis import given, settings, strategies
 import numpy as np
-import pytest
-
 from ocp_ros.cli.main import main
 from ocp_ros.rig.structure import ceiling_of, floor_height, walls_of
 from ocp_ros.scenes.measured_room import document_of, triangles_of
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_files import load_scene, scans_in, scene_of
+import pytest
 
 SIZE = (6.0, 4.5, 2.7)
 

@@ -1,13 +1,21 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Meshes as rooms: points on their faces, in every format and scene graph."""
 
 import json
 import logging
-
-import numpy as np
-import pytest
-from scipy.spatial import cKDTree
 
 from benchmarks.drills.spoilt_files import (
     gltf_of,
@@ -17,10 +25,13 @@ from benchmarks.drills.spoilt_files import (
     write_ply_mesh,
     write_stl,
 )
+import numpy as np
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.mesh_files import sampled, SAMPLES
 from ocp_ros.scenes.scene import Mesh, Scene, SceneError
 from ocp_ros.scenes.scene_files import load_scene, scans_in
+import pytest
+from scipy.spatial import cKDTree
 
 ROOM = generate_room(7, 3000)
 WRITERS = {'mesh.ply': write_ply_mesh, 'text.ply': lambda *a: write_ply_mesh(*a, text=True),

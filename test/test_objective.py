@@ -1,12 +1,22 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """What a rig's placement is worth, against counting flags by hand."""
 
 from dataclasses import replace
 
 import numpy as np
-import pytest
-
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import pack
 from ocp_ros.rig.rig_config import RigConfig
@@ -19,6 +29,7 @@ from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.settings import ConfigurationError
+import pytest
 
 ENGINE = EngineConfig(preset='fast', error_rows=32)
 SETTINGS = SimulationConfig(engine=ENGINE)

@@ -1,13 +1,23 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Planners without a scan: they keep the rules, know only what was seen, and get somewhere."""
 
 from dataclasses import replace
 
 from conftest import box_room, flat_clouds, made_room, random_checkpoint
 import numpy as np
-import pytest
-
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.packed_bits import unpack
 from ocp_ros.geometry.visibility import FINE
@@ -30,6 +40,7 @@ from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+import pytest
 
 MAX_STEP, MAX_RANGE, MARGIN = 0.5, 4.0, 0.1
 #: Three cameras cannot see all of the small room: where they stand makes a difference.

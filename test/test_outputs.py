@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """What commands write: nobody loses a file, files are whole, names are shown and not obeyed."""
 
 from contextlib import contextmanager
@@ -13,8 +25,6 @@ import sys
 from conftest import blank_report, made_room, random_checkpoint
 from markdown_it import MarkdownIt
 from matplotlib.figure import Figure
-import pytest
-
 from ocp_ros.cli import main as cli
 from ocp_ros.compare.comparison import name_of
 from ocp_ros.compare.protocol import BenchmarkTask
@@ -26,6 +36,7 @@ from ocp_ros.training.sac import make_sac
 from ocp_ros.training.sac_state import save_replay
 from ocp_ros.training.training_config import SacConfig, TrainingConfig
 from ocp_ros.util.settings import ConfigurationError
+import pytest
 
 PLACEMENT = """\
 # Where I hung them.

@@ -1,13 +1,23 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """What is known of a room: the engine on what was seen, and what is tried in it."""
 
 from conftest import around_z, box_room, flat_clouds, l_shaped, made_room
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
-import pytest
-
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.packed_bits import unpack
 from ocp_ros.geometry.visibility import FAST, FINE
@@ -17,6 +27,7 @@ from ocp_ros.online.observed_turn import ObservedTurns
 from ocp_ros.online.partial_map import KeptModel, PartialMap, smallest_rectangle
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.scenes.scene import SceneError, turned
+import pytest
 
 MAX_RANGE, MARGIN = 4.0, 0.1
 

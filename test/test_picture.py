@@ -1,14 +1,25 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """The pictures: they are written, to size, with what they are to show."""
 
 from matplotlib.image import imread
 import numpy as np
-import pytest
-
 from ocp_ros.report.drawing.room_drawing import _ceiling, _surface
 from ocp_ros.report.drawing.room_pictures import draw_placement
 from ocp_ros.rooms.generator import generate_room
+import pytest
 
 POINTS = generate_room(1, 3000).points
 CENTRE = np.append(POINTS.mean(axis=0)[:2], 1.9)

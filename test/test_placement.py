@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Placement files come back as they were, and what is exported says the same in other words."""
 
 import argparse
@@ -14,10 +26,6 @@ import xml.etree.ElementTree as ElementTree
 
 from conftest import box_room, l_shaped, refused_in_one_sentence
 import numpy as np
-import pytest
-from scipy.spatial.transform import Rotation
-import yaml
-
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig
@@ -34,6 +42,9 @@ from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene import Scene, turned
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
+import pytest
+from scipy.spatial.transform import Rotation
+import yaml
 
 MIXED = """\
 cameras:

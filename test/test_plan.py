@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """ocp plan: its placements keep to the rig, are worth what it says, and come again."""
 
 from dataclasses import replace
@@ -11,14 +23,10 @@ import subprocess
 import sys
 import threading
 
+from benchmarks.camera_counts import curves, needed
 from conftest import BAD_ROOMS, blank_report, HUNG, made_room, MOUNTS, ROOT
 from hypothesis import given, settings, strategies
 import numpy as np
-import pytest
-from scipy.spatial import cKDTree
-import yaml
-
-from benchmarks.camera_counts import curves, needed
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import count_bits
@@ -33,6 +41,9 @@ from ocp_ros.search.rig_plan import RigPlanner
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.settings import ConfigurationError
+import pytest
+from scipy.spatial import cKDTree
+import yaml
 
 FAST = EngineConfig(preset='fast', error_rows=32)
 RIG = """\

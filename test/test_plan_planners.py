@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """ocp plan --planner: whoever proposes a placement, every constraint of the rig holds in it."""
 
 from dataclasses import replace
@@ -8,9 +20,6 @@ import json
 from conftest import MOUNTS
 from hypothesis import given, settings, strategies
 import numpy as np
-import pytest
-import yaml
-
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.online.online_planner import Online
@@ -30,6 +39,8 @@ from ocp_ros.search.rig_plan import RigPlanner
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
+import pytest
+import yaml
 
 FAST = EngineConfig(preset='fast', error_rows=32)
 EVALUATIONS, TURNS = 30, 6
@@ -266,6 +277,7 @@ def test_cameras_that_move_never_break_what_they_know_of(planned):
     visited = []
 
     class Across(Online):
+
         def reset(self):
             visited.clear()
 

@@ -1,13 +1,22 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Every planner keeps its budget and its space, and does what its name promises."""
 
 from itertools import combinations
 
 import numpy as np
-import pytest
-from scipy import stats
-
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.rig_config import RigConfig
@@ -21,6 +30,8 @@ from ocp_ros.search.scorer import Scorer
 from ocp_ros.search.solve import solve
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+import pytest
+from scipy import stats
 
 SPACE = FreePlane(np.array([-1.0, 2.0]), np.array([5.0, 6.0]), 1.9, 3)
 TARGETS = np.array([[0.1, 2.4], [4.3, 5.1], [2.2, 3.3]])

@@ -1,12 +1,21 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Rooms that are not what they seem: stray points, lying down, tilted, in feet, of two storeys."""
 
 from conftest import box_room, box_sides, made_room
 import numpy as np
-import pytest
-from scipy.spatial import cKDTree
-
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.rig.plausibility import room_notes
 from ocp_ros.rooms.generator import generate_room
@@ -16,6 +25,8 @@ from ocp_ros.scenes.scene_files import scene_of as room_of
 from ocp_ros.scenes.stray_points import stray_points
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+import pytest
+from scipy.spatial import cKDTree
 
 
 def scene_of(*parts):

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """``policy_node`` on real DDS."""
 
 from array import array
@@ -9,17 +21,8 @@ import subprocess
 import sys
 
 from conftest import l_shaped, random_checkpoint, SMALL
-import numpy as np
-import pytest
-import torch
-
-pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
-
 from geometry_msgs.msg import PoseArray
-from rclpy.node import Node
-from sensor_msgs.msg import PointField
-from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
-
+import numpy as np
 from ocp_ros.online.rollout import play
 from ocp_ros.policy.checkpoint import CheckpointError
 from ocp_ros.policy.encoder import Encoder
@@ -43,6 +46,11 @@ from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.util.settings import ConfigurationError
+import pytest
+from rclpy.node import Node
+from sensor_msgs.msg import PointField
+from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
+import torch
 
 POSITIONS = np.array([[4.0, 4.0, 1.9], [5.0, 4.0, 1.9], [4.0, 5.0, 1.9]])
 

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Pricing: the trees are the loss, the bound is below every choice, and the clock is obeyed."""
 
 from itertools import combinations
@@ -8,8 +20,6 @@ import json
 from conftest import blank_report, made_room
 from hypothesis import given, settings, strategies
 import numpy as np
-import pytest
-
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import no_bits, unpack
@@ -25,6 +35,7 @@ from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import View
 from ocp_ros.util.yaml_files import Document
+import pytest
 
 FAST = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=16))
 TABLE = {'name': 'table', 'box': [[2, 2, 0], [5, 5, 1.5]], 'weight': 2.0}

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """The Python interface: the same answers as the commands, plug-ins, and plain messages."""
 
 import json
@@ -13,8 +25,6 @@ from conftest import made_room, ROOT
 import gymnasium
 from gymnasium.utils.env_checker import check_env
 import numpy as np
-import pytest
-
 import ocp_ros
 from ocp_ros.cli.main import main
 from ocp_ros.online.online_planner import Online
@@ -26,6 +36,7 @@ from ocp_ros.search.planner import Planner
 from ocp_ros.search.registry import OFFLINE, ONLINE, register_planner
 from ocp_ros.simulation.simulation_config import EngineConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+import pytest
 
 #: A package as pip leaves it: one planner that works, one that cannot be imported.
 PLUGIN = """\
@@ -171,6 +182,7 @@ def test_what_is_no_planner_is_not_registered(name, planner, message):
 
 def test_an_online_planner_of_ones_own_plays(room, monkeypatch):
     class Still(Online):
+
         def move(self, cloud, positions, turn, turns):
             return np.zeros((len(positions), 2))
 

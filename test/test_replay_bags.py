@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """``ocp replay``: recorded clouds reach a real ``policy_node`` on real DDS."""
 
 from contextlib import ExitStack
@@ -10,23 +22,8 @@ import subprocess
 import sys
 
 from conftest import HUNG, refused_in_one_sentence, ROOT
-import numpy as np
-import pytest
-from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
-
-pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
-pytest.importorskip('rosbags', reason='bags need rosbags (pip install rosbags)')
-
 from geometry_msgs.msg import PoseArray
-from rclpy.serialization import serialize_message
-from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import get_types_from_msg, get_typestore, Stores
-from sensor_msgs.msg import Image, PointCloud2
-from std_msgs.msg import Header, String
-
+import numpy as np
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig
@@ -48,6 +45,16 @@ from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.settings import ConfigurationError
+import pytest
+from rclpy.serialization import serialize_message
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import get_types_from_msg, get_typestore, Stores
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import Image, PointCloud2
+from std_msgs.msg import Header, String
 
 S = 1_000_000_000
 ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_JAZZY)

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Models and configuration are found wherever the package is installed."""
 
 import importlib.util
@@ -7,11 +19,10 @@ from pathlib import Path
 import shutil
 
 from conftest import ROOT
-import pytest
-
 from ocp_ros.cli.main import main
 from ocp_ros.util import resources
 from ocp_ros.util.resources import find_config, find_model, share_folder
+import pytest
 
 #: Where installers put the package, and its other files, below some prefix.
 LAYOUTS = {

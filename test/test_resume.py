@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Runs whose files were damaged: they go on, or say what is damaged, what is lost, what to do."""
 
 from contextlib import suppress
@@ -16,13 +28,6 @@ import time
 
 from conftest import Here, HUNG, rows_for
 import numpy as np
-import pytest
-import safetensors.numpy
-import safetensors.torch
-from stable_baselines3.common.vec_env import DummyVecEnv
-from test_training import TINY
-import torch
-
 from ocp_ros.compare import comparison
 from ocp_ros.compare.protocol import Protocol
 from ocp_ros.policy.checkpoint import Checkpoint
@@ -30,6 +35,12 @@ from ocp_ros.training import train as training
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.util.settings import ConfigurationError, from_nested, UserError
 from ocp_ros.util.worker_pool import WorkerPool
+import pytest
+import safetensors.numpy
+import safetensors.torch
+from stable_baselines3.common.vec_env import DummyVecEnv
+from test_training import TINY
+import torch
 
 SETTINGS = {**TINY, 'interactions': 24}
 CONFIG, ROOMS, PROGRESS = 'config.yaml', 'rooms.json', 'progress.jsonl'

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Episodes of rig files: the environment, ``sim_node``, training, and online planners in them."""
 
 import json
@@ -8,9 +20,6 @@ import warnings
 from conftest import MOUNTS, SMALL
 from gymnasium.utils.env_checker import check_env
 import numpy as np
-import pytest
-from test_training import TINY
-
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.online.rollout import play
 from ocp_ros.policy.agent_config import AgentConfig
@@ -26,6 +35,8 @@ from ocp_ros.training.encoded_environment import playable
 from ocp_ros.training.train import train
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.util.settings import ConfigurationError, from_nested
+import pytest
+from test_training import TINY
 
 FAST = EngineConfig('fast', 32, 0.5)
 TURNS = 6
@@ -191,7 +202,6 @@ def test_ocp_train_takes_a_rig_file(tmp_path, here, settings):
 
 def test_sim_node_plays_a_rig_file_with_policy_node(graph, probe, room, tmp_path, settings):
     from geometry_msgs.msg import PoseArray
-
     from ocp_ros.ros.interface import qos, topics
     from ocp_ros.ros.policy_node import PolicyNode
     from ocp_ros.ros.sim_node import SimNode

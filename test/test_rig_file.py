@@ -1,20 +1,31 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Rig files: read as written, or one sentence says what is wrong, where, and what to do."""
 
 from dataclasses import replace
 import json
 import re
 
+from benchmarks.docs.schemas import FILES
 from conftest import refused_in_one_sentence, ROOT
 import numpy as np
-import pytest
-
-from benchmarks.docs.schemas import FILES
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.rig.rig_file import load_rig, MUST_SEE, rig_of, sensor_named
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.util.settings import ConfigurationError
+import pytest
 
 RIG = """\
 cameras:

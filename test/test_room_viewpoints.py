@@ -1,11 +1,21 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """The depth error is looked at from all of a room's air, whatever the axes of the scan."""
 
 from conftest import box_room, made_room
 import numpy as np
-import pytest
-
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.depth_error import five_viewpoints
 from ocp_ros.geometry.engine_config import EngineConfig
@@ -16,6 +26,7 @@ from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.simulation.viewpoints import paper_viewpoints, viewpoints_of
+import pytest
 
 FAST = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=32))
 

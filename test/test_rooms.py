@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Generated rooms: furnished like offices, scanned like rooms, and the same for the same seed."""
 
 import os
@@ -7,13 +19,10 @@ import re
 import subprocess
 import sys
 
+from benchmarks.room_likeness import generated, shares_of_kinds, summary
 from hypothesis import given, settings, strategies
 from matplotlib.image import imread
 import numpy as np
-from plyfile import PlyData
-import pytest
-
-from benchmarks.room_likeness import generated, shares_of_kinds, summary
 from ocp_ros.cli import main as cli
 from ocp_ros.rooms.furniture import KINDS, placed, solid
 from ocp_ros.rooms.generator import generate_room, mesh_of
@@ -21,6 +30,8 @@ from ocp_ros.rooms.room_kinds import draw_plan, ROOMS
 from ocp_ros.rooms.room_plan import mirrored, RoomPlan
 from ocp_ros.rooms.scanning import boxes_of, densities, exposed, free, scan, surface_of
 from ocp_ros.scenes.scene_files import load_scene
+from plyfile import PlyData
+import pytest
 
 SEEDS = strategies.integers(0, 1 << 31)
 

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """What every node's ``main`` does when its end comes at an awkward moment."""
 
 from contextlib import suppress
@@ -10,19 +22,15 @@ import signal
 import subprocess
 import sys
 
-import pytest
-
-pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
-
-import rclpy
-from rclpy.node import Node
-from rclpy.signals import get_current_signal_handlers_options, SignalHandlerOptions
-from std_msgs.msg import Float64
-
 from ocp_ros.demo.node_processes import free_domain
 from ocp_ros.ros.runtime.network import ASKED, stay_local
 from ocp_ros.ros.runtime.node_main import run, undisturbed
 from ocp_ros.scenes.scene import SceneError
+import pytest
+import rclpy
+from rclpy.node import Node
+from rclpy.signals import get_current_signal_handlers_options, SignalHandlerOptions
+from std_msgs.msg import Float64
 
 #: Seconds after which a process that shall end hangs.
 HANGS = 300.0
@@ -72,6 +80,7 @@ def test_no_native_thread_handles_signals_and_all_is_saved_before_ros_is_taken_d
     seen = []
 
     class Saving(Node):
+
         def stop(self):
             seen.extend([get_current_signal_handlers_options(), rclpy.ok()])
             seen.append(self.count_publishers('a'))

@@ -1,19 +1,22 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Parameters of nodes that run, changed by a client over real DDS."""
 
 from conftest import box_room, ROOT, SMALL
-import numpy as np
-import pytest
-from scipy.spatial import cKDTree
-
-pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
-
 from geometry_msgs.msg import PoseArray
-from rcl_interfaces.srv import SetParameters, SetParametersAtomically
-from rclpy.parameter import Parameter
-from std_msgs.msg import Float64MultiArray, Header, String
-
+import numpy as np
 from ocp_ros.geometry.cameras import angle_between
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import (
@@ -29,6 +32,11 @@ from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.sim_node import SimNode, SimNodeConfig
 from ocp_ros.util.settings import ConfigurationError, leaves
+import pytest
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.parameter import Parameter
+from scipy.spatial import cKDTree
+from std_msgs.msg import Float64MultiArray, Header, String
 
 POSITIONS = np.array([[2.0, 2.0, 1.9], [3.0, 2.0, 1.9], [2.0, 3.0, 1.9]])
 

@@ -1,11 +1,20 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Rooms of S3DIS: found in its folders, chosen by rule, and read once."""
 
 import numpy as np
-from plyfile import PlyData, PlyElement
-import pytest
-
 from ocp_ros.cli.benchmark_command import protocol_of
 from ocp_ros.cli.main import parser
 from ocp_ros.compare.protocol import PRESETS, rooms_of_s3dis
@@ -17,6 +26,8 @@ from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_cache import load_cached
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.util.files import cache_folder
+from plyfile import PlyData, PlyElement
+import pytest
 
 
 def box(width, depth, height=2.8):

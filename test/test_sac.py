@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Soft actor-critic on the networks that read the cloud: what it is shown, stores and learns."""
 
 from dataclasses import replace
@@ -10,12 +22,6 @@ import sys
 from conftest import assert_same, batch, HUNG, observation, random_checkpoint, ROOT
 import gymnasium as gym
 import numpy as np
-import pytest
-from stable_baselines3.common.buffers import DictReplayBuffer
-from stable_baselines3.common.env_checker import check_env
-from stable_baselines3.common.vec_env import DummyVecEnv
-import torch
-
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.policy.checkpoint import CheckpointError
 from ocp_ros.policy.policy import Policy
@@ -27,6 +33,11 @@ from ocp_ros.training.encoded_environment import CameraByCamera, encoded_space, 
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
 from ocp_ros.training.sac_state import load_state, save_state
 from ocp_ros.training.training_config import SacConfig
+import pytest
+from stable_baselines3.common.buffers import DictReplayBuffer
+from stable_baselines3.common.env_checker import check_env
+from stable_baselines3.common.vec_env import DummyVecEnv
+import torch
 
 SIMULATION = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=16, coverage_cell=1.0),
                               episode=EpisodeConfig(turns=6))

@@ -1,15 +1,22 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Scans in files of every format, and files that are none."""
 
 import logging
 from pathlib import Path
 import warnings
-
-from hypothesis import given, settings, strategies
-import numpy as np
-from plyfile import PlyData, PlyElement
-import pytest
 
 from benchmarks.drills.spoilt_files import (
     write_e57,
@@ -19,11 +26,15 @@ from benchmarks.drills.spoilt_files import (
     write_records,
     write_text,
 )
+from hypothesis import given, settings, strategies
+import numpy as np
 from ocp_ros.geometry.voxels import voxel_downsample
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_files import load_scene, scene_of, SceneWarning
 from ocp_ros.scenes.stray_points import stray_points
+from plyfile import PlyData, PlyElement
+import pytest
 
 SCANS = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'rooms'
 ROOM = generate_room(3, 2500).points

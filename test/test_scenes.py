@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Scenes: size, spacing, normals, voxels, and units and axes that look wrong."""
 
 from functools import cache
@@ -8,10 +20,6 @@ import re
 from hypothesis import given, settings, strategies
 from hypothesis.extra import numpy as arrays
 import numpy as np
-import pytest
-from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
-
 from ocp_ros.geometry.voxels import voxel_downsample, voxel_size_for
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.rooms.scene_source import room_named
@@ -19,6 +27,9 @@ from ocp_ros.scenes.neighbours import nearest
 from ocp_ros.scenes.scene import check_points, Scene, SceneError
 from ocp_ros.scenes.scene_files import load_scene, SceneWarning
 from ocp_ros.scenes.up_axis import likely_up, likely_up_axis, map_from_file, UP_AXES, up_of
+import pytest
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 ROOM = generate_room(3, 2500).points
 # From a scene with z up to the same scene in a file with another axis up.

@@ -1,14 +1,23 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """ocp score: what it says is so, and what is wrong with its files it says in one sentence."""
 
 import json
 
 from conftest import BAD_ROOMS, made_room
 import numpy as np
-import pytest
-import yaml
-
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.engine_config import EngineConfig, PROMISING
 from ocp_ros.planning.findings import improvements
@@ -17,6 +26,8 @@ from ocp_ros.rooms.scene_source import room_named
 from ocp_ros.scenes.scene_files import load_scene, save_scene
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
+import pytest
+import yaml
 
 RIG = """\
 cameras:

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """The one-page report: everything on the page, nothing on top of each other, nothing made up."""
 
 from dataclasses import replace
@@ -14,8 +26,6 @@ from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 from matplotlib.text import Text
 import numpy as np
-import pytest
-
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.planning.assessment import judge
 from ocp_ros.report.drawing import assessment_pictures, figures, sheet
@@ -26,6 +36,7 @@ from ocp_ros.rig.placement_file import placement_of
 from ocp_ros.rig.rig_file import rig_from, rig_of
 from ocp_ros.rooms.scene_source import room_named
 from ocp_ros.util.yaml_files import Document
+import pytest
 
 LONG = 'the camera over the door to the storage room, left of the $ sign of the bank'
 ENGINE = EngineConfig('fast', 32, 0.5)

@@ -1,11 +1,21 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Planners that are told how a rig stands: cameras in place, and cameras that look one way."""
 
 from conftest import box_room
 import numpy as np
-import pytest
-
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.packed_bits import pack
 from ocp_ros.online.candidate_sites import (
@@ -28,6 +38,7 @@ from ocp_ros.online.rig_state import directions, RigState
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.util.annealing import between
+import pytest
 
 MAX_STEP, MAX_RANGE, MARGIN, TURNS = 0.5, 3.0, 0.1, 12
 NEAR = CameraModel(max_range=MAX_RANGE)

@@ -1,24 +1,24 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """``sim_node`` on real DDS."""
 
 from copy import deepcopy
 
 from conftest import HUNG, SMALL
-import numpy as np
-import pytest
-from scipy.spatial.transform import Rotation
-
-pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
-
 from geometry_msgs.msg import PoseArray
-from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
-from rclpy.qos import qos_check_compatible, QoSCompatibility
-from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Float64, Float64MultiArray, Header
-from std_srvs.srv import Trigger
-from visualization_msgs.msg import Marker, MarkerArray
-
+import numpy as np
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import (
@@ -31,6 +31,14 @@ from ocp_ros.ros.interface.conversions import (
 from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.util.settings import ConfigurationError
+import pytest
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.qos import qos_check_compatible, QoSCompatibility
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Float64, Float64MultiArray, Header
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import Marker, MarkerArray
 
 TURN = ((PointCloud2, topics.OBSERVATION), (PoseArray, topics.CAMERA_POSES),
         (Float64MultiArray, topics.REWARD))

@@ -1,24 +1,32 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Nodes that are killed at random times; ``make soak`` does it for long."""
 
 import json
 import time
 from types import SimpleNamespace
 
-from conftest import random_checkpoint
-import numpy as np
-import pytest
-
-pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
-
-from std_msgs.msg import Header
-
 from benchmarks.drills import hold_soak, soak, soak_watch
 from benchmarks.drills.drill import grown
+from conftest import random_checkpoint
+import numpy as np
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.ros.interface.conversions import ns_to_stamp, positions_to_msg
 from ocp_ros.training.learner import ACTOR, STATE
+import pytest
+from std_msgs.msg import Header
 
 
 @pytest.mark.system

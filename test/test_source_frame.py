@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """What is written in the frame of the scan leads back to it, in every file."""
 
 import csv
@@ -7,13 +19,12 @@ import json
 
 from conftest import made_room
 import numpy as np
-import pytest
-from scipy.spatial.transform import Rotation
-
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.scenes.scene_files import load_scene
+import pytest
+from scipy.spatial.transform import Rotation
 
 PLACEMENT = """\
 cameras:

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Cameras stay over the floor of a room, whatever its shape and however it stands."""
 
 from dataclasses import replace
@@ -7,9 +19,6 @@ from dataclasses import replace
 from conftest import l_shaped, made_room
 from hypothesis import given, settings, strategies
 import numpy as np
-import pytest
-from scipy import stats
-
 from ocp_ros.rig.free_plane import EDGE, Floor, floor_of, FreePlane
 from ocp_ros.rig.motion import towards
 from ocp_ros.scenes.scene import turned
@@ -17,6 +26,8 @@ from ocp_ros.search.annealing import TransDimensionalAnnealing
 from ocp_ros.search.planner import Scores
 from ocp_ros.search.registry import OFFLINE
 from ocp_ros.search.solve import solve
+import pytest
+from scipy import stats
 
 #: Metres by which the floor may reach round an inner corner: two cells.
 CORNER = 2.0 * EDGE

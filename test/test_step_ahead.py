@@ -1,10 +1,20 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """A step of a rig file's cameras is thought about while they move, and holds all the same."""
 
 import numpy as np
-import pytest
-
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.online.lookahead import Lookahead
 from ocp_ros.online.online_planner import AHEAD
@@ -15,6 +25,7 @@ from ocp_ros.search.registry import settings_of
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import described, Problem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
+import pytest
 
 RIG = rig_of(2, 'realsense_d455', mount={'on': 'plane', 'height': 1.9})
 

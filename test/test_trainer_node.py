@@ -1,20 +1,26 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """``trainer_node`` on real DDS, and the loop of all three nodes."""
 
 from dataclasses import replace
 import threading
 
 from conftest import assert_same, HUNG, observation, random_checkpoint
-import numpy as np
-import pytest
-
-pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
-
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray
-from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
-
+import numpy as np
 from ocp_ros.policy.agent_config import AgentConfig, CLOUD, PAPER
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.policy.policy import Policy
@@ -40,6 +46,8 @@ from ocp_ros.training.encoded_environment import playable
 from ocp_ros.training.experience import Choice, Experience, to_bytes
 from ocp_ros.training.transitions import Transition
 from ocp_ros.util.settings import ConfigurationError
+import pytest
+from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
 
 SIM = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
        'engine__coverage_cell': 0.5}

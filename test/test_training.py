@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Training: evaluation and whole runs."""
 
 from dataclasses import replace
@@ -7,9 +19,6 @@ import json
 
 from conftest import Here, random_checkpoint
 import numpy as np
-import pytest
-from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
-
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.policy.checkpoint import Checkpoint
@@ -24,6 +33,8 @@ from ocp_ros.training.train import train, trials_of
 from ocp_ros.training.training_config import RoomsConfig, TrainingConfig
 from ocp_ros.training.validation import evaluate, play_trial, ValidationTrial
 from ocp_ros.util.settings import ConfigurationError, from_nested
+import pytest
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 SIMULATION = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=16, coverage_cell=1.0),
                               episode=EpisodeConfig(turns=6))
@@ -137,6 +148,7 @@ def test_cameras_that_look_one_way_are_no_rig_to_learn_with():
 
 def test_a_process_that_ends_while_it_plays_is_told_of(tmp_path, here, monkeypatch):
     class Dying(DummyVecEnv):
+
         def step_wait(self):
             raise EOFError
 

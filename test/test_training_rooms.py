@@ -1,13 +1,23 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """The rooms of a run: three sets that never share one, whatever they come from."""
 
 from pathlib import Path
 
-import numpy as np
-import pytest
-
 from benchmarks.room_sets import SEEDS
+import numpy as np
 from ocp_ros.compare.protocol import rooms_in
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.rooms.scene_source import make_room
@@ -20,6 +30,7 @@ from ocp_ros.training.training_config import RoomsConfig, TrainingConfig
 from ocp_ros.training.training_rooms import PARTS, room_names, Rooms
 from ocp_ros.training.validation import _prepared
 from ocp_ros.util.settings import ConfigurationError, from_nested
+import pytest
 
 SETS = {'training': TRAINING, 'validation': VALIDATION, 'test': TEST, 'fresh': FRESH}
 

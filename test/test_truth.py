@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Who judges: rays cast at the mesh, points that no search saw, and an error without luck."""
 
 from dataclasses import replace
@@ -8,8 +20,6 @@ from conftest import box_sides
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
-import pytest
-
 from ocp_ros.compare.judging import (
     judged_room,
     JudgedRoom,
@@ -30,6 +40,7 @@ from ocp_ros.simulation.problem import space_of
 from ocp_ros.simulation.ray_visibility import RayVisibility, with_rays
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+import pytest
 
 SMALL = SimulationConfig(engine=EngineConfig(error_rows=32, coverage_cell=0.5, error_folds=2))
 #: A square panel across x = 1, from -1 to 1 in y and z.

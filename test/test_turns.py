@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """When a turn of real cameras is due, told by a clock that the tests turn by hand."""
 
 import math
@@ -8,10 +20,9 @@ from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
 import numpy as np
-import pytest
-
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.ros.policy.turns import HOLD, QUIET, TOLD, Turns
+import pytest
 
 S = 1_000_000_000
 HERE = np.array([[1.0, 1.0, 1.9], [3.0, 1.0, 1.9]])

@@ -1,15 +1,23 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """The value map of cameras that do not see all around: labels, symmetries, training, acting."""
 
 from dataclasses import replace
 import math
 
 import numpy as np
-import pytest
-from test_value_map import TINY
-import torch
-
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.online.observation_map import (
     at_yaws,
@@ -38,6 +46,9 @@ from ocp_ros.training.training_config import RoomsConfig, TrainingConfig
 from ocp_ros.training.value_fit import at_places, turned_at_random, turned_headings
 from ocp_ros.training.value_states import AIMED_PITCH, play_states, shapes_of, StateTask, TrueRoom
 from ocp_ros.util.settings import ConfigurationError, from_nested
+import pytest
+from test_value_map import TINY
+import torch
 
 ROUND, AIMED = AgentConfig(inputs='map'), AgentConfig(inputs='map', headings=8)
 D455 = SENSORS['realsense_d455'].model
@@ -206,6 +217,7 @@ def test_the_actor_turns_cameras_as_the_map_says(room):
     best, asked = 5, []
 
     class Looking:
+
         def values(self, room, others, numbers, lens):
             asked.append(lens)
             values = np.full((8, CELLS, CELLS), 1.0, dtype=np.float32)

@@ -1,13 +1,22 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """The map actor: what it reads, its network, how it chooses, its labels and its fit."""
 
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
-import torch
-
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.packed_bits import no_bits
 from ocp_ros.online.observation_map import (
@@ -36,6 +45,8 @@ from ocp_ros.training.training_config import RoomsConfig, TrainingConfig, Values
 from ocp_ros.training.value_fit import at_places, loss_of, turned_at_random, ValueFit, ValueSet
 from ocp_ros.training.value_states import play_states, StateTask, TrueRoom
 from ocp_ros.util.settings import ConfigurationError, from_nested, UserError
+import pytest
+import torch
 
 AGENT = AgentConfig(inputs='map')
 RANGE = 4.0

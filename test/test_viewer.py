@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """The page to turn around: what it holds is what was found, in a file of a few megabytes."""
 
 from base64 import b64decode
@@ -10,8 +22,6 @@ import subprocess
 
 from conftest import HUNG
 import numpy as np
-import pytest
-
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.planning.assessment import judge
 from ocp_ros.report.drawing.frustum_drawing import edges, reach
@@ -19,6 +29,7 @@ from ocp_ros.report.viewer import groups_of, layers_of, paints_of, SHOWN, write_
 from ocp_ros.rig.placement_file import placement_of
 from ocp_ros.rig.rig_file import rig_of, sensor_named, SENSORS
 from ocp_ros.rooms.scene_source import room_named
+import pytest
 
 ASKED = {'regions': [{'name': 'table', 'box': [[2, 2, 0], [5, 5, 1.5]]}],
          'keep_out': [{'polygon': [[0, 0], [1, 0], [1, 1]], 'height': [0, 9]}]}

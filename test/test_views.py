@@ -1,21 +1,24 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """What RViz and Foxglove are shown, on real DDS, and that nothing is made that nobody sees."""
 
 import json
 
 from conftest import ROOT, SMALL
-import numpy as np
-import pytest
-import yaml
-
-pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
-
 from geometry_msgs.msg import PoseArray
-from sensor_msgs.msg import CameraInfo, PointCloud2, PointField
-from std_msgs.msg import Header
-from visualization_msgs.msg import Marker, MarkerArray
-
+import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, in_view, Pose, rotation_matrix
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.ros.interface import qos, topics
@@ -32,6 +35,11 @@ from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.ros.trainer_node import TrainerNode
 from ocp_ros.simulation.point_maps import maps_of
+import pytest
+from sensor_msgs.msg import CameraInfo, PointCloud2, PointField
+from std_msgs.msg import Header
+from visualization_msgs.msg import Marker, MarkerArray
+import yaml
 
 POSITIONS = np.array([[4.0, 4.0, 1.9], [5.0, 4.0, 1.9], [4.0, 5.0, 1.9]])
 CLOUDS = (topics.COVERAGE_CLOUD, topics.ERROR_CLOUD)

@@ -1,20 +1,28 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
-"""What cameras see: the kernels against NumPy and ray casting, and what must hold of them."""
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
 
-from conftest import made_room
-from hypothesis import example, given
-from hypothesis import settings as budget
-from hypothesis import strategies as st
-import numpy as np
-import pytest
-import twins
-from twins import MODELS
+"""What cameras see: the kernels against NumPy and ray casting, and what must hold of them."""
 
 from benchmarks.engine_bench import agreement, confusion, free_places
 from benchmarks.fused_bench import looks, view_of
 from benchmarks.fused_scan import hand_held_path, scan_by_hand
 from benchmarks.numpy_twin import Twin
+from conftest import made_room
+from hypothesis import example, given
+from hypothesis import settings as budget
+from hypothesis import strategies as st
+import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose, rotation_matrix
 from ocp_ros.geometry.coverage import coverage_grid
 from ocp_ros.geometry.packed_bits import no_bits, Subset
@@ -36,6 +44,9 @@ from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.rooms.generator import mesh_of, plan_of
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Scene
+import pytest
+import twins
+from twins import MODELS
 
 HERE = Pose(np.zeros(3), LEVEL)
 NOWHERE = np.empty((0, 3), np.float32)

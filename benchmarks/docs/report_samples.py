@@ -1,15 +1,26 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Plan generated rooms with 3, 8 and 40 cameras, and put their reports, made small, into docs/."""
 
 import argparse
 from pathlib import Path
 
-from PIL import Image
-
 from benchmarks.results import ROOT
 from ocp_ros.cli.main import main as ocp
 from ocp_ros.report.drawing.sheet import PAGES
+from PIL import Image
 
 #: Name of the picture, seed of the room, and cameras; seconds of each search.
 SAMPLES, SECONDS = (('report', 16, 3), ('report_8', 16, 8), ('report_40', 5, 40)), 60

@@ -1,18 +1,29 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """A picture of what one camera sees in a room: ray casting, and what the engine and others say."""
 
 import argparse
 from pathlib import Path
 import sys
 
+from benchmarks.engine_bench import cases, f1_score, mask_of, METHODS, RADII, RANGE
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 import numpy as np
-
-from benchmarks.engine_bench import cases, f1_score, mask_of, METHODS, RADII, RANGE
 from ocp_ros.report.drawing.figures import save_figure
 from ocp_ros.report.drawing.room_drawing import (
     draw_discs,

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 End nodes again and again, in every way that users do, and count those that crash.
 
@@ -36,13 +48,8 @@ import sys
 import time
 import traceback
 
-import numpy as np
-from rich.console import Console
-from rich.progress import Progress
-from std_msgs.msg import Header
-import torch
-
 from benchmarks import results
+import numpy as np
 from ocp_ros.demo.node_processes import free_domain
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.policy.checkpoint import Checkpoint
@@ -59,6 +66,10 @@ from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.threads import set_threads
+from rich.console import Console
+from rich.progress import Progress
+from std_msgs.msg import Header
+import torch
 
 MAINS = {'sim_node': sim_node.main, 'policy_node': policy_node.main,
          'trainer_node': trainer_node.main}

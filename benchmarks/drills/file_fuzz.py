@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Read files with errors in them, and see that each is read or refused in one sentence.
 
@@ -25,10 +37,9 @@ import threading
 import time
 import warnings
 
-import numpy as np
-
 from benchmarks import results
 from benchmarks.drills.spoilt_files import good_files, spoilt
+import numpy as np
 from ocp_ros.util import guarded_process
 from ocp_ros.util.settings import UserError
 

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Send nodes messages that lie, and see that they live, refuse, and command nothing out of bounds.
 
@@ -13,9 +25,6 @@ from pathlib import Path
 import sys
 import time
 
-from rich.console import Console
-from rich.progress import Progress
-
 from benchmarks import results
 from benchmarks.drills.drill import grown, rss_of, run_drill
 from benchmarks.drills.fuzz_targets import Fuzzer, LiveTarget, PolicyTarget, shell, SimTarget
@@ -24,6 +33,8 @@ from ocp_ros.demo.node_processes import NodeProcess, stopped_at_the_end
 from ocp_ros.demo.watcher import Watch
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.util.resources import find_model
+from rich.console import Console
+from rich.progress import Progress
 
 #: Seconds to wait for an answer.
 PATIENCE = 120.0

@@ -1,16 +1,21 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Nodes that are told lies: what is sent to each kind, and what must not come of it."""
 
 from collections.abc import Callable
 import time
-
-from geometry_msgs.msg import PoseArray
-import numpy as np
-from rclpy.node import Node
-from rclpy.publisher import Publisher
-from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
 
 from benchmarks.drills.malformed import (
     few_points,
@@ -21,6 +26,8 @@ from benchmarks.drills.malformed import (
     spoilt_poses,
     spoilt_weights,
 )
+from geometry_msgs.msg import PoseArray
+import numpy as np
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.policy.encoder import Encoder
 from ocp_ros.ros.interface import topics
@@ -36,6 +43,10 @@ from ocp_ros.ros.interface.conversions import (
 )
 from ocp_ros.ros.interface.qos import LATCHED, LOOP
 from ocp_ros.training.experience import Choice, Experience, to_bytes
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
 
 #: Lies of a kind between two good messages: fewer than the queues hold.
 BATCH = 8

@@ -1,15 +1,25 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """A trainer that is told whole turns, of which most lie, and has to go on learning."""
 
 import time
 
-from geometry_msgs.msg import PoseArray
-import numpy as np
-from std_msgs.msg import Float64MultiArray, UInt8MultiArray
-
 from benchmarks.drills.fuzz_targets import BATCH, Fuzzer, START
 from benchmarks.drills.malformed import FLOATS, spoilt_numbers, spoilt_poses
+from geometry_msgs.msg import PoseArray
+import numpy as np
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import (
     bytes_to_msg,
@@ -19,6 +29,7 @@ from ocp_ros.ros.interface.conversions import (
 )
 from ocp_ros.ros.interface.qos import LATCHED
 from ocp_ros.training.experience import Choice, Experience, to_bytes
+from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
 #: Seconds after which good turns are sent again: the trainer tells once a second what it has.
 AGAIN = 1.5

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Hold a placement for long: poses are noisy, clocks jump and topics fall silent.
 
@@ -16,17 +28,16 @@ import sys
 import time
 from typing import Any
 
-from geometry_msgs.msg import PoseArray
-import numpy as np
-from rclpy.parameter import Parameter
-
 from benchmarks import results
 from benchmarks.drills.drill import run_drill
 from benchmarks.drills.live_rig import BODY, CAMERAS, episode_in, MAP, OPTICAL, Rig, S
+from geometry_msgs.msg import PoseArray
+import numpy as np
 from ocp_ros.demo.watcher import Watch
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.ros.interface.conversions import msg_to_positions
 from ocp_ros.ros.policy_node import PolicyNode
+from rclpy.parameter import Parameter
 
 #: Seconds between messages of the rig, and from one fault to the next.
 PERIOD, EVERY = 0.2, 6.0

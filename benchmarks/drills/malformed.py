@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Messages that lie, for tests: what broken drivers, other programs and torn networks send.
 
@@ -14,13 +26,12 @@ import struct
 
 from geometry_msgs.msg import PoseArray
 import numpy as np
-import safetensors.torch
-from sensor_msgs.msg import PointCloud2, PointField
-from std_msgs.msg import Float64MultiArray, Header
-
 from ocp_ros.policy.checkpoint import Checkpoint, KEY
 from ocp_ros.ros.interface.conversions import cloud_to_msg, fields_to_msg, positions_to_msg
 from ocp_ros.training.experience import Choice
+import safetensors.torch
+from sensor_msgs.msg import PointCloud2, PointField
+from std_msgs.msg import Float64MultiArray, Header
 
 #: What numbers of a message are made to be.
 NUMBERS = (0, 1, 3, 12, 255, 65536, 2 ** 31 - 1, 2 ** 31, 2 ** 32 - 1)

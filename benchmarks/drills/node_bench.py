@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Measure the nodes: how long a policy takes to answer, and how fast training over ROS is.
 
@@ -21,13 +33,8 @@ import tempfile
 import time
 from typing import Any
 
-import numpy as np
-from rclpy.parameter import Parameter
-from rich.console import Console
-from rich.progress import track
-from std_msgs.msg import Float64MultiArray, Header
-
 from benchmarks import results
+import numpy as np
 from ocp_ros.demo.node_processes import (
     end_on_signals,
     free_domain,
@@ -54,6 +61,10 @@ from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import make_problem, settings_for
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.threads import cores
+from rclpy.parameter import Parameter
+from rich.console import Console
+from rich.progress import track
+from std_msgs.msg import Float64MultiArray, Header
 
 POINTS, PAIRS = (25_000, 100_000), (1, 2, 4)
 #: Planners and weights; those of the paper's inputs ask no engine.

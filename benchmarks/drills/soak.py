@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Play for long, kill nodes at random times, send lies, and see that the loop always goes on.
 
@@ -18,15 +30,10 @@ import sys
 import time
 from typing import Any
 
-import numpy as np
-from rclpy.qos import qos_profile_system_default
-from rich.console import Console
-from rich.progress import Progress
-from rosgraph_msgs.msg import Clock
-
 from benchmarks import results
 from benchmarks.drills.drill import grown, run_drill
 from benchmarks.drills.soak_watch import check_files, Latency, Lies, MemoryWatch
+import numpy as np
 from ocp_ros.demo.node_processes import NodeProcess, stopped_at_the_end
 from ocp_ros.demo.train_demo import pair_of
 from ocp_ros.demo.watcher import Watch
@@ -34,6 +41,10 @@ from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.ros.interface.conversions import ns_to_stamp
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.threads import cores
+from rclpy.qos import qos_profile_system_default
+from rich.console import Console
+from rich.progress import Progress
+from rosgraph_msgs.msg import Clock
 
 #: Which pair is killed, and which has a clock that jumps.
 KILLED, STEADY = NAMESPACES = ('env_0', 'env_1')
@@ -157,7 +168,7 @@ class Soak:
             return lambda: int((self.says(name) or {'turns': 0})['turns']) >= RECOVERED
         return lambda: self.latency[KILLED].recovered >= RECOVERED
 
-    def next(self, share: float) -> str:
+    def next(self, share: float) -> str:  # noqa: A003
         """
         Return who is killed next: all of them in turn, in a random order.
 

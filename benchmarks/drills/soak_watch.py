@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """What a soak sends and measures: lies, the time turns take, memory, and a trainer's files."""
 
 from collections import deque
@@ -7,13 +19,6 @@ import json
 import math
 from pathlib import Path
 import time
-
-from geometry_msgs.msg import PoseArray
-import numpy as np
-from rclpy.node import Node
-import safetensors.numpy
-from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
 
 from benchmarks.drills.drill import rss_of
 from benchmarks.drills.malformed import (
@@ -23,6 +28,8 @@ from benchmarks.drills.malformed import (
     spoilt_poses,
     spoilt_weights,
 )
+from geometry_msgs.msg import PoseArray
+import numpy as np
 from ocp_ros.demo.node_processes import NodeProcess
 from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.ros.interface import topics
@@ -31,6 +38,10 @@ from ocp_ros.ros.interface.qos import LATCHED, LOOP, RECORDER
 from ocp_ros.ros.training_source import topic_of
 from ocp_ros.training.learner import ACTOR
 from ocp_ros.training.run_folder import REPLAY, STATE
+from rclpy.node import Node
+import safetensors.numpy
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Float64MultiArray, Header, UInt8MultiArray
 
 #: Seconds from the first word of a node until its memory is taken down for the first time, and of
 #: the times that are compared; and seconds between two looks.

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Good files of every format that the package reads, and the same files with errors in them."""
 
 from collections.abc import Callable
@@ -10,18 +22,17 @@ from pathlib import Path
 import shutil
 import struct
 
+from benchmarks.results import ROOT
 import laspy
 import numpy as np
-from plyfile import PlyData, PlyElement
-import pye57
-from scipy.spatial.transform import Rotation
-
-from benchmarks.results import ROOT
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene import Mesh
 from ocp_ros.scenes.scene_files import load_scene
+from plyfile import PlyData, PlyElement
+import pye57
+from scipy.spatial.transform import Rotation
 
 #: What bytes and numbers of a file are made to be.
 BYTES = (b'\0' * 4, b'\xff' * 4, b'\x7f\xff\xff\xff', b'\xff' * 8, b'\0\0\xc0\x7f')

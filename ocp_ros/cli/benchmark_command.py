@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """``ocp benchmark``: planners compared in the same rooms."""
 
 import argparse
@@ -130,11 +142,10 @@ def _write_rig(arguments: argparse.Namespace) -> Path:
 
 def show(summary: Found) -> None:
     """Print the sums, ratios and times of the largest budget and of online planners."""
-    from rich.console import Console
-    from rich.table import Table
-
     from ocp_ros.compare.summary import budgets_of, last_runs
     from ocp_ros.report.room_facts import show_notes
+    from rich.console import Console
+    from rich.table import Table
     budget = int(budgets_of(summary)[-1])
     named = f'{budget:,} evaluations' if budget else 'the turns of online planners'
     table = Table('planner', 'delivered (m)', 'promised (m)', 'regret', 'wins', 'seconds',

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """``ocp calibrate``: where cameras hang, by what they see and the scan of the room."""
 
 import argparse
@@ -15,7 +27,6 @@ from ocp_ros.util.shown_text import printable
 
 if TYPE_CHECKING:
     import numpy as np
-
     from ocp_ros.rig.placement_file import Placement
 
 #: Files that are written.

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """``ocp plan``: where to hang the cameras of a rig, how good that is, and how many are needed."""
 
 import argparse
@@ -208,9 +220,8 @@ def _progress(silent: bool) -> Iterator[Callable[[float, float], None]]:
 
 def show(found: Found) -> None:
     """Print a plan and what was written."""
-    from rich.console import Console
-
     from ocp_ros.cli.placement_files import show_written
     from ocp_ros.report.verdict_tables import show_plan, WIDTH
+    from rich.console import Console
     show_plan(Console(width=WIDTH), found)
     show_written(found)

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """``ocp rooms``: list, make and look at generated rooms."""
 
 import argparse
@@ -33,11 +45,10 @@ def _show_rooms(found: Found) -> None:
 
 def _make_rooms(arguments: argparse.Namespace) -> Found:
     """Write generated rooms and their meshes."""
-    from rich.console import Console
-    from rich.progress import track
-
     from ocp_ros.rooms.generator import generate_room
     from ocp_ros.scenes.scene_files import mesh_of, save_scene
+    from rich.console import Console
+    from rich.progress import track
     folder_to_write(arguments.out)
     paths = [arguments.out / f'room-{seed}.ply' for seed in arguments.seeds]
     for path in paths:

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """``ocp score``: how good is a placement of a rig in a room, and what would make it better."""
 
 import argparse
@@ -48,9 +60,8 @@ def run(arguments: argparse.Namespace) -> Found:
 
 def show(found: Found) -> None:
     """Print a verdict and what was written."""
-    from rich.console import Console
-
     from ocp_ros.cli.placement_files import show_written
     from ocp_ros.report.verdict_tables import show_verdict, WIDTH
+    from rich.console import Console
     show_verdict(Console(width=WIDTH), found)
     show_written(found)

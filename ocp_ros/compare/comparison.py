@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Play a comparison, on all cores or on a Ray cluster, and write its results.
 
@@ -21,9 +33,6 @@ from pathlib import Path
 import platform
 from typing import Any, NamedTuple
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
 from ocp_ros import __version__
 from ocp_ros.compare.protocol import BenchmarkTask, Protocol, run_task
 from ocp_ros.compare.summary import pairs, Rows, summarise
@@ -33,6 +42,8 @@ from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
 from ocp_ros.util.worker_pool import WorkerPool
 from ocp_ros.util.yaml_files import timestamp
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 #: Files that a comparison writes.
 RESULTS = ('results.csv', 'results.json', 'summary.json')

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Who judges: what a placement delivers, on points that no search saw.
 
@@ -13,7 +25,6 @@ from dataclasses import replace
 from functools import cached_property, lru_cache
 
 import numpy as np
-
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.motion import mounted
 from ocp_ros.rooms.scene_source import make_room

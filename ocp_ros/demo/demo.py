@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 The main job over real ROS: a simulated rig and a policy, each a process, place cameras in a room.
 
@@ -12,10 +24,6 @@ import sys
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-from rich.table import Table
-
 from ocp_ros.demo.node_processes import NodeProcess, stopped_at_the_end
 from ocp_ros.demo.watcher import run_watched, Watch, Watcher
 from ocp_ros.report.drawing.room_pictures import draw_placement
@@ -28,6 +36,9 @@ from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.settings import from_flat, to_nested
 from ocp_ros.util.yaml_files import timestamp
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.table import Table
 
 #: The first turn waits for the kernels to be compiled on a machine that never ran them.
 START_TIMEOUT, TURN_TIMEOUT = 180.0, 60.0

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Training over real ROS: a trainer, and pairs of sim and policy in namespaces, each a process.
 
@@ -14,14 +26,13 @@ import sys
 import time
 from typing import Any
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-from rich.table import Table
-
 from ocp_ros.demo.demo import START_TIMEOUT
 from ocp_ros.demo.node_processes import NodeProcess, stopped_at_the_end
 from ocp_ros.demo.watcher import run_watched, Watch
 from ocp_ros.util.resources import DEFAULT_MODEL
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.table import Table
 
 #: How the trainer learns: so that the demo takes a few minutes.
 TRAINER = {'publish_every': 20, 'updates_per_turn': 0.0625, 'sac.learning_starts': 100,

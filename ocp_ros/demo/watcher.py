@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """A node that watches a loop of sim and policy, for the demos."""
 
 from collections.abc import Callable
@@ -13,12 +25,6 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray
 import numpy as np
-import rclpy
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Float64MultiArray
-
 from ocp_ros.demo.node_processes import end_on_signals, free_domain, NodeProcess
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import (
@@ -32,6 +38,11 @@ from ocp_ros.ros.interface.qos import LATCHED, RECORDER
 from ocp_ros.ros.runtime.network import local_transport
 from ocp_ros.util.files import folder_to_write, write_atomically
 from ocp_ros.util.settings import ConfigurationError
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Float64MultiArray
 
 
 class Watcher(Node):

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Clouds of a fixed size, their corners, and numbers for the cells of a grid."""
 
 import numpy as np
@@ -44,7 +56,7 @@ def away_from(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 def cell_numbers(cells: np.ndarray) -> np.ndarray:
     """
-    Number the cells of a grid that is anchored to the origin, whatever its extent.
+    Give numbers to the cells of a grid that is anchored to the origin, whatever its extent.
 
     :param cells: (N, 3) int64, indices along x, y and z in [-2^20, 2^20).
     :returns: (N,) int64, one number per cell.

@@ -1,11 +1,22 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Clouds on a voxel grid, how large its voxels have to be, and the cells of a room."""
 
 from typing import NamedTuple
 
 import numpy as np
-
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.util.kernels import njit
 
@@ -142,7 +153,7 @@ class _Grid:
 @njit(cache=True, nogil=True)
 def _fill(points, corners, size, slots, ranks, cells):
     """
-    Number the voxels by a hash table with open addressing.
+    Give numbers to the voxels by a hash table with open addressing.
 
     :param points: (N, 3).
     :param corners: (2, 3) of the same type.

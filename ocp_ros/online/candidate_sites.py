@@ -1,13 +1,23 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Places and directions among which :mod:`ocp_ros.online.lookahead` chooses a placement."""
 
 from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
-from scipy.spatial import cKDTree
-
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.depth_error import lost_depth, unsettled
 from ocp_ros.geometry.packed_bits import count_bits
@@ -18,6 +28,7 @@ from ocp_ros.simulation.simulator import View
 from ocp_ros.util.annealing import between
 from ocp_ros.util.kernels import njit
 from ocp_ros.util.threads import mapped
+from scipy.spatial import cKDTree
 
 #: Proposals of a turn of annealing among candidates.
 EXCHANGES = 3000

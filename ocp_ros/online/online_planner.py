@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Planners that know only what has been seen: they move cameras turn by turn, without a scan.
 
@@ -12,14 +24,13 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
-
 from ocp_ros.online.heading_planner import never
 from ocp_ros.online.partial_map import LookHistory, PartialMap
 from ocp_ros.online.rig_state import clearance_of, remember, RigState
 from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
 from ocp_ros.rig.motion import bounded_moves, towards
 from ocp_ros.scenes.scene import SceneError
+from scipy.optimize import linear_sum_assignment
 
 #: Metres: no way is worth that a camera takes the place of one of another kind.
 UNLIKE = 1e6

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Partial map: the engine on the observed cloud, and the space that no camera has covered yet.
 
@@ -9,8 +21,6 @@ Whoever decides online, a planner or a policy, knows the room through this alone
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
-
 from ocp_ros.geometry.cameras import CameraModel, Frustum, OMNIDIRECTIONAL, Pose
 from ocp_ros.geometry.clouds import cell_numbers, cells_numbered, fixed_size
 from ocp_ros.geometry.depth_error import DepthError
@@ -22,6 +32,7 @@ from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.simulator import View
 from ocp_ros.simulation.viewpoints import observed_viewpoints
+from scipy.spatial import ConvexHull, QhullError
 
 #: Metres: edge of the cells of the air. They are anchored to the map frame's origin, so that they
 #: stay the same while the observed bounding box grows.

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Weights as one safetensors blob with its JSON inside, on disk and on the wire.
 
@@ -13,14 +25,13 @@ from pathlib import Path
 import struct
 from typing import Any
 
-from safetensors import SafetensorError
-import safetensors.torch
-import torch
-
 from ocp_ros.policy.agent_config import AgentConfig, CheckpointError
 from ocp_ros.policy.networks import actor_of
 from ocp_ros.util.files import LARGEST, read_regular, write_atomically
 from ocp_ros.util.settings import from_nested, to_nested
+from safetensors import SafetensorError
+import safetensors.torch
+import torch
 
 FORMAT = 'ocp_ros-actor-2'
 KEY = 'ocp_ros'

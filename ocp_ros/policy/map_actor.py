@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 The map actor: each camera goes to the place that a trained network finds best for it.
 
@@ -14,8 +26,6 @@ the network does.
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import uniform_filter
-
 from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.geometry.visibility import FAST
 from ocp_ros.online.candidate_sites import kinds_of, PITCHES, YAWS
@@ -26,6 +36,7 @@ from ocp_ros.online.rig_state import clearance_of, remember
 from ocp_ros.policy.map_turn import MapTurn
 from ocp_ros.rig.motion import order_of
 from ocp_ros.scenes.scene import SceneError
+from scipy.ndimage import uniform_filter
 
 if TYPE_CHECKING:
     from ocp_ros.policy.policy import ValuePolicy

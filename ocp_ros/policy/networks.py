@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 The networks that read the observed cloud: three extraction units and an actor's head.
 
@@ -8,12 +20,11 @@ as stable-baselines3 builds it: section III-C of arXiv 2110.11106. ``cloud`` is 
 camera after the other; its weights serve any number of them.
 """
 
-import torch
-from torch import nn, Tensor
-
 from ocp_ros.policy.agent_config import AgentConfig, PAPER
 from ocp_ros.policy.observation import MARKS, OF_OTHERS, OF_TURN
 from ocp_ros.policy.value_network import ValueMapNetwork
+import torch
+from torch import nn, Tensor
 
 #: Bounds of the logarithm of the standard deviation of a move, as stable-baselines3 has them.
 LOG_STD_MIN, LOG_STD_MAX = -20.0, 2.0

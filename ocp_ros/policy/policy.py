@@ -1,16 +1,27 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """The policy: a trained network that turns what was seen into where each camera goes next."""
 
 import numpy as np
-import torch
-
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.policy.encoder import Encoder
 from ocp_ros.policy.networks import Actor
 from ocp_ros.policy.observation import encode
 from ocp_ros.policy.value_network import CellChoices, valued, ValueMap, ValueMapNetwork
 from ocp_ros.rig.motion import order_of
+import torch
 
 
 class Policy:

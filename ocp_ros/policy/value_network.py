@@ -1,15 +1,23 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 The network of the map actor: from a map of what was observed to what each place is worth.
 
 A small U-shaped network of convolutions (Ronneberger et al., 2015) of residual blocks; it is asked
 for one camera at a time, given the others, and answers for every cell at once.
 """
-
-import torch
-from torch import nn, Tensor
-from torch.nn.functional import pixel_shuffle, pixel_unshuffle, relu
 
 from ocp_ros.online.observation_map import (
     CELLS,
@@ -20,6 +28,9 @@ from ocp_ros.online.observation_map import (
     used_part,
 )
 from ocp_ros.policy.agent_config import AgentConfig
+import torch
+from torch import nn, Tensor
+from torch.nn.functional import pixel_shuffle, pixel_unshuffle, relu
 
 #: Channels at half, a quarter and an eighth of the resolution, and the blocks on the way down.
 WIDTHS, DOWN = (32, 64, 96), (1, 2, 2)

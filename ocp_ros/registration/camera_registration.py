@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Register what a camera sees to the scan of its room, from about where it is planned to hang.
 
@@ -14,8 +26,6 @@ surfaces do not hold the camera.
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import qmc
-
 from ocp_ros.geometry.cameras import CameraModel, Pose
 from ocp_ros.registration.alignment import (
     aligned,
@@ -32,6 +42,7 @@ from ocp_ros.registration.alignment import (
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.pose_certainty import axis_words, Certainty, certainty
 from ocp_ros.registration.scan_surfaces import ScanSurfaces, SurfacesInView
+from scipy.stats import qmc
 
 #: Metres and radians that starts are away from the planned pose, and how many there are.
 NEARBY, WIDE = (0.4, np.deg2rad(15.0), 32), (1.1, np.deg2rad(32.0), 64)

@@ -1,18 +1,29 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """What a camera sees from where it hangs: patches of surfaces, and the space that is free."""
 
 from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import maximum_filter, minimum_filter
-
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.normals import edge_aware_normals
 from ocp_ros.geometry.voxels import thinned_to
 from ocp_ros.registration.alignment import Patches, Poses
 from ocp_ros.scenes.neighbours import nearest
 from ocp_ros.scenes.scene import MIN_POINTS, NEIGHBOURS, SceneError
+from scipy.ndimage import maximum_filter, minimum_filter
 
 #: Patches that a view is thinned to.
 PATCHES = 5000

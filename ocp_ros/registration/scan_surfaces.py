@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 The surfaces of a scan that a camera can be registered to, and which sides of them were scanned.
 
@@ -13,8 +25,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
-
 from ocp_ros.geometry.cameras import CameraModel, Pose
 from ocp_ros.geometry.normals import edge_aware_normals
 from ocp_ros.geometry.packed_bits import Subset
@@ -23,6 +33,7 @@ from ocp_ros.geometry.voxels import voxel_downsample, voxel_size_for
 from ocp_ros.registration.alignment import Surfaces
 from ocp_ros.scenes.neighbours import nearest
 from ocp_ros.scenes.scene import NEIGHBOURS, Scene
+from scipy.spatial import cKDTree
 
 #: Points that a scan is thinned to, and those of them that a search begins with.
 FINE_POINTS, COARSE_POINTS = 100_000, 12_000

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """A placement for those who carry it out: files for people, spreadsheets and ROS 2."""
 
 from collections.abc import Collection, Iterator, Sequence
@@ -11,14 +23,13 @@ from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-import yaml
-
 from ocp_ros.geometry.cameras import heading_of, rotation_matrix
 from ocp_ros.planning.assessment import Assessment
 from ocp_ros.report.installer import instructions
 from ocp_ros.rig.placement_file import FRAME, numbers_of, Placement, save_placement
 from ocp_ros.scenes.source_frame import SourceFrame
 from ocp_ros.util.files import write_atomically
+import yaml
 
 #: Files of a placement that are read again, and all that :func:`export` writes.
 PLACEMENTS = ('placement.yaml', 'placement.json')

@@ -1,20 +1,31 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """What there is to know of a room before cameras are planned for it."""
 
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
-
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.plausibility import room_notes
 from ocp_ros.rig.structure import Air, ceiling_of, floor_height
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.viewpoints import viewpoints_of
+from rich.console import Console
+from rich.table import Table
 
 #: Rows of the depth maps that openings are looked for in; half the side of a
 #: point's cube in multiples of the square that it stands for.

@@ -1,13 +1,22 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """A verdict and a plan as tables and sentences on a terminal."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 import io
 from typing import Any
-
-from rich.console import Console
-from rich.table import Table
 
 from ocp_ros.planning.assessment import COLUMNS
 from ocp_ros.report.count_report import show_curve
@@ -15,6 +24,8 @@ from ocp_ros.report.key_figures import expectation, percent
 from ocp_ros.report.room_facts import show_notes
 from ocp_ros.rig.placement_file import ANGLES, FIXED
 from ocp_ros.search.registry import ONLINE
+from rich.console import Console
+from rich.table import Table
 
 #: Columns of a terminal, and that of the installer's table that it has no room for.
 WIDTH, SENSOR = 100, 'sensor'

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """A page without a server: a room to turn around, with what a placement sees in it."""
 
 from base64 import b64encode
@@ -12,8 +24,6 @@ from string import Template
 from typing import Any, NamedTuple
 
 import numpy as np
-import plotly.graph_objects as go
-
 from ocp_ros.planning.assessment import Assessment
 from ocp_ros.report.drawing.assessment_pictures import COUNT_COLOURS, COUNT_NAMES, ERROR_COLOURS
 from ocp_ros.report.drawing.frustum_drawing import chained, edges
@@ -32,6 +42,7 @@ from ocp_ros.report.verdict_tables import links_line
 from ocp_ros.rig.zones import Zone
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.files import write_atomically
+import plotly.graph_objects as go
 
 #: Points that the page shows: more take longer to turn than they tell.
 SHOWN = 40000

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Feasible region: where cameras may be in a room, and which constraint is violated elsewhere."""
 
 from collections.abc import Callable, Iterator, Sequence
@@ -7,8 +19,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
-
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.rig.free_plane import EDGE, FreePlane
 from ocp_ros.rig.mounts import ALIKE, headings_of, MountPlaces, places_in, spread
@@ -26,6 +36,7 @@ from ocp_ros.rig.structure import (
 from ocp_ros.rig.zones import nearest_of
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.settings import ConfigurationError
+from scipy.spatial import cKDTree
 
 #: Metres and radians that a camera may be off its height and its pitch, and metres that distances
 #: may fall short: who hangs exactly where it is asked for is not a rounding away from it.

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Where cameras may be: over the floor of a room, at one height."""
 
 from collections.abc import Iterator
@@ -8,12 +20,11 @@ from functools import cached_property
 from itertools import islice
 
 import numpy as np
-from scipy import ndimage
-
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.geometry.plane_cells import close_near, moved_into, nearest_rows
 from ocp_ros.rig.motion import kept_inside, ROUNDING, towards
 from ocp_ros.scenes.scene import LARGEST
+from scipy import ndimage
 
 #: Metres: edge of a cell of the floor, and how far below the cameras things are that count as it.
 EDGE, BELOW = 0.2, 0.3
@@ -47,7 +58,7 @@ class Floor:
     """
 
     low: np.ndarray
-    open: np.ndarray
+    open: np.ndarray  # noqa: A003
     edge: float = EDGE
 
     @property
@@ -435,5 +446,5 @@ class FreePlane:
         return np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 2)
 
     def placement(self, positions: np.ndarray) -> np.ndarray:
-        """Return positions (n, 2) as a placement (n, 3) at the cameras' height."""
+        """Put positions (n, 2) at the height of the cameras: (n, 3)."""
         return np.column_stack([positions, np.full(len(positions), self.height)])

@@ -1,16 +1,27 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Whether a scan looks like a room: level, upright, in metres, of one storey, and closed."""
 
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
-from scipy.spatial import cKDTree
-
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.structure import ceiling_of, floor_height, LAYER, LEVEL, standing_of, STEEP
 from ocp_ros.scenes.scene import Scene
+from scipy import ndimage
+from scipy.spatial import cKDTree
 
 #: Share of the floor plan that a level layer has to fill to be a floor, a ceiling or a storey.
 LAYER_SHARE, STOREY_SHARE = 0.2, 0.4

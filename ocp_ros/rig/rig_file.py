@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 A real rig: its cameras, where they may hang and what they shall see, read from a YAML file.
 
@@ -13,12 +25,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.rig.rig_config import KINDS, OMNIDIRECTIONAL, RigConfig
 from ocp_ros.rig.schemas import LONGEST_NAME, MODEL, NARROWEST, RIG
 from ocp_ros.rig.sensors import SENSORS
-from ocp_ros.rig.zones import Zone, zone_of
+from ocp_ros.rig.zones import Zone, zone_of, zones_of
 from ocp_ros.util.settings import ConfigurationError, MOST_CAMERAS
 from ocp_ros.util.yaml_files import check, describe, Document, nearest, read_document, Way
 
@@ -355,9 +366,8 @@ def rig_from(document: Document) -> Rig:
     return Rig(cameras, fixed, _mount(document), (float(np.deg2rad(low)), float(np.deg2rad(high))),
                tuple(map(float, np.deg2rad(data.get('roll', [0.0])))),
                float(data.get('keep_clear', 0.2)), float(data.get('spacing', SPACING)),
-               *(tuple(zone_of(document, (key, k)) for k in range(len(data.get(key, ()))))
-                 for key in ('keep_out', 'keep_in')),
-               regions, seen_by, _calibratable(data), document)
+               zones_of(document, 'keep_out'), zones_of(document, 'keep_in'), regions, seen_by,
+               _calibratable(data), document)
 
 
 def _cameras(document: Document) -> tuple[tuple[Camera, ...], tuple[Fixed, ...]]:

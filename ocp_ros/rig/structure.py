@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Structure of a room, found in its points: floor, ceiling, walls and free space."""
 
 from dataclasses import dataclass
@@ -7,13 +19,12 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
-from scipy.spatial import cKDTree
-
 from ocp_ros.geometry.normals import LEVEL, STEEP
 from ocp_ros.geometry.voxels import CellGrid
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.scenes.scene import Scene
+from scipy import ndimage
+from scipy.spatial import cKDTree
 
 #: Metres: how far off its surface a camera is hung, and how far off it still counts as on it.
 STAND_OFF, REACH = 0.1, 0.25

@@ -1,12 +1,23 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Parts of a room: boxes, and polygons between two heights."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-
 from ocp_ros.util.yaml_files import describe, Document, Way
 
 #: Square metres: polygons of less have no inside.
@@ -128,6 +139,11 @@ def _crosses_itself(corners: np.ndarray) -> bool:
     side = np.sign(along[:, :1] * away[..., 1] - along[:, 1:] * away[..., 0])
     parted = side * np.roll(side, -1, axis=1) < 0.0
     return bool((parted & parted.T).any())
+
+
+def zones_of(document: Document, key: str) -> tuple[Zone, ...]:
+    """Read the zones of a list; none where there is no list."""
+    return tuple(zone_of(document, (key, k)) for k in range(len(document.data.get(key, ()))))
 
 
 def zone_of(document: Document, way: Way) -> Zone:

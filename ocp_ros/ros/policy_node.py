@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 ``policy_node``: answers each observation with where the cameras shall go.
 
@@ -18,11 +30,6 @@ from typing import TYPE_CHECKING
 
 from geometry_msgs.msg import PoseArray
 import numpy as np
-from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.node import Node
-from std_msgs.msg import UInt8MultiArray
-from std_srvs.srv import SetBool, Trigger
-
 from ocp_ros.online.online_planner import Online
 from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.rig.placement_file import created_by, Placed, Placement, placement_of, save_placement
@@ -48,6 +55,10 @@ from ocp_ros.ros.runtime.managed_node import ManagedNode
 from ocp_ros.ros.runtime.node_main import run
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.threads import set_threads
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from std_msgs.msg import UInt8MultiArray
+from std_srvs.srv import SetBool, Trigger
 
 if TYPE_CHECKING:
     from ocp_ros.policy.checkpoint import Checkpoint

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 ``sim_node``: a simulated rig in a room, in lock-step with whoever commands it.
 
@@ -13,12 +25,6 @@ import sys
 
 from geometry_msgs.msg import PoseArray
 import numpy as np
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
-from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Float64, Float64MultiArray, Header
-from std_srvs.srv import Trigger
-
 from ocp_ros.geometry.cameras import heading_of, Pose
 from ocp_ros.rig.motion import order_of
 from ocp_ros.rooms.scene_source import make_scene, SceneConfig
@@ -45,6 +51,11 @@ from ocp_ros.simulation.point_maps import maps_of
 from ocp_ros.simulation.problem import make_problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.settings import group, LARGEST_SEED, setting
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Float64, Float64MultiArray, Header
+from std_srvs.srv import Trigger
 
 
 @dataclass(frozen=True)

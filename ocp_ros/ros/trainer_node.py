@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 ``trainer_node``: learns from the turns of policies that explore and publishes better weights.
 
@@ -16,12 +28,6 @@ import sys
 import time
 
 import numpy as np
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
-from rclpy.node import Node
-import torch
-import yaml
-
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.ros.interface import topics
@@ -34,6 +40,11 @@ from ocp_ros.training.training_config import SacConfig
 from ocp_ros.util.files import folder_to_write, write_atomically
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import group, setting, to_nested
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+import torch
+import yaml
 
 #: Seconds between two looks for weights, and looks until the policies are told anew how it is.
 TICK, STATUS = 0.1, 10

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """One rig and its policy, as a trainer hears them: a namespace, its topics and its counts."""
 
 from collections.abc import Callable
@@ -7,10 +19,6 @@ import time
 
 from geometry_msgs.msg import PoseArray
 import numpy as np
-from rclpy.node import Node
-from rclpy.subscription import Subscription
-from std_msgs.msg import Float64MultiArray, UInt8MultiArray
-
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import (
@@ -28,6 +36,9 @@ from ocp_ros.ros.interface.qos import LATCHED, RECORDER
 from ocp_ros.training.encoded_environment import cameras_of, encoded_space
 from ocp_ros.training.experience import Experience, ExperienceError, from_bytes
 from ocp_ros.training.transitions import Assembler, Reward, Transition
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
 REWARD_FIELDS = ('stamp_sec', 'stamp_nanosec', 'previous_sec', 'previous_nanosec', 'step',
                  'reward', 'terminated')

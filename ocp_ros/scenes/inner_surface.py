@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 What a model shows to its room: the surface that the enclosed air sees.
 
@@ -14,9 +26,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
-from scipy.spatial import cKDTree
-
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.geometry.packed_bits import no_bits, unpack
@@ -26,6 +35,8 @@ from ocp_ros.scenes.mesh_files import sampled
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Mesh, MIN_POINTS, Scene, SceneError
 from ocp_ros.util.kernels import njit
+from scipy import ndimage
+from scipy.spatial import cKDTree
 
 #: Points on the faces that the air is looked for between: at least, and for each square metre.
 PILOT, DENSE = 150_000, 60.0
@@ -290,7 +301,7 @@ def _under_a_roof(rows: np.ndarray, sign: float, asked: np.ndarray, rays: MeshRa
 
 
 def _parts(cells: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
-    """Number the parts of cells that hang together; return also their volumes, 0 for number 0."""
+    """Give numbers to the parts of cells that hang together; return their volumes too, 0 for 0."""
     parts, _ = ndimage.label(cells)
     volumes = np.bincount(parts.ravel()) * edge ** 3
     volumes[0] = 0.0

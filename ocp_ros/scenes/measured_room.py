@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Rooms from measures: a box with doors, windows and furniture, or the corners of a room.
 
@@ -11,8 +23,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
-
 from ocp_ros.util.yaml_files import (
     array,
     check,
@@ -24,6 +34,7 @@ from ocp_ros.util.yaml_files import (
     read_document,
     Schema,
 )
+from scipy.spatial import ConvexHull, QhullError
 
 #: Walls, and where each is: its axis, and whether it is at the far end of it.
 WALLS = {'south': (1, False), 'east': (0, True), 'north': (1, True), 'west': (0, False)}

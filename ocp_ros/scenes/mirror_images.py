@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Mirror images in a scan: a room that a laser has seen in a mirror stands behind its wall.
 
@@ -12,10 +24,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import cKDTree
-
 from ocp_ros.geometry.normals import LEVEL, STEEP
 from ocp_ros.scenes.scene import MIN_POINTS, Scene
+from scipy.spatial import cKDTree
 
 #: Degrees and metres by which planes differ, how many are tried, and square metres that
 #: one has at least.

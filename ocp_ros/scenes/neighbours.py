@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Nearest neighbours of all points of a cloud among themselves.
 
@@ -11,11 +23,10 @@ so, and clouds that are not even, are left to a k-d tree.
 from itertools import product
 
 import numpy as np
-from scipy.spatial import cKDTree
-
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.util.kernels import njit
 from ocp_ros.util.threads import mapped
+from scipy.spatial import cKDTree
 
 #: Points that an occupied cell should hold, as a share of the neighbours that are sought: most of
 #: these then lie in the 27 cells around a point.

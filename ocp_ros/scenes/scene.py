@@ -1,14 +1,23 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """A scene: the points of a room and what the engine needs to know about them."""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
-from scipy.spatial.distance import pdist
-
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.geometry.normals import edge_aware_normals
@@ -16,6 +25,8 @@ from ocp_ros.scenes.neighbours import nearest
 from ocp_ros.scenes.source_frame import SourceFrame
 from ocp_ros.scenes.up_axis import axis_of
 from ocp_ros.util.settings import UserError
+from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.distance import pdist
 
 MIN_POINTS = 100
 #: Nearest points that a point's plane is fitted to, itself included.

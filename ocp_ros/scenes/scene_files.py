@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Rooms from files: scans, S3DIS rooms as .txt, and meshes."""
 
 from dataclasses import replace
@@ -11,8 +23,6 @@ from pathlib import Path
 import warnings
 
 import numpy as np
-from plyfile import PlyData, PlyElement
-
 from ocp_ros.geometry.clouds import away_from, corners_of
 from ocp_ros.geometry.voxels import SMALLEST, voxel_downsample, voxel_size_for
 from ocp_ros.scenes.inner_surface import inner_surface, without_outside
@@ -42,6 +52,7 @@ from ocp_ros.scenes.up_axis import (
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.settings import UserError
 from ocp_ros.util.shown_text import printable
+from plyfile import PlyData, PlyElement
 
 FAR = 1000.0
 #: Metres: no room is both lower than the first and shorter than the second.

@@ -1,12 +1,20 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Points of a scan that are no part of the room: reflections, dust, what windows show."""
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
-
 from ocp_ros.geometry.clouds import (
     away_from,
     cell_numbers,
@@ -15,6 +23,9 @@ from ocp_ros.geometry.clouds import (
     REACH,
 )
 from ocp_ros.scenes.neighbours import nearest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 #: Edge of the cells that hang together: metres at least, and in multiples of the points' spacing.
 EDGE, SPACINGS = 0.25, 4.0
@@ -97,7 +108,7 @@ def stray_points(points: np.ndarray) -> np.ndarray:
 
 
 def _groups(cells: np.ndarray) -> np.ndarray:
-    """Number the groups of cells (M, 3) that touch each other, if only at a corner: (M,)."""
+    """Give numbers to groups of cells (M, 3) that touch each other, if only at a corner: (M,)."""
     pairs = cKDTree(cells).query_pairs(1.5, p=np.inf, output_type='ndarray')
     joined = coo_array((np.ones(len(pairs), dtype=bool), (pairs[:, 0], pairs[:, 1])),
                        shape=(len(cells), len(cells)))

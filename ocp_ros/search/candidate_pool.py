@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Poses that a rig's cameras may take in a room, what each sees, and first choices of them."""
 
 from collections import defaultdict
@@ -9,8 +21,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
-
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.rig.feasible_region import apart, FeasibleRegion
@@ -21,6 +31,7 @@ from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulator import Simulator, View
 from ocp_ros.util.settings import ConfigurationError
+from scipy.spatial import cKDTree
 
 #: Poses that are looked from at a time, and those that are in any case.
 CHUNK, LEAST = 64, 256

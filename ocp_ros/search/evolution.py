@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Differential evolution (DE), after Storn and Price (1997), and CMA-ES with restarts.
 
@@ -11,9 +23,8 @@ distances.
 import logging
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
-
 from ocp_ros.search.planner import Planner, Search
+from scipy.optimize import linear_sum_assignment
 
 #: Placements of a generation, how many of the best may lead, and the chance to take a camera over.
 POPULATION, LEADERS, CROSSOVER = 24, 0.2, 0.5

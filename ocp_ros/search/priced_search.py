@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 The default search of ``ocp plan``: dense grids are priced, near optima polished, and proved.
 
@@ -15,7 +27,6 @@ import logging
 from typing import NamedTuple
 
 import numpy as np
-
 from ocp_ros.rig.feasible_region import DENSE
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import packed, Pool, Site

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """What a placement of a rig is worth: the depth error, and what the rig's regions ask for."""
 
 from collections.abc import Iterator, Sequence
@@ -7,8 +19,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
-
 from ocp_ros.geometry.coverage import space_coverage
 from ocp_ros.geometry.packed_bits import count_bits, no_bits, pack, seen_by, Subset, unpack
 from ocp_ros.rig.rig_file import Region, Rig
@@ -16,6 +26,7 @@ from ocp_ros.rig.structure import floor_height
 from ocp_ros.simulation.covisibility import Covisibility, covisibility, ROUNDING, watched
 from ocp_ros.simulation.simulator import Simulator, View
 from ocp_ros.util.settings import ConfigurationError, MOST_CAMERAS
+from scipy.spatial import cKDTree
 
 #: What it costs to miss all of what a region says must be seen; the room itself costs 1.
 MUST = 10.0

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Where the depth error looks from: the middles of parts of a room's air, or the five of the paper.
 
@@ -11,14 +23,13 @@ is turned, moved or mirrored, whatever its axes.
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from scipy.spatial import distance
-
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.geometry.depth_error import five_viewpoints
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.structure import Air, BALL, STEEP
 from ocp_ros.scenes.scene import Scene, turned
+from scipy.spatial import distance
 
 #: Viewpoints in the air: a power of two.
 COUNT = 16

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Symmetries of the task: a room turned by quarter turns or mirrored is as good a room.
 
@@ -8,11 +20,10 @@ them exactly; what indices point to does not change, nor does the reward.
 """
 
 import numpy as np
+from ocp_ros.online.observation_map import CELLS, used_part
 from stable_baselines3.common.buffers import DictReplayBuffer
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 import torch
-
-from ocp_ros.online.observation_map import CELLS, used_part
 
 #: (8, 2, 2): the rotations by 0, 90, 180 and 270 degrees, then the same after a mirror.
 SYMMETRIES = torch.tensor([

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """A learner that is fed with transitions and trains beside whatever feeds it."""
 
 from collections import deque
@@ -10,8 +22,6 @@ import threading
 from typing import Any
 
 import numpy as np
-from stable_baselines3.common.logger import configure
-
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.training.run_folder import REPLAY, STATE
@@ -21,6 +31,7 @@ from ocp_ros.training.training_config import SacConfig
 from ocp_ros.training.transitions import Transition
 from ocp_ros.util.files import remove_unfinished
 from ocp_ros.util.settings import LARGEST_SEED, setting
+from stable_baselines3.common.logger import configure
 
 #: Gradient steps between two looks at the world: short enough to stop at once.
 BURST = 4

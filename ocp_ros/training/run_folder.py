@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """The folder of a training run: whose it is, its settings, its rooms, its evaluations."""
 
 import json
@@ -8,14 +20,13 @@ import math
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import PARTS, room_names
 from ocp_ros.util.files import read_regular, write_atomically
 from ocp_ros.util.settings import ConfigurationError, from_nested, to_nested
 from ocp_ros.util.shown_text import printable
 from ocp_ros.util.yaml_files import read_plain
+import yaml
 
 CONFIG, ROOMS, PROGRESS = 'config.yaml', 'rooms.json', 'progress.jsonl'
 BEST, STATE = 'best.safetensors', 'state.safetensors'

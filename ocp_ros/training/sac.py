@@ -1,12 +1,20 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Soft actor-critic from stable-baselines3 on the agent's networks."""
 
 from typing import Any
-
-from stable_baselines3 import SAC
-from stable_baselines3.common.buffers import DictReplayBuffer
-import torch
 
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError
@@ -14,6 +22,9 @@ from ocp_ros.training.augmentation import MapReplayBuffer, SymmetricReplayBuffer
 from ocp_ros.training.encoded_environment import action_space, cameras_of, encoded_space
 from ocp_ros.training.sac_networks import NearValueMap, policy_of
 from ocp_ros.training.training_config import SacConfig
+from stable_baselines3 import SAC
+from stable_baselines3.common.buffers import DictReplayBuffer
+import torch
 
 
 class AgentSac(SAC):

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 The agent's networks as stable-baselines3's soft actor-critic trains them.
 
@@ -14,15 +26,14 @@ import math
 from typing import Any
 
 from gymnasium import spaces
-from stable_baselines3.common.policies import ContinuousCritic
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-from stable_baselines3.sac.policies import Actor, MultiInputPolicy
-import torch
-
 from ocp_ros.online.observation_map import CELLS
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.networks import Extractor
 from ocp_ros.policy.value_network import cell_of, CellChoices, valued, ValueMapNetwork
+from stable_baselines3.common.policies import ContinuousCritic
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.sac.policies import Actor, MultiInputPolicy
+import torch
 
 #: What a unit of the network's values, a logarithm of the depth error, is in units of the reward:
 #: see ``potential`` in :mod:`ocp_ros.simulation.reward`. The critics begin with it.

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 The whole state of SAC as safetensors, so that training resumes without unpickling anything.
 
@@ -12,15 +24,14 @@ from pathlib import Path
 import uuid
 
 import numpy as np
+from ocp_ros.policy.checkpoint import CheckpointError, LARGEST_WEIGHT, read_metadata
+from ocp_ros.util.files import check_regular, read_regular, whole_or_absent, write_atomically
 from safetensors import SafetensorError
 import safetensors.numpy
 import safetensors.torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import DictReplayBuffer
 import torch
-
-from ocp_ros.policy.checkpoint import CheckpointError, LARGEST_WEIGHT, read_metadata
-from ocp_ros.util.files import check_regular, read_regular, whole_or_absent, write_atomically
 
 #: Nothing that a run counts is larger.
 MOST = 1 << 40

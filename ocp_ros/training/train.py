@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Train a policy: read from top to bottom, this is the whole run.
 
@@ -17,12 +29,6 @@ import logging
 from pathlib import Path
 
 import numpy as np
-from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import configure
-from stable_baselines3.common.vec_env import SubprocVecEnv, VecMonitor
-import torch
-
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.policy.checkpoint import Checkpoint
@@ -41,6 +47,11 @@ from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
 from ocp_ros.util.threads import cores
 from ocp_ros.util.worker_pool import WorkerPool
+from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import configure
+from stable_baselines3.common.vec_env import SubprocVecEnv, VecMonitor
+import torch
 
 _log = logging.getLogger(__name__)
 #: What lines of soft actor-critic say.

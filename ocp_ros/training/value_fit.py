@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Fit the map actor's network to dense values: plain regression, the good places counting most.
 
@@ -14,11 +26,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import safetensors.torch
-import torch
-from torch import Tensor
-from torch.nn.functional import grid_sample, smooth_l1_loss
-
 from ocp_ros.online.observation_map import CELLS, used_part, yaws_of
 from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.policy.checkpoint import read_metadata
@@ -27,6 +34,10 @@ from ocp_ros.training.augmentation import turned_maps
 from ocp_ros.training.sac_state import load_slots, saved_slots
 from ocp_ros.training.training_config import ValuesConfig
 from ocp_ros.util.files import read_regular
+import safetensors.torch
+import torch
+from torch import Tensor
+from torch.nn.functional import grid_sample, smooth_l1_loss
 
 #: Where the loss is no more quadratic, how much more the best place counts than a bad one, and
 #: within which difference of values places count as good.

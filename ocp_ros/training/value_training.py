@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Train the map actor: read from top to bottom, this is the whole run.
 
@@ -19,9 +31,6 @@ import time
 from typing import Any
 
 import numpy as np
-from rich.progress import Progress
-import torch
-
 from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.policy.value_network import ValueMapNetwork
@@ -36,6 +45,8 @@ from ocp_ros.util.files import write_atomically
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import to_nested, UserError
 from ocp_ros.util.worker_pool import WorkerPool
+from rich.progress import Progress
+import torch
 
 STATES = 'states'
 #: What the states of a room are drawn from, by who walks through it.

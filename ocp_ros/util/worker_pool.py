@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Many tasks at once: in processes of this machine, or on a Ray cluster where one is named."""
 
 from collections.abc import Callable, Iterator, Sequence
@@ -57,7 +69,7 @@ class WorkerPool:
                     'again: what was saved is kept') from error
             yield numbers[future], result
 
-    def map(self, function: Callable[[T], U], tasks: Sequence[T]) -> Iterator[U]:
+    def map(self, function: Callable[[T], U], tasks: Sequence[T]) -> Iterator[U]:  # noqa: A003
         """Yield what a function returns for each task, in the order of the tasks."""
         waiting: dict[int, U] = {}
         due = 0

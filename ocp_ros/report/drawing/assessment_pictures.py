@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 The pictures of a judged placement: plan, coverage, depth error and looks into the room.
 
@@ -15,8 +27,6 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import Polygon
 import numpy as np
-from scipy import ndimage
-
 from ocp_ros.planning.assessment import Assessment
 from ocp_ros.report.drawing.figures import save_figure
 from ocp_ros.report.drawing.frustum_drawing import edges, reach
@@ -45,6 +55,7 @@ from ocp_ros.report.drawing.room_drawing import (
     room_of,
     some_of,
 )
+from scipy import ndimage
 
 #: Seen by 0, 1, 2, and 3 or more cameras: lightness tells them apart as well as hue does.
 COUNT_COLOURS = ('#d55e00', '#b7d4ea', '#5b9bd0', '#174f8f')

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Figures as whole files, with letters that fonts have, and texts and tables that fit."""
 
 from bisect import bisect_right
@@ -17,10 +29,9 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.textpath import text_to_path
 import numpy as np
-from scipy.optimize import brentq
-
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 from ocp_ros.util.files import write_atomically
+from scipy.optimize import brentq
 
 #: Fonts with Chinese, Japanese or Korean letters, as Linux, macOS and Windows have them.
 FALLBACKS = ('Noto Sans CJK JP', 'Noto Sans CJK SC', 'Noto Sans CJK KR', 'Source Han Sans',

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Marks in a picture: cameras with numbers that do not hide each other, walls' letters, zones."""
 
 from collections.abc import Sequence
@@ -9,7 +21,6 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Patch, Polygon
 import numpy as np
-
 from ocp_ros.planning.wall_references import InnerWall, ReferenceWall
 from ocp_ros.report.drawing.room_drawing import INK
 from ocp_ros.rig.placement_file import Placement

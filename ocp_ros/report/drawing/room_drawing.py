@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """A room as it is drawn: discs on its surfaces, without the ceiling, cut open for the viewer."""
 
 from typing import NamedTuple
@@ -9,10 +21,9 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.patches import Polygon
 import numpy as np
-from scipy.spatial import cKDTree, ConvexHull
-
 from ocp_ros.geometry.normals import edge_aware_normals
 from ocp_ros.scenes.scene import NEIGHBOURS
+from scipy.spatial import cKDTree, ConvexHull
 
 INK, PALE_INK = '#1c2530', '#66707c'
 #: Lightness falls evenly with height, so that walls are dark in the plan.

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Pictures of rooms cut open: alone, or with the cameras, paths and ranges of a placement."""
 
 from collections.abc import Sequence
@@ -14,7 +26,6 @@ from matplotlib.lines import Line2D
 from matplotlib.offsetbox import AnnotationBbox, OffsetImage
 from matplotlib.patches import Circle, Patch, Polygon
 import numpy as np
-
 from ocp_ros.report.drawing.figures import save_figure
 from ocp_ros.report.drawing.plan_marks import camera_colour
 from ocp_ros.report.drawing.room_drawing import (

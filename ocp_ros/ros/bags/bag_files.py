@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """ROS 1 and ROS 2 bags, read without a ROS installation: what is in them, and their messages."""
 
 from collections.abc import Iterator
@@ -13,12 +25,11 @@ import struct
 import tempfile
 from typing import Any, NamedTuple
 
-import yaml
-
 from ocp_ros.ros.bags.bag_process import CLOUD, END, HEADER, KINDS, MESSAGE, POSES, TRANSFORMS
 from ocp_ros.util.files import read_regular
 from ocp_ros.util.guarded_process import GuardedProcess, ReadingCost
 from ocp_ros.util.settings import ConfigurationError
+import yaml
 
 #: Messages of a topic that are asked for their frame, and the longest name of one.
 ASKED, LONGEST = 20, 1000

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 ``ocp replay``: publish the clouds of a bag, so that ``policy_node`` can be tried on them.
 
@@ -14,16 +26,6 @@ from typing import Any
 
 from geometry_msgs.msg import PoseArray, Quaternion
 import numpy as np
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
-from rclpy.duration import Duration
-from rclpy.node import Node
-from rclpy.serialization import deserialize_message
-from rclpy.task import Future
-from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Header
-
 from ocp_ros.geometry.cameras import LEVEL, OPTICAL_TO_BODY, Pose
 from ocp_ros.ros.bags.bag_files import Bag, BrokenMessage, CLOUD, KINDS, Recorded, TRANSFORMS
 from ocp_ros.ros.bags.replay_options import chosen_topics, ReplayOptions, TYPES
@@ -38,6 +40,15 @@ from ocp_ros.ros.interface.conversions import (
 from ocp_ros.ros.interface.frames import SENSOR
 from ocp_ros.ros.interface.qos import LOOP
 from ocp_ros.util.settings import check_known, ConfigurationError
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message
+from rclpy.task import Future
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
 
 #: Seconds: between two looks whether somebody listens, and from then until the first message,
 #: since who listens learns of the other side a little later.

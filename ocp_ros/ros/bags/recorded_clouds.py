@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """What each camera of a rig sees in a bag, in its body frame."""
 
 from collections.abc import Mapping, Sequence
@@ -7,14 +19,13 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import PointCloud2
-
 from ocp_ros.geometry.cameras import OPTICAL_TO_BODY
 from ocp_ros.ros.bags.bag_files import Bag, Recorded
 from ocp_ros.ros.bags.bag_replay import OPTICAL_ENDS
 from ocp_ros.ros.interface.conversions import MessageError, msg_to_cloud
 from ocp_ros.util.settings import check_known, ConfigurationError
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import PointCloud2
 
 #: Clouds of a topic that are taken together: noise of one frame is not that of the next.
 FRAMES = 5

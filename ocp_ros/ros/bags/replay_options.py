@@ -1,16 +1,27 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """What ``ocp replay`` publishes, and how."""
 
 from dataclasses import dataclass
 
 from geometry_msgs.msg import PoseArray
 import numpy as np
-from sensor_msgs.msg import PointCloud2
-
 from ocp_ros.ros.bags.bag_files import Bag, CLOUD, KINDS, POSES
 from ocp_ros.ros.interface import topics
 from ocp_ros.util.settings import check_known, ConfigurationError
+from sensor_msgs.msg import PointCloud2
 
 #: What is published of what is recorded.
 TYPES = {CLOUD: PointCloud2, POSES: PoseArray}

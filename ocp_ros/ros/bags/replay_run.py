@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """What ``ocp replay`` does with its command line."""
 
 import argparse
@@ -9,16 +21,15 @@ import signal
 from typing import Any
 
 import numpy as np
-import rclpy
-from rclpy.executors import Executor, SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
-
 from ocp_ros.ros.bags.bag_files import Bag
 from ocp_ros.ros.bags.bag_replay import Replay
 from ocp_ros.ros.bags.replay_options import chosen_topics, ReplayOptions
 from ocp_ros.ros.runtime.network import stay_local
 from ocp_ros.ros.runtime.node_main import ENDING
 from ocp_ros.util.settings import ConfigurationError
+import rclpy
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
 
 
 def options_of(arguments: argparse.Namespace) -> ReplayOptions:

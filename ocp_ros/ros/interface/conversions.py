@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Messages to arrays and back, as plain functions; what is malformed is refused with a reason."""
 
 from array import array
@@ -9,12 +21,11 @@ import math
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
 import numpy as np
+from ocp_ros.geometry.cameras import Pose as CameraPose
+from ocp_ros.util.settings import MOST_CAMERAS
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, UInt8MultiArray
-
-from ocp_ros.geometry.cameras import Pose as CameraPose
-from ocp_ros.util.settings import MOST_CAMERAS
 
 NUMPY_TYPES = {PointField.FLOAT32: 'f4', PointField.FLOAT64: 'f8'}
 #: Metres: no camera is farther from the origin, be it that of a country's survey.

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Clouds of live cameras in the frame of the poses, cut to what a camera measures well."""
 
 from collections.abc import Mapping
@@ -7,11 +19,10 @@ import re
 from typing import NamedTuple
 
 import numpy as np
-from rclpy.node import Node
-from rclpy.time import Time
-
 from ocp_ros.geometry.cameras import OPTICAL_TO_BODY, Pose
 from ocp_ros.ros.interface.conversions import MessageError, rotation_of, stamp_to_ns
+from rclpy.node import Node
+from rclpy.time import Time
 
 #: Frames of the cameras by their place among the poses: body (x forward, y left, z up) and
 #: optical (z forward, x right, y down), as REP-103 has them.

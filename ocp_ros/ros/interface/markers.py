@@ -1,15 +1,26 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Markers for RViz and Foxglove: cameras, the ways they took, and what they could see."""
 
 from collections.abc import Sequence
 
 from geometry_msgs.msg import Point, Vector3
 import numpy as np
+from ocp_ros.geometry.cameras import CameraModel, PINHOLE, Pose
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
-
-from ocp_ros.geometry.cameras import CameraModel, PINHOLE, Pose
 
 CAMERA_COLOUR = ColorRGBA(r=0.84, g=0.15, b=0.16, a=1.0)
 TRAJECTORY_COLOUR = ColorRGBA(r=1.0, g=1.0, b=1.0, a=0.9)

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 What one can look at: the rig, and clouds of what it sees and misses.
 
@@ -11,6 +23,12 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from ocp_ros.geometry.cameras import CameraModel, PINHOLE, Pose
+from ocp_ros.ros.interface import topics
+from ocp_ros.ros.interface.conversions import cloud_with
+from ocp_ros.ros.interface.markers import rig_markers
+from ocp_ros.ros.interface.qos import LATCHED
+from ocp_ros.simulation.point_maps import PointMaps
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
@@ -18,13 +36,6 @@ from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
-
-from ocp_ros.geometry.cameras import CameraModel, PINHOLE, Pose
-from ocp_ros.ros.interface import topics
-from ocp_ros.ros.interface.conversions import cloud_with
-from ocp_ros.ros.interface.markers import rig_markers
-from ocp_ros.ros.interface.qos import LATCHED
-from ocp_ros.simulation.point_maps import PointMaps
 
 #: Metres that a camera has to move for its way to go on.
 STEP = 0.001

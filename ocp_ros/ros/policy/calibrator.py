@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Where live cameras hang by what they see, and whether they still hang there.
 
@@ -12,12 +24,6 @@ from pathlib import Path
 import time
 
 import numpy as np
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
-from rclpy.node import Node
-from rclpy.task import Future
-from std_srvs.srv import Trigger
-
 from ocp_ros.geometry.cameras import heading_of
 from ocp_ros.registration.calibration import as_built, calibrate, drift
 from ocp_ros.registration.scan_surfaces import ScanSurfaces
@@ -29,6 +35,11 @@ from ocp_ros.ros.policy.decider import Decider
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.util.settings import ConfigurationError, UserError
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from rclpy.task import Future
+from std_srvs.srv import Trigger
 
 #: Seconds between two looks whether drift is to be checked.
 TICK = 1.0

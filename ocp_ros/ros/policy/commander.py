@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Commands to the cameras, which one policy sends: ROS counts who publishes them.
 
@@ -14,15 +26,14 @@ import random
 import time
 
 from geometry_msgs.msg import PoseArray
+from ocp_ros.ros.interface import topics
+from ocp_ros.ros.interface.qos import LOOP
+from ocp_ros.ros.runtime import diagnostics
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode
 from rclpy.publisher import Publisher
-
-from ocp_ros.ros.interface import topics
-from ocp_ros.ros.interface.qos import LOOP
-from ocp_ros.ros.runtime import diagnostics
 
 #: Seconds until a new node knows all others: those of config/fastdds_local.xml announce
 #: themselves once a second.

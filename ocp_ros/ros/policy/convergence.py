@@ -1,13 +1,24 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
-"""Convergence: whether a placement is final, and why."""
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
 
-from rclpy.node import Node
-from std_msgs.msg import String
+"""Convergence: whether a placement is final, and why."""
 
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.qos import LATCHED
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
+from rclpy.node import Node
+from std_msgs.msg import String
 
 #: Radians: cameras that are turned by less count as standing still.
 WIDEST = 0.02

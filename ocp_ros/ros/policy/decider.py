@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """What ``policy_node`` decides in a turn: messages to a rig state, one step, and back."""
 
 from collections.abc import Callable
@@ -7,8 +19,6 @@ from typing import TYPE_CHECKING
 
 from geometry_msgs.msg import PoseArray
 import numpy as np
-from rclpy.impl.rcutils_logger import RcutilsLogger
-
 from ocp_ros.geometry.cameras import CameraModel, heading_of
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.online.expected_gain import ExpectedGain
@@ -26,6 +36,7 @@ from ocp_ros.ros.interface.conversions import (
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from ocp_ros.ros.policy.policy_planners import make_planner, planned_alike
 from ocp_ros.scenes.scene import LARGEST, SceneError
+from rclpy.impl.rcutils_logger import RcutilsLogger
 
 if TYPE_CHECKING:
     from ocp_ros.policy.checkpoint import Checkpoint

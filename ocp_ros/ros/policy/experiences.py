@@ -1,21 +1,32 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """What a policy tells those who learn from it, and how it waits for them."""
 
 from collections.abc import Callable
 import time
 
 import numpy as np
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
-from rclpy.node import Node
-from std_msgs.msg import Float64MultiArray, UInt8MultiArray
-
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import bytes_to_msg, MessageError, msg_to_fields
 from ocp_ros.ros.interface.qos import LATCHED, LOOP
 from ocp_ros.ros.policy.recorded_policy import RecordedPolicy, RecordedValues
 from ocp_ros.training.experience import Experience, to_bytes
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
 #: Seconds after which a trainer that asked to wait and says nothing more is not waited for.
 PATIENCE = 5.0

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Turns of real cameras: clouds come when they come, and a rig or a person carries out commands.
 
@@ -15,14 +27,6 @@ import math
 from geometry_msgs.msg import Pose as PoseMsg
 from geometry_msgs.msg import PoseArray
 import numpy as np
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
-from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.node import Node
-from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Header, String
-from visualization_msgs.msg import MarkerArray
-
 from ocp_ros.geometry.cameras import angle_between, heading_of, Pose
 from ocp_ros.online.cloud_fusion import FusedCloud
 from ocp_ros.rig.motion import way_between
@@ -57,6 +61,13 @@ from ocp_ros.ros.policy.instructions import FINAL, instructions, moving
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from ocp_ros.ros.policy.turns import Turns
 from ocp_ros.util.settings import ConfigurationError
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header, String
+from visualization_msgs.msg import MarkerArray
 
 #: Seconds between two looks at the clock, where no message comes, and between two times that a
 #: command is sent while the cameras have not arrived: it may have been lost.

@@ -1,13 +1,23 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """What ``policy_node`` has to show: what it knows, judged on what has been seen so far."""
 
 from collections.abc import Callable, Sequence
 
 from geometry_msgs.msg import PoseArray
 import numpy as np
-from rclpy.node import Node
-
 from ocp_ros.geometry.cameras import CameraModel, Pose
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.online.partial_map import thinned
@@ -20,6 +30,7 @@ from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.point_maps import maps_of, PointMaps
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+from rclpy.node import Node
 
 #: Points of an observed cloud that is judged, and rows of the depth maps of its error.
 MOST, ROWS = 15000, 64

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """Turns of a simulation: an observation and poses of one stamp make a turn, whichever is first."""
 
 from collections.abc import Callable
@@ -7,12 +19,6 @@ from typing import NamedTuple
 
 from geometry_msgs.msg import PoseArray
 import numpy as np
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
-from rclpy.node import Node
-from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Float64MultiArray
-
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import (
     MessageError,
@@ -23,6 +29,11 @@ from ocp_ros.ros.interface.conversions import (
 )
 from ocp_ros.ros.interface.qos import LOOP
 from ocp_ros.ros.policy.commander import Commander
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Float64MultiArray
 
 #: Poses that are remembered: those of a turn and its observation need not be heard side by side,
 #: where others publish as well and this node is slow.

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 Nodes with a life cycle: nothing is sent before they are told to, and they can be put away.
 
@@ -12,16 +24,15 @@ from collections.abc import Callable
 from copy import copy
 from typing import Any
 
+from ocp_ros.policy.agent_config import CheckpointError
+from ocp_ros.ros.runtime.parameters import configured, declare, follow
+from ocp_ros.scenes.scene import SceneError
+from ocp_ros.util.settings import ConfigurationError, setting
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
-
-from ocp_ros.policy.agent_config import CheckpointError
-from ocp_ros.ros.runtime.parameters import configured, declare, follow
-from ocp_ros.scenes.scene import SceneError
-from ocp_ros.util.settings import ConfigurationError, setting
 
 #: What whoever configures a node can put right.
 MENDABLE = (CheckpointError, ConfigurationError, SceneError, OSError)

@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 What every node's ``main`` does: start, spin, and end with code 0 when they are told to.
 
@@ -20,6 +32,10 @@ import signal
 import sys
 from types import FrameType
 
+from ocp_ros.policy.agent_config import CheckpointError
+from ocp_ros.ros.runtime.network import stay_local
+from ocp_ros.scenes.scene import SceneError
+from ocp_ros.util.settings import ConfigurationError
 import rclpy
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -27,11 +43,6 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
-
-from ocp_ros.policy.agent_config import CheckpointError
-from ocp_ros.ros.runtime.network import stay_local
-from ocp_ros.scenes.scene import SceneError
-from ocp_ros.util.settings import ConfigurationError
 
 #: Ctrl-C, a polite kill, and a terminal that is closed.
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

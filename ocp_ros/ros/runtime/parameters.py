@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """ROS parameters from configuration dataclasses, which own the defaults."""
 
 from collections.abc import Callable, Iterator, Sequence
@@ -10,6 +22,7 @@ from pathlib import Path
 import sys
 from typing import Any, TypeVar
 
+from ocp_ros.util.settings import check_known, ConfigurationError, from_flat, leaves
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -19,8 +32,6 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 import yaml
-
-from ocp_ros.util.settings import check_known, ConfigurationError, from_flat, leaves
 
 T = TypeVar('T')
 

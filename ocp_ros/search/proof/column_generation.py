@@ -1,5 +1,17 @@
 # Copyright 2026 The ocp_ros authors
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """
 A bound for all poses of dense grids, and good choices of them, by column generation.
 
@@ -16,12 +28,11 @@ from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.distance import cdist
-
 from ocp_ros.search.pose_grid import PoseGrid
 from ocp_ros.search.proof.cut_program import CutProgram
 from ocp_ros.search.proof.loss_trees import LossTrees, NOTHING, seers_of
 from ocp_ros.util.threads import mapped
+from scipy.spatial.distance import cdist
 
 #: Poses that the pool begins with, poses that join it at a time, and those of one place.
 BEGINNING, JOINING, OF_A_PLACE = 300, 150, 3
