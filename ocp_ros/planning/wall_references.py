@@ -161,12 +161,23 @@ class InnerWall(NamedTuple):
     :ivar outward: (2,) unit vector from the camera that is near it.
     :ivar offset: metres: where outward . (x, y) is this, there is the wall.
     :ivar at: (2,) metres, a place on it.
+    :ivar top: metres, map frame, how high it is there.
     """
 
     letter: str
     outward: np.ndarray
     offset: float
     at: np.ndarray
+    top: float
+
+    def said(self, sides: Sequence[ReferenceWall], floor: float) -> str:
+        """Return where it is, seen from the sides of a room, and how high above its floor."""
+        top = f'{self.letter} (up to {100.0 * (self.top - floor):.0f} cm high'
+        along = max(sides, key=lambda side: float(side.outward @ self.outward))
+        if float(along.outward @ self.outward) < ALIKE:
+            return f'{top}, at an angle)'
+        away = 100.0 * (along.offset - along.outward @ self.at)
+        return f'{top}, parallel to wall {along.letter} and {away:.0f} cm from it)'
 
 
 class Distance(NamedTuple):
@@ -274,7 +285,9 @@ class WallReferences:
                     and abs(wall.offset - wall.outward @ at) <= UNEVEN):
                 return wall
         letter = letter_of(len(self.sides) + len(self.inner))
-        self.inner.append(InnerWall(letter, outward, float(outward @ at), at))
+        near = np.linalg.norm(self._surface.points[:, :2] - at, axis=1) <= STRIP
+        top = float(self._surface.points[near, 2].max(initial=0.0)) if near.any() else 0.0
+        self.inner.append(InnerWall(letter, outward, float(outward @ at), at, top))
         return self.inner[-1]
 
 

@@ -25,6 +25,10 @@ from ocp_ros.util.shown_text import printable
 
 #: How a camera is rolled, unless its row says otherwise.
 LEVEL = 'Unless the table gives a roll, keep the long side of the camera level, top side up. '
+#: What cameras hang on.
+MOUNTED = {'walls': 'on walls', 'ceiling': 'under the ceiling',
+           'plane': 'on stands, poles or rods, all at one height',
+           'free': 'on stands, poles or rods'}
 #: What begins or ends markup within a line; an underscore between letters does not.
 MARKS = re.compile(r'[\\`*\[\]|~]|(?<![^\W_])_|_(?![^\W_])|:(?=//)|(?<=www)\.|@')
 
@@ -53,13 +57,15 @@ def instructions(judged: Assessment, plan: str) -> str:
     references, placement = judged.references, judged.placement
     sizes = ', '.join(wall.said for wall in references.sides)
     inner = '' if not references.inner else (
-        f'Other surfaces to measure from: {", ".join(wall.letter for wall in references.inner)}. ')
+        'Other surfaces to measure from: ' + ', '.join(
+            wall.said(references.sides, judged.floor) for wall in references.inner) + '. ')
     lines = [f'# How to mount the cameras: {in_markdown(judged.scene.name)}', '',
              f'![Plan]({plan})', '', *(f'**Check first:** {in_markdown(note)}.\n'
                                        for note in judged.found.get('notes', ())),
              f'**Walls.** The plan shows the room from above, with letters clockwise: {sizes}. '
-             'In a room that is not a rectangle, A to D are the sides of the rectangle around it. '
-             + inner, '',
+             'In a room that is not a rectangle, A to D are the sides of the rectangle around it: '
+             'measure from the surface that stands there, which may be some centimetres inside. '
+             + inner, '', *_mounted(judged),
              '**How to measure.** A distance is perpendicular to the wall, to the centre of the '
              "camera's front; where a wall is lower than the camera, drop a plumb line. Left and "
              'right are seen by a person who stands behind the camera. Set the pan first, then '
@@ -85,6 +91,15 @@ def instructions(judged: Assessment, plan: str) -> str:
     if any(created):
         lines += ['', f'{", ".join(filter(None, created))}.']
     return '\n'.join([*lines, ''])
+
+
+def _mounted(judged: Assessment) -> list[str]:
+    """Say what the cameras hang on, where the rig says so."""
+    rig = judged.objective.rig
+    if 'mount' not in rig.document.data:
+        return []
+    return [f'**Mount.** The cameras are {MOUNTED[rig.mount.on]}. The room is '
+            f'{100.0 * (judged.scene.bounds[1, 2] - judged.floor):.0f} cm high.', '']
 
 
 def _corner_of(judged: Assessment) -> str:

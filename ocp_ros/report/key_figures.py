@@ -95,8 +95,8 @@ def _cards(judged: Assessment) -> list[tuple[str, str, str]]:
     twice = sum(count for number, count in scores['overlap'].items() if number not in '01')
     cards = [
         ('depth error', metres(error), f'{metres(nothing)} without cameras'),
-        ('expected', metres(hoped['depth_error']),
-         f'{metres(hoped["low"])} to {metres(hoped["high"])} in nine of ten rooms'),
+        ('expected (9 of 10 rooms)', metres(hoped['depth_error']),
+         f'{metres(hoped["low"])} to {metres(hoped["high"])}'),
         ('seen', percent(scores['seen']),
          'of the points, by a camera' if least == 1 else f'of the points, by {least} cameras'),
         ('seen twice', percent(twice / points), 'by two cameras or more'),

@@ -165,7 +165,7 @@ def _draw_walls(axes: Axes, judged: Assessment) -> np.ndarray:
     """
     Draw the rectangle around the room and its letters; dashed where there is hardly a wall.
 
-    :returns: where the letters are: (M, 2), those of walls inside the room as well.
+    :returns: where its letters are: (4, 2). Those inside the room make way for the cameras.
     """
     (left, bottom), (right, top) = _corners(judged)
     sides = [((left, right), (top, top)), ((right, right), (top, bottom)),
@@ -174,12 +174,13 @@ def _draw_walls(axes: Axes, judged: Assessment) -> np.ndarray:
         axes.plot(x, y, color=INK, linewidth=0.9, linestyle='-' if wall.stands else (0, (3, 3)),
                   zorder=4)
     away = 0.055 * max(right - left, top - bottom)
+    places, least = judged.positions @ judged.upright[:2].T, LETTER * unit_of(axes)
     letters = _around(judged, away)
     draw_letters(axes, judged.walls, letters, 10, zorder=5, path_effects=_halo(2.5))
-    inner = draw_inner_letters(
-        axes, judged.references.inner, judged.upright[:2, :2], 0.5 * away, LETTER * unit_of(axes),
-        letters, 7, zorder=5, path_effects=_halo(2.0))
-    return np.concatenate([letters, inner])
+    draw_inner_letters(
+        axes, judged.references.inner, judged.upright[:2, :2], 0.5 * away, least,
+        np.concatenate([letters, places]), 7, zorder=5, path_effects=_halo(2.0))
+    return letters
 
 
 def _halo(width: float) -> list[patheffects.AbstractPathEffect]:
@@ -300,7 +301,7 @@ def floor_plan_of(judged: Assessment) -> Figure:
     letters = _around(judged, margin)
     draw_letters(axes, judged.walls, letters, LETTERS)
     places = judged.positions[:, :2] @ frame.T
-    letters = np.concatenate([letters, _draw_distances(axes, judged, places, frame, margin)])
+    _draw_distances(axes, judged, places, frame, margin)
     shown = np.concatenate([places, corners])
     low, high = shown.min(axis=0) - 2.0 * margin, shown.max(axis=0) + 2.0 * margin
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
@@ -349,8 +350,8 @@ def _write_distance(axes: Axes, middle: np.ndarray, way: np.ndarray, away: float
 
 
 def _draw_distances(axes: Axes, judged: Assessment, places: np.ndarray, frame: np.ndarray,
-                    margin: float) -> np.ndarray:
-    """Draw what is measured, and the letters of walls inside the room; return where: (M, 2)."""
+                    margin: float) -> None:
+    """Draw what is measured, and the letters of walls inside the room."""
     # Where cameras stand and distances are written: nothing is written over these.
     taken = places
     for place, distances in zip(places, judged.references.distances):
@@ -362,5 +363,5 @@ def _draw_distances(axes: Axes, judged: Assessment, places: np.ndarray, frame: n
             if free and np.linalg.norm(at - place) > MEASURED * margin:
                 _write_distance(axes, middle, at - place, distance.away)
                 taken = np.vstack([taken, middle])
-    return draw_inner_letters(axes, judged.references.inner, frame, 0.4 * margin, 0.6 * margin,
-                              places, INNER)
+    draw_inner_letters(axes, judged.references.inner, frame, 0.4 * margin, 0.6 * margin, places,
+                       INNER)

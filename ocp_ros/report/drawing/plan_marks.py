@@ -173,7 +173,7 @@ def draw_letters(axes: Axes, walls: Sequence[ReferenceWall | InnerWall], places:
 
 
 def draw_inner_letters(axes: Axes, walls: Sequence[InnerWall], frame: np.ndarray, away: float,
-                       least: float, taken: np.ndarray, size: float, **style: Any) -> np.ndarray:
+                       least: float, taken: np.ndarray, size: float, **style: Any) -> None:
     """
     Write letters beside walls inside the room.
 
@@ -183,12 +183,10 @@ def draw_inner_letters(axes: Axes, walls: Sequence[InnerWall], frame: np.ndarray
     :param taken: (L, 2) places that are taken already.
     :param size: of the letters, points.
     :param style: other properties of the texts.
-    :returns: (M, 2) where the letters are.
     """
     beside = [frame @ (wall.at + away * wall.outward) for wall in walls]
     places = apart(np.array(beside).reshape(-1, 2), least, taken)
     draw_letters(axes, walls, places, size, **style)
-    return places
 
 
 def corners_of(zone: Zone) -> np.ndarray:
