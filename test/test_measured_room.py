@@ -17,10 +17,16 @@
 from hypothesis import given, settings, strategies
 import numpy as np
 from ocp_ros.cli.main import main
+from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.structure import ceiling_of, floor_height, walls_of
 from ocp_ros.scenes.measured_room import document_of, triangles_of
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_files import load_scene, scans_in, scene_of
+from ocp_ros.simulation.objective import Objective
+from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.util.settings import ConfigurationError
 import pytest
 
 SIZE = (6.0, 4.5, 2.7)
@@ -82,16 +88,41 @@ def test_openings_take_their_area_from_the_walls_and_boxes_add_theirs(size, data
 
 @pytest.mark.parametrize(('size', 'arguments', 'words'), [
     ('6 4.5 nan', '', "size[2]: found 'nan'; expected length, width and height in metres"),
-    ('6 4.5 270', '--door souht 1 1 2', "did you mean 'south'?"),
+    ('6 4.5 2.7', '--door souht 1 1 2', "did you mean 'south'?"),
     ('6 4.5 2.7', '--door south 5.5 0.9 2.1', 'up to 6.4 m along the south wall'),
     ('6 4.5 2.7', '--door west 1 0.9 2.8', 'one within its 4.5 x 2.7 m'),
     ('6 4.5 2.7', '--box 1 1 0 2 5 1', 'the highest within [6.0, 4.5, 2.7]'),
     ('6 4.5 2.7', '--box 1 1 0 1 2 1', 'the lowest corner first'),
-    ('6 4.5 x', '', "found 'x'")])
+    ('6 4.5 x', '', "found 'x'"), ('0.5 4 3', '', 'each from 1 to 100')])
 def test_measures_that_cannot_be_are_refused(tmp_path, capsys, size, arguments, words):
     out = tmp_path / 'room.yaml'
     assert main(['room', *size.split(), *arguments.split(), '--out', str(out)]) == 2
     assert words in capsys.readouterr().err and not out.exists()
+
+
+@pytest.mark.parametrize(('size', 'box', 'at'), [
+    ('10 10 3', '1 1 0 9 9 2', 0.5), ('6 4 3', '0.6 0.6 0 5.4 3.4 2.6', 0.3),
+    ('8 6 2.7', '3 3 0 8 6 2.7', 1.0), ('1.2 1.2 2', '0 0 0 0.3 0.3 1', 0.8)])
+def test_what_a_box_holds_is_never_the_room(tmp_path, size, box, at):
+    path = tmp_path / 'room.yaml'
+    assert main(['room', *size.split(), '--box', *box.split(), '--out', str(path)]) == 0
+    scene = load_scene(path, max_points=20_000)
+    np.testing.assert_allclose(scene.size, list(map(float, size.split())), atol=0.05)
+    problem = Problem.of(scene, rig_of(1, 'omnidirectional', keep_clear=0.1, mount={
+        'on': 'free', 'height': [0.5, 1.9]}))
+    low, high = np.array(box.split(), dtype=float).reshape(2, 3)
+    places = problem.region.candidates(problem.rig.models[0], 500)[:, :3]
+    # Points that are far apart let a camera dip into a face.
+    assert not ((places > low + 0.1) & (places < high - 0.1)).all(axis=1).any()
+    assert scene.remarks == ()
+    # Nor is it air that cameras could watch.
+    rig = rig_of(1, 'omnidirectional', regions=[{'name': 'all', 'air': {}, 'box': [
+        [0, 0, 0], [float(edge) for edge in size.split()]]}])
+    simulator = Simulator(scene, SimulationConfig(), rig.models)
+    assert Objective(simulator, rig).evaluate(np.array([[at, at, 1.0]])).regions[0] > 0.05
+    inside = [{'name': 'box', 'air': {}, 'box': [(low + 0.05).tolist(), (high - 0.05).tolist()]}]
+    with pytest.raises(ConfigurationError, match='found no air of room in it'):
+        Objective(simulator, rig_of(1, 'omnidirectional', regions=inside))
 
 
 def test_another_yaml_file_is_no_room_and_no_scan_of_a_folder(tmp_path):
@@ -114,5 +145,5 @@ def test_eight_corners_are_a_room(tmp_path, scale):
     np.testing.assert_allclose([back.min(axis=0), back.max(axis=0)], [corners[0], corners[-1]],
                                atol=0.01)
     np.testing.assert_allclose(scene_of(turned).size, scene.size, atol=0.02)
-    with pytest.raises(SceneError, match='found 8 points'):
+    with pytest.raises(SceneError, match='found eight points that are not the corners'):
         scene_of(np.vstack([corners[:-1], [[4.0, 2.0, 1.0]]]))

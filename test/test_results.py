@@ -62,6 +62,13 @@ TABLES = [
 SENTENCES = [
     (README, 'trained in {} minutes', 'training/map/value/{key}', 'minutes'),
     (README, 'F1 score of {} in {} ms', 'engine/{key}/fine.40000', 'f1 ms'),
+    (RESULTS, 'is read to {} m, the ceiling to {} m and 99 % of the wall points to {} m',
+     'solid_rooms/{key}_worst', 'floor ceiling walls'),
+    (RESULTS, 'see differs by {} from rays cast at the room with the preset `mesh`, and by up to '
+     '{} with `fine`', 'solid_rooms/share_{key}_worst', 'mesh fine'),
+    (RESULTS, 'Plans by `mesh` deliver {} times', 'solid_rooms/{key}', 'delivered_mesh_over_fine'),
+    (RESULTS, 'A look takes {} ms with `mesh` and {} ms with `fine`', 'solid_rooms/{key}',
+     'ms_mesh ms_fine'),
     (RESULTS, 'F1 is {} for `fine`, {} for `paper` and {} for rays',
      'engine/fused_f1/{key}.100000', 'fine paper mesh'),
     (RESULTS, 'delivers {} times the error of a plan in the scan as it was (geometric mean; {} at '

@@ -16,9 +16,11 @@
 
 import argparse
 from pathlib import Path
+import shlex
 
 from ocp_ros.cli.arguments import add_overwrite
 from ocp_ros.cli.common import claim_file, Commands, Found, LOOK
+from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
 
 
@@ -46,8 +48,13 @@ def add_arguments(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> Found:
     """Write a room file."""
     from ocp_ros.scenes.measured_room import document_of, triangles_of
+    from ocp_ros.scenes.room_formats import MEASURED
     from ocp_ros.util.files import write_atomically
     from ocp_ros.util.yaml_files import written
+    if arguments.out.suffix.lower() not in MEASURED:
+        raise ConfigurationError(
+            f'--out: found {arguments.out.name}; expected a name that ends in '
+            f'{" or ".join(MEASURED)}, as room files have it; name another')
     claim_file(arguments, arguments.out, 'a room file')
     document = document_of((arguments.length, arguments.width, arguments.height),
                            [*arguments.door, *arguments.window], arguments.box)
@@ -61,4 +68,4 @@ def show(found: Found) -> None:
     path = printable(str(found['written'][0]))
     print(f'wrote {path}: {" x ".join(f"{edge:g}" for edge in found["size"])} m, '
           f'{len(found["openings"])} doors and windows, {len(found["boxes"])} boxes\n'
-          f'next: ocp plan {path}')
+          f'next: ocp plan {shlex.quote(path)}')

@@ -92,9 +92,7 @@ class FeasibleRegion:
         self.floor = floor_height(scene)
         self.top = max(float(scene.bounds[1, 2]), -np.inf if top is None else top)
         self._check_heights()
-        high = self.top - self.floor if rig.mount.heights is None else rig.mount.heights[1]
-        height = self.floor + max(high, LEAST_VIEW)
-        self.space = FreePlane.of(scene.points, height, len(rig.cameras), 0.0, clearance=0.0)
+        self.space = floor_space(scene, rig, self.floor, self.top)
         self.air = Air(scene, self.space)
         self.surface = self._find_surface()
         self._tree = cKDTree(scene.points)
@@ -183,6 +181,11 @@ class FeasibleRegion:
         :raises ConfigurationError: if there is no place where the camera may hang.
         """
         offered = places_in(self.rig, self.scene, self.space, self.surface)
+        if self.rig.keep_in and len(offered.positions) == 0:
+            raise self.rig.document.error(
+                ('keep_in',), f'no place of the mount {self.rig.mount.on} in any zone over the '
+                f'floor of {self.scene.name}', 'one at least', 'correct the corners of the zones, '
+                'or the mount or its height')
         # A pitch and a roll that are allowed, so that only the place is judged.
         level = np.zeros((len(offered.positions), 6))
         level[:, :3], level[:, 4] = offered.positions, np.clip(0.0, *self.rig.pitch)
@@ -308,10 +311,14 @@ class FeasibleRegion:
                 f'found a position in keep-out zone {number}; expected one outside; '
                 'move it out'))
         if self.rig.keep_in:
-            inside = [zone.contains(positions, self.floor) for zone in self.rig.keep_in]
-            yield Check('keep_in', ~np.any(inside, axis=0), lambda k: (
-                f'found {_place(positions[k])}, in none of the keep_in zones; expected a position '
-                'in one; move it there'))
+            inside = np.any([zone.contains(positions, self.floor) for zone in self.rig.keep_in],
+                            axis=0)
+            away = np.linalg.norm(positions - nearest_of(
+                self.rig.keep_in, positions, self.floor), axis=1)
+            leeway = LEEWAY if beyond > ROUNDING else 0.0
+            yield Check('keep_in', ~inside & (away > leeway), lambda k: (
+                f'found {_place(positions[k])}, {away[k]:.2f} m outside of the keep_in zones; '
+                'expected a position in one; move it there'))
         yield from self._turned(poses, models)
         for fixed in self.rig.fixed:
             away = np.linalg.norm(positions - fixed.pose[:3], axis=1)
@@ -417,6 +424,18 @@ class FeasibleRegion:
         """Say that two cameras are too near to each other."""
         return (f'found {away:.2f} m to {other}; expected at least {self.rig.spacing:.2f} m '
                 '(spacing); move one of the two')
+
+
+def floor_space(scene: Scene, rig: Rig, floor: float, top: float) -> FreePlane:
+    """
+    Return where cameras of a rig have floor below them.
+
+    :param floor: of the room, metres, map frame.
+    :param top: of the room, the same.
+    """
+    high = top - floor if rig.mount.heights is None else rig.mount.heights[1]
+    return FreePlane.of(scene.points, floor + max(high, LEAST_VIEW), len(rig.cameras), 0.0,
+                        clearance=0.0)
 
 
 def _place(position: np.ndarray) -> str:

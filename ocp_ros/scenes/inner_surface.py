@@ -98,7 +98,8 @@ class InnerSurface(NamedTuple):
     remarks: tuple[str, ...]
 
 
-def inner_surface(mesh: Mesh, samples: int, apart: float, name: str) -> InnerSurface | None:
+def inner_surface(mesh: Mesh, samples: int, apart: float, name: str,
+                  solids: np.ndarray | None = None) -> InnerSurface | None:
     """
     Find what the enclosed air of a mesh sees.
 
@@ -106,16 +107,18 @@ def inner_surface(mesh: Mesh, samples: int, apart: float, name: str) -> InnerSur
     :param samples: points wanted.
     :param apart: metres between them; 0 for as many as are wanted.
     :param name: what the message calls it.
+    :param solids: (S, 2, 3) metres, two opposite corners of boxes that hold no air, of a room of
+        which nothing else is solid; None where that is not known.
     :returns: None where no air is enclosed, as in a mesh of one wall and the floor before it.
     :raises SceneError: if that is so of solid bodies: they have an outside alone.
     """
     rays, corners = MeshRays(mesh), mesh.corners
     area = _area(corners)
     pilot = sampled(corners, int(np.clip(DENSE * area, PILOT, MOST)))
-    air = EnclosedAir.of(pilot[:, :3], float(np.sqrt(area / len(pilot))))
+    air = EnclosedAir.of(pilot[:, :3], float(np.sqrt(area / len(pilot))), solids)
     some = pilot[::len(pilot) // 4000]
     if air is None:
-        if _solid(some, rays):
+        if solids is None and _solid(some, rays):
             raise SceneError(
                 f'{name}: found solid bodies and no air that is closed in above, below and '
                 'around; expected a room; cut the room out of the model, or add the walls and '
@@ -135,7 +138,8 @@ def inner_surface(mesh: Mesh, samples: int, apart: float, name: str) -> InnerSur
     found = np.vstack(sides)
     count = min(samples, len(found))
     points, normals = np.hsplit(found[np.arange(count) * len(found) // count], 2)
-    remarks = () if hidden < NONE else (
+    # Nobody needs to be told that a cupboard stands on the floor.
+    remarks = () if hidden < NONE or solids is not None else (
         f'{100.0 * hidden:.0f} % of the faces left out: the air of the room does not see them',)
     if air.rooms:
         remarks += (f'{len(air.rooms)} other closed space{"s" * (len(air.rooms) > 1)} left out, '
@@ -209,10 +213,12 @@ class EnclosedAir(NamedTuple):
     ball: float
 
     @classmethod
-    def of(cls, points: np.ndarray, spacing: float) -> 'EnclosedAir | None':
+    def of(cls, points: np.ndarray, spacing: float, solids: np.ndarray | None = None
+           ) -> 'EnclosedAir | None':
         """
         Find it between points (N, 3) of surfaces, a spacing apart, metres.
 
+        :param solids: see :func:`inner_surface`.
         :returns: None where none is large enough for a room.
         """
         grid = CellGrid.over(corners_of(points))
@@ -222,6 +228,9 @@ class EnclosedAir(NamedTuple):
         ball = max(BALL, 1.5 * spacing)
         taken, free = away <= 1.5 * spacing, away > ball
         free &= np.logical_or.accumulate(taken, axis=2)
+        for corners in () if solids is None else solids:
+            low, high = grid.cells(np.sort(corners, axis=0)).T
+            free[tuple(slice(a, b + 1) for a, b in zip(low, high))] = False
         roofed = free & np.logical_or.accumulate(taken[:, :, ::-1], axis=2)[:, :, ::-1]
         shut = sum(_ends(taken, x, y).astype(np.int8) for x, y in WAYS) >= SHUT
         found = [_parts(cells & shut, edge) for cells in (roofed, free)]
@@ -229,7 +238,7 @@ class EnclosedAir(NamedTuple):
         most = [volumes.max(initial=0.0) for _, volumes in found]
         parts, volumes = found[0 if most[0] >= ROOFED_SHARE * most[1] else 1]
         order = np.argsort(-volumes, kind='stable')
-        order = order[volumes[order] >= LEAST]
+        order = order[volumes[order] > (LEAST if solids is None else 0.0)]
         if len(order) == 0:
             return None
         room = parts == order[0]

@@ -39,26 +39,26 @@ from scipy.spatial import ConvexHull, QhullError
 #: Walls, and where each is: its axis, and whether it is at the far end of it.
 WALLS = {'south': (1, False), 'east': (0, True), 'north': (1, True), 'west': (0, False)}
 #: Metres: no room is larger.
-LARGEST = 500.0
+LARGEST = 100.0
 #: How many points are the corners of a room.
 CORNERS = 8
 LENGTH: Schema = {'type': 'number', 'minimum': 0.0, 'maximum': LARGEST}
 OPENING = mapping(
     'a wall, and at, width and height', {'wall': 'south', 'at': 1.0, 'width': 0.9, 'height': 2.1},
     ('wall', 'at', 'width', 'height'), wall=one_of(WALLS, 'south'),
-    at=number('metres along the wall from the corner with the lower x or y', 1.0, minimum=0,
-              maximum=LARGEST),
+    at=number('metres along the wall, 0 or more, from the corner with the lower x or y', 1.0,
+              minimum=0, maximum=LARGEST),
     width=number('metres above 0', 0.9, exclusiveMinimum=0, maximum=LARGEST),
     height=number('metres above 0', 2.1, exclusiveMinimum=0, maximum=LARGEST),
-    sill=number('metres above the floor', 0.9, minimum=0, maximum=LARGEST))
+    sill=number('metres above the floor, 0 or more', 0.9, minimum=0, maximum=LARGEST))
 BOX = mapping(
     'a mapping with the key box', {'box': [[1, 1, 0], [2, 1.8, 0.75]]}, ('box',),
     box=many('the lowest and the highest corner, metres', array(LENGTH, 3, 3),
              [[1, 1, 0], [2, 1.8, 0.75]], 2, 2))
 ROOM = mapping(
     'a room with the key size', {'size': [6, 4.5, 2.7]}, ('size',),
-    size=many('length, width and height in metres, each from 0.5 to 500',
-              {'type': 'number', 'minimum': 0.5, 'maximum': LARGEST}, [6, 4.5, 2.7], 3, 3),
+    size=many('length, width and height in metres, each from 1 to 100',
+              {'type': 'number', 'minimum': 1.0, 'maximum': LARGEST}, [6, 4.5, 2.7], 3, 3),
     openings=many('a list of doors and windows that let one look out', OPENING,
                   [{'wall': 'south', 'at': 1.0, 'width': 0.9, 'height': 2.1}], 0, 100),
     boxes=many('a list of boxes', BOX, [{'box': [[1, 1, 0], [2, 1.8, 0.75]]}], 0, 1000))
@@ -75,6 +75,12 @@ def read_measured_room(path: Path) -> np.ndarray:
     :raises ConfigurationError: if it is none, in one sentence.
     """
     return triangles_of(read_document(path, ROOM)).reshape(-1, 9)
+
+
+def solids_in(path: Path) -> np.ndarray:
+    """Return the boxes of a room file: (S, 2, 3) metres, the lowest and the highest corners."""
+    boxes = read_document(path, ROOM).data.get('boxes', ())
+    return np.array([data['box'] for data in boxes], dtype=np.float64).reshape(-1, 2, 3)
 
 
 def triangles_of(document: Document) -> np.ndarray:

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.scenes.laser_files import las_unit, read_e57_points, read_las_points
-from ocp_ros.scenes.measured_room import read_measured_room
+from ocp_ros.scenes.measured_room import read_measured_room, solids_in
 from ocp_ros.scenes.mesh_files import MESHES, read_mesh
 from ocp_ros.scenes.pcd_files import read_pcd_fields
 from ocp_ros.scenes.ply_files import has_faces, read_ply_fields
@@ -99,11 +99,13 @@ class Declared(NamedTuple):
     :ivar metres: per unit.
     :ivar up: the direction that points up.
     :ivar remark: what it says, where that is not metres and z.
+    :ivar solids: (S, 2, 3) two corners of each box that is solid; None where it says nothing.
     """
 
     metres: float = 1.0
     up: str = 'z'
     remark: str = ''
+    solids: np.ndarray | None = None
 
 
 def declared_by(path: Path) -> Declared:
@@ -111,6 +113,8 @@ def declared_by(path: Path) -> Declared:
     suffix = path.suffix.lower()
     if suffix in ('.glb', '.gltf'):
         return Declared(up='y', remark='up: y (glTF)')
+    if suffix in MEASURED:
+        return Declared(solids=solids_in(path))
     if suffix in ('.las', '.laz'):
         name, metres = las_unit(path)
         return Declared(metres, remark=f'unit: {printable(name)}, as the file says')

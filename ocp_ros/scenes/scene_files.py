@@ -26,7 +26,7 @@ import numpy as np
 from ocp_ros.geometry.clouds import away_from, corners_of
 from ocp_ros.geometry.voxels import SMALLEST, voxel_downsample, voxel_size_for
 from ocp_ros.scenes.inner_surface import inner_surface, without_outside
-from ocp_ros.scenes.measured_room import room_between
+from ocp_ros.scenes.measured_room import CORNERS, room_between
 from ocp_ros.scenes.mesh_files import sampled, SAMPLES
 from ocp_ros.scenes.mirror_images import without_mirror_images
 from ocp_ros.scenes.room_formats import Declared, declared_by, MEASURED, READERS
@@ -142,8 +142,8 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
     :param said: what the file says of its own unit and axes.
     :param corners: (T, 3, 3) of the triangles of a mesh that the points are on.
     """
-    if corners is None and (corners := room_between(rows[:, :3])) is not None:
-        rows = sampled(corners, ROUGH)
+    if corners is None and len(rows) == CORNERS:
+        rows, corners = _between(rows[:, :3], name)
     remarks: tuple[str, ...] = ()
     if scale == 0.0 and said.metres != 1.0 or up == BY_FILE and said.up != 'z':
         remarks = (said.remark,)
@@ -169,8 +169,11 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
         notes += _up_notes(points)
     mesh = inner = None
     if corners is not None:
-        mesh = _mesh_of(corners, SourceFrame(scale, rotation, shift), corners_of(points))
-        inner = inner_surface(mesh, max_points or SAMPLES, voxel_size, name)
+        mesh_frame = SourceFrame(scale, rotation, shift)
+        mesh = _mesh_of(corners, mesh_frame, corners_of(points))
+        solids = said.solids if said.solids is None else mesh_frame.to_map(
+            said.solids).reshape(-1, 2, 3)
+        inner = inner_surface(mesh, max_points or SAMPLES, voxel_size, name, solids)
     if mesh is not None and inner is None:
         remarks += ('no air is closed in: all faces count, from both sides',)
         if voxel_size:
@@ -196,6 +199,16 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
     for note in scene.notes[len(notes):]:
         warnings.warn(f'{name}: {note}', SceneWarning, stacklevel=3)
     return without_outside(scene)
+
+
+def _between(points: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return points on the surfaces of the room between eight corners, and their triangles."""
+    corners = room_between(points)
+    if corners is None:
+        raise SceneError(f'{name}: found eight points that are not the corners of a convex room; '
+                         'expected those, or at least 100 points of a scan; measure the corners '
+                         'again')
+    return sampled(corners, ROUGH), corners
 
 
 def _mesh_of(corners: np.ndarray, source: SourceFrame, bounds: np.ndarray) -> Mesh:

@@ -21,12 +21,12 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.geometry.coverage import space_coverage
 from ocp_ros.geometry.packed_bits import count_bits, no_bits, pack, seen_by, Subset, unpack
+from ocp_ros.rig.feasible_region import floor_space
 from ocp_ros.rig.rig_file import Region, Rig
-from ocp_ros.rig.structure import floor_height
+from ocp_ros.rig.structure import Air, floor_height
 from ocp_ros.simulation.covisibility import Covisibility, covisibility, ROUNDING, watched
 from ocp_ros.simulation.simulator import Simulator, View
 from ocp_ros.util.settings import ConfigurationError, MOST_CAMERAS
-from scipy.spatial import cKDTree
 
 #: What it costs to miss all of what a region says must be seen; the room itself costs 1.
 MUST = 10.0
@@ -100,22 +100,28 @@ class Objective:
         """Return the cells of the coverage grid that are air in a region: (S,) in its order."""
         scene, cells = self.simulator.scene, self._cells
         numbers = np.flatnonzero(region.zone.contains(cells, floor_height(scene)))
-        # What has points in its middle is no air.
-        edge = 0.5 * self.simulator.cell_volume ** (1.0 / 3.0)
-        free = cKDTree(scene.points).query(cells[numbers], distance_upper_bound=0.5 * edge)[0]
-        numbers = numbers[np.isinf(free)]
+        # What is in furniture is no air.
+        numbers = numbers[~self._air.closed(cells[numbers])]
         self._check_inside(region, numbers >= 0)
         return numbers
+
+    @cached_property
+    def _air(self) -> Air:
+        """Return the air of the room."""
+        scene = self.simulator.scene
+        return Air(scene, floor_space(scene, self.rig, floor_height(scene), scene.bounds[1, 2]))
 
     def _check_inside(self, region: Region, inside: np.ndarray) -> None:
         """Refuse a region without anything in it that is asked for."""
         if not inside.any():
             scene = self.simulator.scene
             low, high = (', '.join(f'{value:.2f}' for value in corner) for corner in scene.bounds)
+            cells = '' if region.air is None else (
+                f' in cells of {self.simulator.cell_volume ** (1.0 / 3.0):.2f} m')
             raise ConfigurationError(
-                f'{region.where}: found no {region.parts} of {scene.name} in it; expected some, '
-                f'within ({low}) to ({high}); correct its corners, or choose a region that is '
-                'in the scan')
+                f'{region.where}: found no {region.parts} of {scene.name} in it{cells}; expected '
+                f'some, within ({low}) to ({high}); correct its corners, or choose a region that '
+                'is in the scan')
 
     @cached_property
     def _cells(self) -> np.ndarray:
