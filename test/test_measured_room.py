@@ -21,7 +21,7 @@ from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.structure import ceiling_of, floor_height, walls_of
 from ocp_ros.scenes.measured_room import document_of, triangles_of
 from ocp_ros.scenes.scene import SceneError
-from ocp_ros.scenes.scene_files import load_scene, scans_in, scene_of
+from ocp_ros.scenes.scene_files import load_scene, scans_in, scene_of, SceneWarning
 from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
@@ -145,5 +145,9 @@ def test_eight_corners_are_a_room(tmp_path, scale):
     np.testing.assert_allclose([back.min(axis=0), back.max(axis=0)], [corners[0], corners[-1]],
                                atol=0.01)
     np.testing.assert_allclose(scene_of(turned).size, scene.size, atol=0.02)
+    wrong = corners.copy()
+    wrong[7, 1] = 9.0
+    with pytest.warns(SceneWarning, match='sides are not flat'):
+        assert len(scene_of(wrong).notes) == 1
     with pytest.raises(SceneError, match='found eight points that are not the corners'):
         scene_of(np.vstack([corners[:-1], [[4.0, 2.0, 1.0]]]))

@@ -40,8 +40,8 @@ from scipy.spatial import ConvexHull, QhullError
 WALLS = {'south': (1, False), 'east': (0, True), 'north': (1, True), 'west': (0, False)}
 #: Metres: no room is larger.
 LARGEST = 100.0
-#: How many points are the corners of a room.
-CORNERS = 8
+#: How many points are the corners of a room, and the least cosine between two parts of a side.
+CORNERS, FLAT = 8, np.cos(np.deg2rad(3.0))
 LENGTH: Schema = {'type': 'number', 'minimum': 0.0, 'maximum': LARGEST}
 OPENING = mapping(
     'a wall, and at, width and height', {'wall': 'south', 'at': 1.0, 'width': 0.9, 'height': 2.1},
@@ -141,20 +141,23 @@ def _wall(document: Document, wall: str, size: np.ndarray) -> list[np.ndarray]:
     return found
 
 
-def room_between(points: np.ndarray) -> np.ndarray | None:
+def room_between(points: np.ndarray) -> tuple[np.ndarray, bool] | None:
     """
     Return the surfaces of a room whose eight corners some points are.
 
-    :param points: (N, 3), in any unit.
-    :returns: (T, 3, 3) corners of triangles; None where they are no eight corners.
+    :param points: (8, 3), in any unit.
+    :returns: (T, 3, 3) corners of triangles, and whether these are six flat sides; None where the
+        points are not the corners of a convex room.
     """
-    if len(points) != CORNERS or not np.isfinite(points).all():
-        return None
     try:
         hull = ConvexHull(points)
-    except QhullError:
+    except (QhullError, ValueError):
         return None
-    return points[hull.simplices] if len(hull.vertices) == CORNERS else None
+    if len(hull.vertices) < CORNERS:
+        return None
+    # The two triangles of a side have one normal.
+    alike = hull.equations[:, :3] @ hull.equations[:, :3].T >= FLAT
+    return points[hull.simplices], bool((alike.sum(axis=1) >= 2).all())
 
 
 def document_of(size: Sequence[str], openings: Sequence[Sequence[str]],

@@ -142,8 +142,9 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
     :param said: what the file says of its own unit and axes.
     :param corners: (T, 3, 3) of the triangles of a mesh that the points are on.
     """
+    notes: list[str] = []
     if corners is None and len(rows) == CORNERS:
-        rows, corners = _between(rows[:, :3], name)
+        rows, corners, notes = _between(rows[:, :3], name)
     remarks: tuple[str, ...] = ()
     if scale == 0.0 and said.metres != 1.0 or up == BY_FILE and said.up != 'z':
         remarks = (said.remark,)
@@ -160,7 +161,7 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
     if up == AUTO:
         up = likely_up(points)
         remarks += (f'up: {up}, a guess (--up)',)
-    notes = _size_notes(points, up)
+    notes += _size_notes(points, up)
     rotation = map_from_file(up)
     points, shift = _near_origin(points @ rotation.T, name)
     points, normals = _without_duplicates(points.astype(np.float32),
@@ -201,14 +202,17 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
     return without_outside(scene)
 
 
-def _between(points: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return points on the surfaces of the room between eight corners, and their triangles."""
-    corners = room_between(points)
-    if corners is None:
+def _between(points: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Return points on the sides of the room between eight corners, triangles, and notes."""
+    found = room_between(points)
+    if found is None:
         raise SceneError(f'{name}: found eight points that are not the corners of a convex room; '
                          'expected those, or at least 100 points of a scan; measure the corners '
                          'again')
-    return sampled(corners, ROUGH), corners
+    corners, flat = found
+    return sampled(corners, ROUGH), corners, [] if flat else [
+        'found eight corners between which sides are not flat; expected six flat ones; measure '
+        'the corners again unless the room is so']
 
 
 def _mesh_of(corners: np.ndarray, source: SourceFrame, bounds: np.ndarray) -> Mesh:
