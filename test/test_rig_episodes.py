@@ -143,8 +143,9 @@ def test_rewards_count_what_regions_ask_for(room, settings):
 def test_a_rig_file_that_does_not_go_with_an_environment_is_refused(room, settings):
     with pytest.raises(ConfigurationError, match='fewest: found 2 with a rig file; expected 3'):
         CameraPlacementEnv([room], settings(ANCHORED), fewest=2)
-    with pytest.raises(ConfigurationError, match=r'rotations: found \(0.0, 30.0\) with .*rig.yaml,'
-                       ' whose fixed, keep_out or regions are places in the map; expected 0'):
+    with pytest.raises(ConfigurationError, match=(
+            r'rotations: found \(0.0, 30.0\) with .*rig.yaml, whose fixed, keep_out, keep_in or '
+            'regions are places in the map; expected 0')):
         CameraPlacementEnv([room], settings(ANCHORED), rotations=(0.0, 30.0))
     assert settings_for(settings(rig_text(count=7))).rig.cameras == 7
     crowded = settings(rig_text().replace('0.5', '50.0'))

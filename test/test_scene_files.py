@@ -326,7 +326,7 @@ def test_an_unknown_suffix_is_refused_with_the_known_ones(tmp_path, name, hint):
     message = refusal(path)
     assert hint in message
     assert ('expected one of .asc .csv .e57 .glb .gltf .las .laz .npy .obj .off .pcd .ply .pts '
-            '.ptx .stl .txt .xyz;' in message)
+            '.ptx .stl .txt .xyz .yaml .yml;' in message)
 
 
 @pytest.mark.parametrize(('broken', 'found'), [

@@ -110,7 +110,8 @@ class MountSurface:
         normal *= np.where(distances < 0.0, -1.0, 1.0)[:, None]
         # What a camera is screwed to is behind it, not beside it.
         off = np.einsum('mk,mk->m', ways[:, 0], normal)
-        hole = away[:, 0] ** 2 - off ** 2 > (0.5 * self.gap) ** 2
+        hole = (away[:, 0] > np.hypot(REACH, self.gap)) | (
+            away[:, 0] ** 2 - off ** 2 > (0.5 * self.gap) ** 2)
         return Contact(normal, np.where(hole, np.inf, np.abs(distances)))
 
     def height_above(self, places: np.ndarray) -> np.ndarray:
