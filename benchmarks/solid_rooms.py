@@ -32,11 +32,12 @@ from benchmarks import results
 from benchmarks.drills.spoilt_files import write_obj
 from benchmarks.measure import geometric
 import numpy as np
+from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.structure import ceiling_of, floor_height, walls_of
-from ocp_ros.rooms.furniture import Solid
+from ocp_ros.rooms.furniture import Solid, solid
 from ocp_ros.rooms.generator import generate_room, mesh_of, plan_of
 from ocp_ros.rooms.room_plan import RoomPlan
 from ocp_ros.rooms.splits import TEST
@@ -64,8 +65,7 @@ def solid_mesh(plan: RoomPlan) -> Mesh:
              ((-WALL, -WALL, 0), (0, y + WALL, z)), ((x, -WALL, 0), (x + WALL, y + WALL, z)),
              ((0, -WALL, 0), (x, 0, z)), ((0, y, 0), (x, y + WALL, z)),
              ((-GROUND, -GROUND, -2 * SLAB), (x + GROUND, y + GROUND, -SLAB))]
-    bodies = [Solid('wall', 0.5 * np.add(low, high), np.subtract(high, low))
-              for low, high in shell]
+    bodies = [solid('wall', low, high) for low, high in shell]
     bodies += [panel for part in plan.solids for panel in panels_of(part)]
     # The shell of a mesh is a room without walls: only the bodies count.
     whole = mesh_of(replace(plan, solids=bodies))
@@ -76,8 +76,7 @@ def panels_of(part: Solid) -> list[Solid]:
     """Return the panels of a hollow piece; what is as thin as two of them is one."""
     if min(part.size) <= 2.0 * PANEL:
         return [part]
-    cosine, sine = np.cos(part.yaw), np.sin(part.yaw)
-    turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    turn = rotation_matrix(part.yaw)
     found = []
     for axis in range(3):
         size = part.size.copy()

@@ -285,8 +285,8 @@ class WallReferences:
                     and abs(wall.offset - wall.outward @ at) <= UNEVEN):
                 return wall
         letter = letter_of(len(self.sides) + len(self.inner))
-        near = np.linalg.norm(self._surface.points[:, :2] - at, axis=1) <= STRIP
-        top = float(self._surface.points[near, 2].max(initial=0.0)) if near.any() else 0.0
+        away = np.linalg.norm(self._surface.points[:, :2] - at, axis=1)
+        top = float(self._surface.points[away <= max(STRIP, away.min()), 2].max())
         self.inner.append(InnerWall(letter, outward, float(outward @ at), at, top))
         return self.inner[-1]
 

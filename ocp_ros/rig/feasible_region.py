@@ -311,12 +311,12 @@ class FeasibleRegion:
                 f'found a position in keep-out zone {number}; expected one outside; '
                 'move it out'))
         if self.rig.keep_in:
-            inside = np.any([zone.contains(positions, self.floor) for zone in self.rig.keep_in],
-                            axis=0)
-            away = np.linalg.norm(positions - nearest_of(
-                self.rig.keep_in, positions, self.floor), axis=1)
-            leeway = LEEWAY if beyond > ROUNDING else 0.0
-            yield Check('keep_in', ~inside & (away > leeway), lambda k: (
+            out = ~np.any([zone.contains(positions, self.floor) for zone in self.rig.keep_in],
+                          axis=0)
+            away = np.zeros(len(positions))
+            away[out] = np.linalg.norm(positions[out] - nearest_of(
+                self.rig.keep_in, positions[out], self.floor), axis=1)
+            yield Check('keep_in', away > (LEEWAY if beyond > ROUNDING else 0.0), lambda k: (
                 f'found {_place(positions[k])}, {away[k]:.2f} m outside of the keep_in zones; '
                 'expected a position in one; move it there'))
         yield from self._turned(poses, models)

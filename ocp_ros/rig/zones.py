@@ -44,6 +44,10 @@ class Zone:
     polygon: np.ndarray | None = None
     above_floor: bool = False
 
+    def corners(self, floor: float) -> np.ndarray:
+        """Return the box around it over a floor of some height: (2, 3) metres, map frame."""
+        return np.stack([self.low, self.high]) + [0.0, 0.0, floor if self.above_floor else 0.0]
+
     def contains(self, points: np.ndarray, floor: float) -> np.ndarray:
         """
         Tell which points are inside; the faces of a box are.
@@ -52,8 +56,8 @@ class Zone:
         :param floor: height of the floor, metres, map frame.
         :returns: (M,) bool.
         """
-        lift = np.array([0.0, 0.0, floor if self.above_floor else 0.0])
-        inside = ((points >= self.low + lift) & (points <= self.high + lift)).all(axis=1)
+        low, high = self.corners(floor)
+        inside = ((points >= low) & (points <= high)).all(axis=1)
         if self.polygon is not None:
             inside[inside] = _in_polygon(points[inside, :2], self.polygon)
         return inside
@@ -66,9 +70,9 @@ class Zone:
         :param floor: height of the floor, metres, map frame.
         :returns: (M, 3), a millimetre from the faces; those inside stay.
         """
-        lift = np.array([0.0, 0.0, floor if self.above_floor else 0.0])
-        inset = np.minimum(INSIDE, 0.5 * (self.high - self.low))
-        moved = np.clip(points, self.low + lift + inset, self.high + lift - inset)
+        low, high = self.corners(floor)
+        inset = np.minimum(INSIDE, 0.5 * (high - low))
+        moved = np.clip(points, low + inset, high - inset)
         if self.polygon is not None:
             out = ~_in_polygon(moved[:, :2], self.polygon)
             moved[out, :2] = _onto_edge(moved[out, :2], self.polygon)
@@ -105,9 +109,9 @@ def lattice_of(zones: Sequence[Zone], low: np.ndarray, high: np.ndarray, floor: 
     """
     found = [np.empty((0, 3))]
     for zone in zones:
-        lift = np.array([0.0, 0.0, floor if zone.above_floor else 0.0])
-        lowest = np.maximum(zone.low + lift, low)
-        size = np.minimum(zone.high + lift, high) - lowest
+        lowest, highest = zone.corners(floor)
+        lowest = np.maximum(lowest, low)
+        size = np.minimum(highest, high) - lowest
         if (size < 0.0).any():
             continue
         step, count = FINEST, np.full(3, most)

@@ -164,16 +164,15 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
     notes += _size_notes(points, up)
     rotation = map_from_file(up)
     points, shift = _near_origin(points @ rotation.T, name)
+    source = SourceFrame(scale, rotation, shift)
     points, normals = _without_duplicates(points.astype(np.float32),
                                           _unit(rows[:, 3:], rotation), name)
     if axis_of(up) == 2:
         notes += _up_notes(points)
     mesh = inner = None
     if corners is not None:
-        mesh_frame = SourceFrame(scale, rotation, shift)
-        mesh = _mesh_of(corners, mesh_frame, corners_of(points))
-        solids = said.solids if said.solids is None else mesh_frame.to_map(
-            said.solids).reshape(-1, 2, 3)
+        mesh = _mesh_of(corners, source, corners_of(points))
+        solids = None if said.solids is None else source.to_map(said.solids)
         inner = inner_surface(mesh, max_points or SAMPLES, voxel_size, name, solids)
     if mesh is not None and inner is None:
         remarks += ('no air is closed in: all faces count, from both sides',)
@@ -184,8 +183,8 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
     for note in notes:
         warnings.warn(f'{name}: {note}', SceneWarning, stacklevel=3)
     if inner is not None:
-        return Scene(inner.points, called, inner.normals, mesh,
-                     SourceFrame(scale, rotation, shift), tuple(notes), remarks + inner.remarks)
+        return Scene(inner.points, called, inner.normals, mesh, source, tuple(notes),
+                     remarks + inner.remarks)
     merged = _merge(points, voxel_size, max_points, name)
     if len(merged) < len(points):
         remarks += (f'{len(merged):,} of {len(points):,} points kept (--points)',)
@@ -195,8 +194,8 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
         remarks += (f'{count:,} isolated point{"s" * (count > 1)} left out',)
         _log.warning('%s: %s', printable(name), remarks[-1])
         merged, normals = merged[~lone], None if normals is None else normals[~lone]
-    scene = without_mirror_images(Scene(merged, called, normals, mesh, SourceFrame(
-        scale, rotation, shift), tuple(notes), remarks))
+    scene = without_mirror_images(Scene(
+        merged, called, normals, mesh, source, tuple(notes), remarks))
     for note in scene.notes[len(notes):]:
         warnings.warn(f'{name}: {note}', SceneWarning, stacklevel=3)
     return without_outside(scene)
