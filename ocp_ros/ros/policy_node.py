@@ -114,7 +114,8 @@ class PolicyNode(ManagedNode):
         if self.config.clouds:
             self._live = LiveTurns(
                 self, self.config, self._commands, self._play, lambda: self._settled,
-                self._refuse, self._waits, self._decider.expected, self._reflect)
+                self._refuse, self._waits, self._decider.expected, self._reflect,
+                self._decider.in_place)
         else:
             self._turns = SimulatedTurns(
                 self, self._commands, self._play, self._tell, self._refuse, self._waits,

@@ -12,17 +12,26 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Clouds of live cameras in the frame of the poses, cut to what a camera measures well."""
+"""Frames of cameras: where their clouds are in the frame of the poses, and tf for others."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 import re
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from geometry_msgs.msg import Transform, TransformStamped, Vector3
 import numpy as np
-from ocp_ros.geometry.cameras import OPTICAL_TO_BODY, Pose
-from ocp_ros.ros.interface.conversions import MessageError, rotation_of, stamp_to_ns
+from ocp_ros.geometry.cameras import heading_of, OPTICAL_TO_BODY, Pose
+from ocp_ros.ros.interface.conversions import (
+    MessageError,
+    positions_to_msg,
+    rotation_of,
+    stamp_to_ns,
+)
+from ocp_ros.ros.interface.qos import LATCHED, LOOP
+from ocp_ros.util.settings import setting
 from rclpy.node import Node
 from rclpy.time import Time
+from std_msgs.msg import Header
 
 #: Frames of the cameras by their place among the poses: body (x forward, y left, z up) and
 #: optical (z forward, x right, y down), as REP-103 has them.
@@ -90,6 +99,10 @@ class Transforms:
         if self._buffer is not None:
             self._buffer.clear()
 
+    def knows(self, frame: str, parent: str) -> bool:
+        """Return whether somebody publishes where a frame is in another."""
+        return self._buffer is not None and self._buffer.can_transform(parent, frame, Time())
+
     def pose(self, frame: str, rig: LiveRig) -> Pose:
         """
         Look up where a frame is in that of the rig.
@@ -121,6 +134,76 @@ class Transforms:
             raise MessageError(f'cloud: found the frame {frame!r} at {position.tolist()}; '
                                'expected finite metres; mend its transform')
         return Pose(position, rotation_of(move.rotation, f'transform of {frame!r}'))
+
+
+def publish_tf() -> Any:
+    """Declare the setting of nodes that show where cameras are."""
+    return setting(True, 'publish camera_<i>, camera_<i>_link and camera_<i>_optical on /tf and '
+                         '/tf_static, where tf2_msgs is installed')
+
+
+class CameraFrames:
+    """
+    Publish the frames of cameras for others, where tf2_msgs is installed: without it nothing.
+
+    ``camera_<i>`` is the body of camera i in the frame of the poses. In it stand, by
+    ``/tf_static``, ``camera_<i>_optical`` and ``camera_<i>_link``: the latter is the body again,
+    by the name that the frames of most drivers begin with.
+
+    :param node: publishes.
+    :param taken: tells of a frame and its parent whether somebody else publishes it already.
+    """
+
+    def __init__(self, node: Node, taken: Callable[[str, str], bool]) -> None:
+        try:
+            from tf2_msgs.msg import TFMessage
+        except ImportError:
+            self._message = None
+            return
+        self._message, self._taken, self._log = TFMessage, taken, node.get_logger()
+        self._moving = node.create_publisher(TFMessage, '/tf', LOOP)
+        self._static = node.create_publisher(TFMessage, '/tf_static', LATCHED)
+        self._cameras, self._published = 0, frozenset[int]()
+
+    def publish(self, header: Header, poses: Sequence[Pose]) -> None:
+        """
+        Publish where cameras are; stamps have to rise.
+
+        :param header: stamp and frame of the poses.
+        """
+        if self._message is None:
+            return
+        if len(poses) != self._cameras:
+            self._begin(header, len(poses))
+        self._moving.publish(self._message(transforms=[
+            transform(header, f'camera_{camera}', poses[camera])
+            for camera in sorted(self._published)]))
+
+    def _begin(self, header: Header, cameras: int) -> None:
+        """Publish the static frames of a number of cameras."""
+        parent = header.frame_id.lstrip('/')
+        others = {camera for camera in range(cameras) if camera not in self._published
+                  and self._taken(f'camera_{camera}', parent)}
+        if others:
+            self._log.info(f'publish_tf: somebody else publishes {len(others)} of the '
+                           f'{cameras} frames camera_<i>; these are left to them')
+        self._cameras, self._published = cameras, frozenset(range(cameras)) - others
+        own, body = np.zeros(3), np.eye(3)
+        self._static.publish(self._message(transforms=[
+            transform(Header(stamp=header.stamp, frame_id=f'camera_{camera}'),
+                      f'camera_{camera}_{name}', Pose(own, rotation))
+            for camera in sorted(self._published)
+            for name, rotation in (('link', body), ('optical', OPTICAL_TO_BODY))]))
+
+
+def transform(header: Header, child: str, pose: Pose) -> TransformStamped:
+    """Return the transform from a frame to a child that has a pose in it."""
+    row = positions_to_msg(pose.position[None], header, heading_of(pose.rotation)[None]).poses[0]
+    at = row.position
+    return TransformStamped(
+        header=Header(stamp=header.stamp, frame_id=header.frame_id.lstrip('/')),
+        child_frame_id=child,
+        transform=Transform(translation=Vector3(x=at.x, y=at.y, z=at.z), rotation=row.orientation))
 
 
 def placed(points: np.ndarray, frame: str, rig: LiveRig, transforms: Transforms

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from geometry_msgs.msg import PoseArray
 import numpy as np
-from ocp_ros.geometry.cameras import CameraModel, heading_of
+from ocp_ros.geometry.cameras import CameraModel, heading_of, Pose
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.online.expected_gain import ExpectedGain
 from ocp_ros.online.online_planner import Online
@@ -104,6 +104,12 @@ class Decider:
     def movable(self, poses: PoseArray) -> int:
         """Return how many cameras are to be placed; they come first, then those in place."""
         return len(poses.poses) if self.rig is None else len(self.rig.cameras)
+
+    @property
+    def in_place(self) -> tuple[list[Pose], int]:
+        """Return the poses of the cameras that nobody moves, and how many others there are."""
+        return ([], 0) if self.rig is None else (
+            list(map(Pose.of, self.rig.fixed_poses)), len(self.rig.cameras))
 
     def check(self, cloud: np.ndarray, poses: PoseArray) -> None:
         """

@@ -43,6 +43,7 @@ from ocp_ros.ros.interface.conversions import (
     stamp_to_ns,
 )
 from ocp_ros.ros.interface.frames import (
+    CameraFrames,
     in_body,
     in_range,
     LateTransformError,
@@ -91,6 +92,8 @@ class LiveTurns:
     :param expect: says what a command is expected to bring, for a person: the fused cloud, where
         the cameras are and the command give a sentence.
     :param reflect: is called after each command, to think while the cameras move.
+    :param in_place: poses of the cameras that nobody moves, where a rig file says so, and how many
+        others there are.
     :raises ConfigurationError: if there can be no such topic.
     """
 
@@ -98,12 +101,13 @@ class LiveTurns:
                  answer: Callable[[np.ndarray, PoseArray], PoseArray], final: Callable[[], bool],
                  refuse: Callable[[ValueError], None], waits: Callable[[], bool],
                  expect: Callable[[np.ndarray, PoseArray, PoseArray], str],
-                 reflect: Callable[[], None]) -> None:
+                 reflect: Callable[[], None], in_place: tuple[list[Pose], int]) -> None:
         self._waits, self._expect, self._reflect = waits, expect, reflect
         self._node, self._config, self._commands = node, config, commands
         self._answer, self._final, self._refuse = answer, final, refuse
         self._fused = FusedCloud(config.voxel_size, config.most_points)
-        self._transforms = Transforms(node)
+        self._transforms, self._in_place = Transforms(node), in_place
+        self._frames = CameraFrames(node, self._transforms.knows) if config.publish_tf else None
         self._await_turns()
         #: The newest cloud of each topic, unread.
         self._newest: dict[str, PointCloud2] = {}
@@ -198,6 +202,9 @@ class LiveTurns:
         if self._turns.on_poses(stamp_to_ns(message.header.stamp), rig.positions,
                                 [pose.rotation for pose in rig.poses]):
             self._poses, self._rig = message, rig
+            if self._frames is not None:
+                fixed, movable = self._in_place
+                self._frames.publish(message.header, rig.poses + fixed[len(rig.poses) - movable:])
         self._act()
 
     def _check_known(self, rig: LiveRig) -> None:

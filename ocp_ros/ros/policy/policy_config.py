@@ -17,6 +17,7 @@
 from dataclasses import dataclass
 
 from ocp_ros.rig.free_plane import CLEARANCE
+from ocp_ros.ros.interface.frames import publish_tf
 from ocp_ros.ros.runtime.managed_node import autostart
 from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError, setting
@@ -102,6 +103,7 @@ class PolicyNodeConfig:
     turn_seconds: float = setting(
         0.0, 'live: shortest duration of a turn, seconds; it limits the speed to max_step / '
              'turn_seconds', 0.0, 3600.0, running=True)
+    publish_tf: bool = publish_tf()
     autostart: bool = autostart()
     manual: bool = setting(
         False, 'live: a person moves the cameras as `instructions` says, without time limit; '
