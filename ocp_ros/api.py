@@ -35,7 +35,7 @@ from ocp_ros.rig.placement_file import (
 from ocp_ros.rig.rig_config import OMNIDIRECTIONAL
 from ocp_ros.rig.rig_file import load_rig, Rig, rig_from, rig_of, with_count
 from ocp_ros.rig.schemas import PLACEMENT, RIG
-from ocp_ros.rooms.scene_source import room_named, ROOM_POINTS, sha256_of
+from ocp_ros.rooms.scene_source import READING, room_named, ROOM_POINTS, sha256_of
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_files import scene_of
 from ocp_ros.search.rig_methods import RIG_SEARCH
@@ -151,7 +151,7 @@ def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | Non
     :param most: with ``'auto'``, the most cameras to try.
     :param points: most points of the room; a larger scan is thinned to as many.
     :param progress: called several times a second with the share done and the least loss.
-    :param reading: of a scan or points: ``scale``, ``up``, ``drop_nonfinite``; see
+    :param reading: of a scan or points: ``scale``, ``up``, ``drop_nonfinite``, ``all_rooms``; see
         :func:`~ocp_ros.scenes.scene_files.load_scene`.
     :raises UserError: if the room, the rig or an argument cannot be used, in one sentence.
     """
@@ -187,12 +187,12 @@ def score(room: RoomLike, placement: str | PathLike[str] | Mapping[str, Any] | P
     :param rig: what is asked for, in place of what the placement says.
     :param sensor: of all cameras where the placement is poses and no rig is given.
     :param points: most points of the room; as the placement says, or 60,000.
-    :param reading: of a scan or points: ``scale``, ``up``, ``drop_nonfinite``.
+    :param reading: of a scan or points: ``scale``, ``up``, ``drop_nonfinite``, ``all_rooms``.
     :raises UserError: if the room, the placement or the rig cannot be used, in one sentence.
     """
     asked = None if rig is None else _rig(rig, None, sensor)
     placed = _placement(placement, asked, sensor)
-    known = {key: placed.room[key] for key in ('scale', 'up', 'drop_nonfinite')
+    known = {key: placed.room[key] for key in READING
              if key in placed.room and isinstance(room, (str, PathLike))}
     wanted = points if points is not None else placed.room.get('points', ROOM_POINTS)
     scene, record = _room(room, wanted, {**known, **reading})
@@ -211,9 +211,9 @@ def _room(room: RoomLike, points: int, reading: dict[str, Any]) -> tuple[Scene, 
     """Return a room, and which it is as placement files say it."""
     check_whole('points', points, FEWEST_POINTS)
     for key in reading:
-        if key not in ('scale', 'up', 'drop_nonfinite'):
-            raise ConfigurationError(f'{key}: found an argument that is not known; expected '
-                                     'scale, up or drop_nonfinite; correct its name')
+        if key not in READING:
+            raise ConfigurationError(f'{key}: found an argument that is not known; expected one '
+                                     f'of {", ".join(READING)}; correct its name')
     if isinstance(room, (Scene, int, np.integer)) and reading:
         raise ConfigurationError(
             f'{next(iter(reading))}: found it with a room that is in metres, z up; expected a '

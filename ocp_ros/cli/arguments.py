@@ -17,13 +17,18 @@
 import argparse
 from collections.abc import Callable, Sequence
 import re
+from typing import Any, TYPE_CHECKING
 
 from ocp_ros.util.settings import (
+    ConfigurationError,
     FEWEST_POINTS,
     LARGEST_SEED,
     MOST_CAMERAS,
     MOST_POINTS,
 )
+
+if TYPE_CHECKING:
+    from ocp_ros.scenes.scene import Scene
 
 
 def count(text: str) -> int:
@@ -180,3 +185,30 @@ def add_reading(command: argparse.ArgumentParser) -> None:
     add_units(command, 'of the scan')
     command.add_argument('--drop-nonfinite', action='store_true',
                          help='leave out points with NaN or inf, which organised clouds contain')
+    command.add_argument('--all-rooms', action='store_true',
+                         help='keep what the scan shows of other rooms through openings')
+
+
+def room_asked(arguments: argparse.Namespace, known: dict[str, Any]
+               ) -> 'tuple[Scene, dict[str, Any]]':
+    """
+    Read the room of a command line.
+
+    :param arguments: with ``room``, how it is read, and perhaps ``points``.
+    :param known: how it was read before, as placement files have it; what the command line says
+        comes first.
+    """
+    from ocp_ros.rooms.scene_source import READING, room_named
+    given = {key: value for key in READING
+             if (value := getattr(arguments, key)) is not None and value is not False}
+    if given and arguments.room.isdecimal():
+        raise ConfigurationError(
+            f'--{next(iter(given)).replace("_", "-")}: found it with the generated room '
+            f'{arguments.room}; expected a scan, since generated rooms are in metres, z up; leave '
+            'it out')
+    known = {key: known[key] for key in ('points', *READING) if key in known}
+    if (points := getattr(arguments, 'points', None)) is not None:
+        known['points'] = points
+    if arguments.room.isdecimal():
+        known = {key: value for key, value in known.items() if key == 'points'}
+    return room_named(arguments.room, **{**known, **given})

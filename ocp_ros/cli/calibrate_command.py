@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
-from ocp_ros.cli.arguments import add_overwrite, add_reading, frame_prefix
+from ocp_ros.cli.arguments import add_overwrite, add_reading, frame_prefix, room_asked
 from ocp_ros.cli.common import claim_folder, command_of, Commands, document, Found, JUDGE
 from ocp_ros.util.resources import find_config
 from ocp_ros.util.settings import check_known, ConfigurationError
@@ -69,7 +69,6 @@ def add_arguments(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> Found:
     """Register each camera that has a cloud, and write where it hangs."""
-    from ocp_ros.cli.placement_files import room_asked
     from ocp_ros.registration.calibration import as_built, calibrate
     from ocp_ros.registration.scan_surfaces import ScanSurfaces
     from ocp_ros.rig.placement_file import load_placement

@@ -15,23 +15,24 @@
 """``ocp info``: what a room is like, before cameras are planned for it."""
 
 import argparse
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from ocp_ros.cli.arguments import add_overwrite, add_points, add_reading
+from ocp_ros.cli.arguments import add_overwrite, add_points, add_reading, room_asked
 from ocp_ros.cli.common import claim_file, Commands, Found, LOOK, show_written
 
 
 def run(arguments: argparse.Namespace) -> Found:
     """Measure a room, and draw it cut open."""
-    from ocp_ros.cli.placement_files import room_asked
     from ocp_ros.report.drawing.room_pictures import draw_rooms
     from ocp_ros.report.room_facts import facts_of
     claim_file(arguments, arguments.out, 'a picture')
     scene, room = room_asked(arguments, {})
-    found = facts_of(scene)
-    size = ' x '.join(f'{edge:.1f}' for edge in found['size'])
-    draw_rooms(arguments.out, [(f'{scene.name}: {size} m', scene)])
-    return {'room': room, **found, 'written': [arguments.out]}
+    size = ' x '.join(f'{edge:.1f}' for edge in scene.size)
+    with ThreadPoolExecutor(1) as beside:
+        found = beside.submit(facts_of, scene)
+        draw_rooms(arguments.out, [(f'{scene.name}: {size} m', scene)])
+    return {'room': room, **found.result(), 'written': [arguments.out]}
 
 
 def show(found: Found) -> None:

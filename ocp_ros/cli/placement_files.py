@@ -20,14 +20,13 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from ocp_ros.cli.arguments import room_asked
 from ocp_ros.planning.assessment import Assessment
 from ocp_ros.report.exports import export, FORMS
 from ocp_ros.rig.placement_file import load_placement, Placement
 from ocp_ros.rig.rig_file import load_rig
-from ocp_ros.rooms.scene_source import room_named
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.files import FileSet
-from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
 from ocp_ros.util.yaml_files import written
 
@@ -36,24 +35,23 @@ from ocp_ros.util.yaml_files import written
 CURVE = 'curve.png'
 WRITTEN = (*FORMS, 'report.png', 'report_2.png', 'report.html', CURVE)
 MARK = 'placement.json'
-#: How a scan is read, as command lines and placement files say it.
-READING = ('scale', 'up', 'drop_nonfinite')
 
 
 def written_to(files: FileSet, judged: Assessment, more: Callable[[Path], Iterable[Path]],
-               prefix: str = '') -> dict[str, Any]:
+               prefix: str = '', brief: bool = False) -> dict[str, Any]:
     """
     Write a placement in all forms, and the reports.
 
     :param files: where to.
     :param more: writes other files to a folder, and yields each.
     :param prefix: of the names of frames.
+    :param brief: leave out the reports and other files, which take seconds to draw.
     :returns: ``written``; where not all could be, for want of space say, ``error`` as well.
     """
     paths: list[str] = []
     try:
-        for path in chain(export(files.aside, judged, prefix), reports(files.aside, judged),
-                          more(files.aside)):
+        for path in chain(export(files.aside, judged, prefix), *(
+                () if brief else (reports(files.aside, judged), more(files.aside)))):
             paths.append(str(files.folder / path.name))
     except OSError as error:
         return {'written': paths, 'error': (
@@ -89,30 +87,6 @@ def room_and_placement(arguments: argparse.Namespace
     placement = load_placement(arguments.placement, rig)
     scene, room = room_asked(arguments, placement.room)
     return scene, placement, room
-
-
-def room_asked(arguments: argparse.Namespace, known: dict[str, Any]
-               ) -> tuple[Scene, dict[str, Any]]:
-    """
-    Read the room of a command line.
-
-    :param arguments: with ``room``, how it is read, and perhaps ``points``.
-    :param known: how it was read before, as placement files have it; what the command line says
-        comes first.
-    """
-    given = {key: value for key in READING
-             if (value := getattr(arguments, key)) is not None and value is not False}
-    if given and arguments.room.isdecimal():
-        raise ConfigurationError(
-            f'--{next(iter(given)).replace("_", "-")}: found it with the generated room '
-            f'{arguments.room}; expected a scan, since generated rooms are in metres, z up; leave '
-            'it out')
-    known = {key: known[key] for key in ('points', *READING) if key in known}
-    if (points := getattr(arguments, 'points', None)) is not None:
-        known['points'] = points
-    if arguments.room.isdecimal():
-        known = {key: value for key, value in known.items() if key == 'points'}
-    return room_named(arguments.room, **{**known, **given})
 
 
 def show_written(found: dict[str, Any]) -> None:

@@ -34,6 +34,7 @@ from ocp_ros.cli.arguments import (
     at_least,
     cameras,
     count,
+    room_asked,
     seconds,
     seed,
     share,
@@ -102,7 +103,7 @@ def add_arguments(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> Found:
     """Plan a rig in a room, and write the placement in all forms."""
-    from ocp_ros.cli.placement_files import MARK, room_asked, WRITTEN, written_to
+    from ocp_ros.cli.placement_files import MARK, WRITTEN, written_to
     from ocp_ros.planning.rig_planning import PlannedRig
     from ocp_ros.util.files import folder_to_write
     task = task_of(arguments)
@@ -118,7 +119,7 @@ def run(arguments: argparse.Namespace) -> Found:
         judged = planned.judged(placement, arguments.frame)
         return {**judged.found,
                 **written_to(files, judged, lambda aside: _curve(aside, judged.found),
-                             arguments.frame_prefix)}
+                             arguments.frame_prefix, brief=budget.stopped)}
 
 
 def task_of(arguments: argparse.Namespace) -> 'PlanTask':
@@ -225,3 +226,5 @@ def show(found: Found) -> None:
     from rich.console import Console
     show_plan(Console(width=WIDTH), found)
     show_written(found)
+    if found['search']['stopped']:
+        print('stopped: no report was drawn; `ocp score ROOM PLACEMENT --out DIR` draws it')

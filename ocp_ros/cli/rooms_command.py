@@ -78,7 +78,8 @@ def _preview_rooms(arguments: argparse.Namespace) -> Found:
             scenes.append(titled(seed_named(name), arguments.points))
         else:
             scene = load_cached(name, max_points=arguments.points, scale=arguments.scale or 0.0,
-                                up=arguments.up or 'file', drop_nonfinite=arguments.drop_nonfinite)
+                                up=arguments.up or 'file', drop_nonfinite=arguments.drop_nonfinite,
+                                all_rooms=arguments.all_rooms)
             scenes.append((scene.name, scene))
     draw_rooms(arguments.out, scenes)
     return {'written': [arguments.out]}

@@ -14,6 +14,7 @@
 
 """What the script ``ocp`` calls: a Ctrl-C ends it without a page of traceback, from the start."""
 
+import gc
 import os
 import signal
 from typing import NoReturn
@@ -35,9 +36,16 @@ def main() -> int:
     from ocp_ros.cli.main import main as run
     signal.signal(signal.SIGINT, interrupt)
     try:
-        return run()
+        return _ending(run())
     except Exception:
         # Some libraries take an interrupt for an error of their own.
         if noted:
             return STOPPED
         raise
+
+
+def _ending(code: int) -> int:
+    """Leave memory to the system, which frees it at once; Python would take half a second."""
+    gc.freeze()
+    gc.disable()
+    return code

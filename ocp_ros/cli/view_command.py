@@ -19,7 +19,7 @@ from pathlib import Path
 import sys
 import webbrowser
 
-from ocp_ros.cli.arguments import add_overwrite, add_points, add_reading
+from ocp_ros.cli.arguments import add_overwrite, add_points, add_reading, room_asked
 from ocp_ros.cli.common import claim_file, command_of, Commands, Found, LOOK, show_written
 from ocp_ros.util.resources import find_config
 from ocp_ros.util.settings import ConfigurationError
@@ -46,7 +46,7 @@ def add_arguments(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> Found:
     """Write the page, and open it where that is wanted."""
-    from ocp_ros.cli.placement_files import room_and_placement, room_asked
+    from ocp_ros.cli.placement_files import room_and_placement
     from ocp_ros.planning.assessment import judge
     from ocp_ros.report.viewer import write_view
     claim_file(arguments, arguments.out, 'a page')

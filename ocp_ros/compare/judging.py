@@ -83,7 +83,7 @@ class JudgedRoom:
             self.judged = make_room(name, rotation, judged_points)
         else:
             self.scene, self.judged = _halves(
-                make_room(name, rotation, 2 * points, scale, up), half)
+                make_room(name, rotation, 2 * points, scale=scale, up=up), half)
 
     @cached_property
     def promising(self) -> PlaneProblem | Problem:

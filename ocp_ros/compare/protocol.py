@@ -109,7 +109,7 @@ def rooms_in(folder: Path, scale: float = 0.0, up: str = BY_FILE) -> list[str]:
         raise SceneError(f'{folder}: found no scans; expected files of {", ".join(READERS)}')
     for path in found:
         try:
-            make_room(path, 0.0, TRIED, scale, up)
+            make_room(path, 0.0, TRIED, scale=scale, up=up)
         except SceneError as error:
             raise SceneError(f'{error}; every scan in {folder} is compared: convert this file '
                              'first, or move it out') from error

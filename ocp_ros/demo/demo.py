@@ -60,6 +60,8 @@ def parser() -> argparse.ArgumentParser:
                      help='direction of the scan that points up, such as --up=-y; auto: guess it')
     top.add_argument('--drop-nonfinite', action='store_true',
                      help='leave out points with NaN or inf')
+    top.add_argument('--all-rooms', action='store_true',
+                     help='keep what the scan shows of other rooms through openings')
     top.add_argument('--planner', choices=PLANNERS, default=PolicyNodeConfig.planner,
                      help='planner of the moves')
     top.add_argument('--model', default=PolicyNodeConfig.model, help='weights: path or name')
@@ -73,7 +75,8 @@ def sim_parameters(options: argparse.Namespace) -> dict[str, Any]:
     return {**room, 'rig.cameras': options.cameras, 'episode.turns': options.turns,
             'rig.height': options.height, 'scene.seed': options.seed,
             'scene.scale': options.scale, 'scene.up': options.up,
-            'scene.drop_nonfinite': options.drop_nonfinite}
+            'scene.drop_nonfinite': options.drop_nonfinite,
+            'scene.all_rooms': options.all_rooms}
 
 
 def policy_parameters(options: argparse.Namespace) -> dict[str, Any]:

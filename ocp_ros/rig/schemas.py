@@ -127,6 +127,7 @@ RIG = mapping(
         overlap=number('a share above 0, at most 1', 0.2, exclusiveMinimum=0, maximum=1),
         angle=number('degrees above 0, at most 180', 60.0, exclusiveMinimum=0, maximum=180)))
 
+TRUTH = {'description': 'true or false', 'type': 'boolean', 'examples': [True]}
 PLACED = mapping(
     'a camera and its position', {'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2], 'yaw': 90},
     ('position',), name=NAME, **MODEL, position=POSITION, **ANGLES,
@@ -145,7 +146,7 @@ ROOM = mapping(
                  minimum=FEWEST_POINTS, maximum=MOST_POINTS),
     scale=number('metres per unit of the file, above 0', 1.0, exclusiveMinimum=0),
     up=one_of(UP_AXES, 'z'),
-    drop_nonfinite={'description': 'true or false', 'type': 'boolean', 'examples': [True]},
+    drop_nonfinite=TRUTH, all_rooms=TRUTH,
     source_from_map={
         'description': 'four rows of four numbers: map coordinates to those of the scan',
         'type': 'array', 'minItems': 4, 'maxItems': 4,

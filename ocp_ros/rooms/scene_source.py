@@ -28,6 +28,8 @@ from ocp_ros.util.settings import FEWEST_POINTS, LARGEST_SEED, MOST_POINTS, sett
 
 #: Points of a room that placements are judged in, where nobody says.
 ROOM_POINTS = 60_000
+#: How a scan is read, as command lines, parameters and placement files say it.
+READING = ('scale', 'up', 'drop_nonfinite', 'all_rooms')
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,7 @@ class SceneConfig:
     up: str = setting(BY_FILE, 'direction of the file that points up; auto: guess it; file: as '
                                'its format says, otherwise z', choices=UP_CHOICES)
     drop_nonfinite: bool = setting(False, 'leave out points with NaN or inf')
+    all_rooms: bool = setting(False, 'keep other rooms of the file that are seen through openings')
 
 
 def make_scene(config: SceneConfig) -> Scene:
@@ -57,7 +60,7 @@ def make_scene(config: SceneConfig) -> Scene:
     if not config.file:
         return generate_room(config.seed, config.points)
     return load_scene(config.file, voxel_size=config.voxel_size, max_points=config.points,
-                      scale=config.scale, up=config.up, drop_nonfinite=config.drop_nonfinite)
+                      **{option: getattr(config, option) for option in READING})
 
 
 def seed_named(name: str) -> int:
@@ -74,24 +77,21 @@ def seed_named(name: str) -> int:
     return int(name)
 
 
-def make_room(name: str, rotation: float, points: int = 15000, scale: float = 0.0,
-              up: str = BY_FILE, drop_nonfinite: bool = False) -> Scene:
+def make_room(name: str, rotation: float, points: int = 15000, **reading: Any) -> Scene:
     """
     Make one of many rooms.
 
     :param name: the seed of a generated room, or the path of a scan.
     :param rotation: degrees about the vertical axis.
     :param points: of a generated room; a larger scan is thinned to as many.
-    :param scale: of a scan; see :func:`~ocp_ros.scenes.scene_files.load_scene`.
-    :param up: of a scan, likewise.
-    :param drop_nonfinite: leave out points with NaN or inf rather than refuse the scan.
+    :param reading: of a scan, those of ``READING``; see
+        :func:`~ocp_ros.scenes.scene_files.load_scene`.
     :raises SceneError: if the scan cannot be used.
     """
     if name.isdecimal():
         scene = generate_room(seed_named(name), points)
     else:
-        scene = load_cached(name, max_points=points, scale=scale, up=up,
-                            drop_nonfinite=drop_nonfinite)
+        scene = load_cached(name, max_points=points, **reading)
     return turned(scene, rotation) if rotation else scene
 
 
@@ -101,7 +101,7 @@ def room_named(name: str, points: int = ROOM_POINTS, **reading: Any
     Read or generate a room, and say which it is as placement files do.
 
     :param name: path of a scan, or seed of a generated room.
-    :param reading: of a scan: scale, up, drop_nonfinite; see :func:`make_room`.
+    :param reading: of a scan; see :func:`make_room`.
     :raises SceneError: if the scan cannot be used.
     """
     scene = make_room(name, 0.0, points, **reading)

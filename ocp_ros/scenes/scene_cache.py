@@ -29,7 +29,7 @@ from ocp_ros.util.files import cache_folder, write_atomically
 #: Bytes of a file from which it is worth keeping what was read.
 LARGE = 4_000_000
 #: Of what is kept; another one where reading a file gives something else.
-LAYOUT = 2
+LAYOUT = 3
 #: The folder of the cache that they are in.
 SCANS = 'scans'
 

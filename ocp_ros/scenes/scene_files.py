@@ -26,6 +26,7 @@ import numpy as np
 from ocp_ros.geometry.clouds import away_from, corners_of
 from ocp_ros.geometry.voxels import SMALLEST, voxel_downsample, voxel_size_for
 from ocp_ros.scenes.inner_surface import inner_surface, without_outside
+from ocp_ros.scenes.main_room import main_room
 from ocp_ros.scenes.measured_room import CORNERS, room_between
 from ocp_ros.scenes.mesh_files import sampled, SAMPLES
 from ocp_ros.scenes.mirror_images import without_mirror_images
@@ -70,7 +71,7 @@ class SceneWarning(UserWarning):
 
 
 def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: float = 0.0,
-               up: str = BY_FILE, drop_nonfinite: bool = False) -> Scene:
+               up: str = BY_FILE, drop_nonfinite: bool = False, all_rooms: bool = False) -> Scene:
     """
     Read a room from a file.
 
@@ -97,6 +98,8 @@ def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: flo
         for a guess, which the remarks name; ``'file'`` for what its format says (y for glTF), and
         z where it says nothing.
     :param drop_nonfinite: leave out the points with NaN or inf rather than refuse the file.
+    :param all_rooms: keep what is seen of other rooms through openings, such as doors; see
+        :mod:`ocp_ros.scenes.main_room`.
     :returns: the scene, in metres, z up.
     :raises SceneError: if the file or an option cannot be used; the message names the file.
     """
@@ -108,11 +111,12 @@ def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: flo
     rows, corners = _read(path)
     return _scene_from(rows, path.name, _scene_name(path), declared_by(path), corners,
                        voxel_size=voxel_size, max_points=max_points, scale=scale, up=up,
-                       drop_nonfinite=drop_nonfinite)
+                       drop_nonfinite=drop_nonfinite, all_rooms=all_rooms)
 
 
 def scene_of(points, *, name: str = 'points', voxel_size: float = 0.0, max_points: int = 0,
-             scale: float = 1.0, up: str = 'z', drop_nonfinite: bool = False) -> Scene:
+             scale: float = 1.0, up: str = 'z', drop_nonfinite: bool = False,
+             all_rooms: bool = False) -> Scene:
     """
     Make a room of points in memory, treated as those of a file are; see :func:`load_scene`.
 
@@ -129,12 +133,13 @@ def scene_of(points, *, name: str = 'points', voxel_size: float = 0.0, max_point
     if points.ndim != 2 or points.shape[1] != 3:
         check_numbers(points, name)
     return _scene_from(points, name, printable(name), Declared(), voxel_size=voxel_size,
-                       max_points=max_points, scale=scale, up=up, drop_nonfinite=drop_nonfinite)
+                       max_points=max_points, scale=scale, up=up, drop_nonfinite=drop_nonfinite,
+                       all_rooms=all_rooms)
 
 
 def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
                 corners: np.ndarray | None = None, *, voxel_size: float, max_points: int,
-                scale: float, up: str, drop_nonfinite: bool) -> Scene:
+                scale: float, up: str, drop_nonfinite: bool, all_rooms: bool) -> Scene:
     """
     Make a room of points in the units and axes of a file; messages name the file.
 
@@ -167,8 +172,9 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
     source = SourceFrame(scale, rotation, shift)
     points, normals = _without_duplicates(points.astype(np.float32),
                                           _unit(rows[:, 3:], rotation), name)
-    if axis_of(up) == 2:
-        notes += _up_notes(points)
+    if axis_of(up) == 2 and (sideways := _up_notes(points)):
+        notes += sideways
+        all_rooms = True
     mesh = inner = None
     if corners is not None:
         mesh = _mesh_of(corners, source, corners_of(points))
@@ -180,11 +186,10 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
             mesh = replace(mesh, exact=False)
         rows = sampled(mesh.corners, SAMPLES if voxel_size else max_points or SAMPLES)
         points, normals = (part.astype(np.float32) for part in np.hsplit(rows, 2))
-    for note in notes:
-        warnings.warn(f'{name}: {note}', SceneWarning, stacklevel=3)
     if inner is not None:
-        return Scene(inner.points, called, inner.normals, mesh, source, tuple(notes),
-                     remarks + inner.remarks)
+        scene = Scene(inner.points, called, inner.normals, mesh, source, tuple(notes),
+                      remarks + inner.remarks)
+        return _told(scene if all_rooms else main_room(scene, inner.points), name)
     merged = _merge(points, voxel_size, max_points, name)
     if len(merged) < len(points):
         remarks += (f'{len(merged):,} of {len(points):,} points kept (--points)',)
@@ -196,9 +201,18 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
         merged, normals = merged[~lone], None if normals is None else normals[~lone]
     scene = without_mirror_images(Scene(
         merged, called, normals, mesh, source, tuple(notes), remarks))
-    for note in scene.notes[len(notes):]:
-        warnings.warn(f'{name}: {note}', SceneWarning, stacklevel=3)
-    return without_outside(scene)
+    if len(scene) < len(merged):
+        # What a mirror shows is no other room.
+        points = scene.points
+    scene = without_outside(scene)
+    return _told(scene if all_rooms else main_room(scene, points), name)
+
+
+def _told(scene: Scene, name: str) -> Scene:
+    """Warn of what a room notes, and return it."""
+    for note in scene.notes:
+        warnings.warn(f'{name}: {note}', SceneWarning, stacklevel=4)
+    return scene
 
 
 def _between(points: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray, list[str]]:

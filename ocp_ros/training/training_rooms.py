@@ -72,7 +72,7 @@ def make(config: RoomsConfig, name: str, rotation: float = 0.0) -> Scene:
     :param rotation: degrees about the vertical axis.
     :raises SceneError: if a scan cannot be used.
     """
-    return make_room(name, rotation, config.points, config.scale, config.up)
+    return make_room(name, rotation, config.points, scale=config.scale, up=config.up)
 
 
 class Rooms(Sequence):

@@ -1,0 +1,165 @@
+# Copyright 2026 The ocp_ros authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The room that a scan is of: what lies behind its doors belongs to others.
+
+Walls reach up to the ceiling, and so do lintels over doors: on a plan of both the free floor
+falls apart into rooms. A beam over the whole width of a corridor is no lintel, and a strip behind
+a shelf no room.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from ocp_ros.geometry.voxels import voxel_downsample
+from ocp_ros.scenes.scene import MIN_POINTS, Scene
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+#: Metres: the edge of a cell of the plan, and of the largest one with which rooms are told apart;
+#: in multiples of the points' spacing.
+CELL, COARSEST, SPACINGS = 0.1, 0.2, 1.5
+#: Metres: the edge of the cubes whose points are merged for it; points whose spacing is measured,
+#: and among how many.
+VOXEL, TRIED, AMONG = 0.04, 2000, 9
+#: How much finer walls are split between the rooms on both sides, and cells of that at most.
+FINER, MOST = 4, 4_000_000
+#: Metres above the floor that a wall reaches through, in bands, all of which but one have points,
+#: and under the ceiling; above the floor where lintels are and beams are not.
+BANDS, UNDER_CEILING, LINTEL = (0.9, 1.2, 1.5, 1.8), (0.12, 0.5), (2.0, 2.35)
+BAND = 0.3
+#: Metres that a lintel reaches from the next wall at most, that gaps in a floor are closed over,
+#: and half of the width of an opening up to the ceiling that parts two rooms.
+REACH, GAP, NARROW = 1.0, 0.4, 0.25
+#: Half of the width of a room at least, and of a door at most, metres; the most that a door is
+#: wide as a share of the rooms on both sides, and a wider one.
+HALF, DOOR, GATE = 0.6, 0.75, 0.5
+#: Square metres of a room's floor, and its share of the points.
+FLOOR, SHARE = 2.0, 0.02
+#: A scan is of a building where so many rooms are beside the one with the most points, or where
+#: that has less than such a share of them.
+MANY, BUILDING = 4, 0.45
+
+
+def main_room(scene: Scene, points: np.ndarray) -> Scene:
+    """
+    Leave out what belongs to other rooms, with a note; the same scene where there is none.
+
+    :param points: (N, 3) metres, those of the file before any were merged.
+    """
+    thin = voxel_downsample(points, VOXEL)
+    some = thin[::max(len(thin) // TRIED, 1)]
+    reach = cKDTree(thin).query(some, k=AMONG)[0][:, -1]
+    cell = max(CELL, SPACINGS * float(np.median(reach)) * np.sqrt(np.pi / (AMONG - 1)))
+    if cell > COARSEST:
+        return scene
+    low = thin[:, :2].min(axis=0) - 2.0 * GAP
+    rooms = _rooms(thin - np.append(low, np.percentile(thin[:, 2], 1)), cell)
+    if rooms.max() < 2:
+        return scene
+    counts = np.bincount(_nearest(rooms, (thin[:, :2] - low) / cell), minlength=rooms.max() + 1)
+    main, floors = int(counts.argmax()), np.bincount(rooms.ravel()) * cell * cell
+    others = [room for room in np.flatnonzero(counts >= SHARE * len(thin))
+              if room != main and floors[room] >= FLOOR]
+    if len(others) >= MANY or others and counts[main] < BUILDING * len(thin):
+        remark = f'{len(others) + 1} rooms with openings between them: all are planned for'
+        return replace(scene, remarks=(*scene.remarks, remark))
+    kept = ~np.isin(_nearest(rooms, (scene.points[:, :2] - low) / cell), others)
+    if kept.all() or kept.sum() < MIN_POINTS:
+        return scene
+    note = (f'found {len(scene) - kept.sum():,} points of another room behind an opening; '
+            'expected one room; that part of the scan is not planned for: --all-rooms includes it')
+    return replace(scene.only(kept), notes=(*scene.notes, note))
+
+
+def _nearest(rooms: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return the nearest room of each place (N, 2), in cells, of those on a plan (X, Y)."""
+    # On the two faces of a wall there are points of two rooms.
+    finer = int(np.clip(np.sqrt(MOST / rooms.size), 1, FINER))
+    fine = rooms.repeat(finer, axis=0).repeat(finer, axis=1)
+    _, (x, y) = ndimage.distance_transform_edt(fine == 0, return_indices=True)
+    at = tuple(np.clip((places * finer).astype(int), 0, np.array(fine.shape) - 1).T)
+    return fine[x[at], y[at]]
+
+
+def _rooms(points: np.ndarray, cell: float) -> np.ndarray:
+    """
+    Tell rooms apart on a plan of points.
+
+    :param points: (N, 3) metres above the floor, from the lowest corner of the plan.
+    :returns: (X, Y), the number of a room from 1, 0 in walls and outside.
+    """
+    place = (points[:, :2] / cell).astype(int)
+    shape = tuple(place.max(axis=0) + 1 + int(2.0 * GAP / cell))
+    height, top = points[:, 2], np.percentile(points[:, 2], 99)
+
+    def seen(low: float = -np.inf, high: float = np.inf) -> np.ndarray:
+        cells = np.zeros(shape, dtype=bool)
+        cells[tuple(place[(height >= low) & (height < high)].T)] = True
+        return cells
+
+    near = _disc(1.0)
+    high = ndimage.binary_dilation(seen(top - UNDER_CEILING[1], top - UNDER_CEILING[0]), near)
+    bands = [ndimage.binary_dilation(seen(low, low + BAND), near) for low in BANDS]
+    upright = np.sum(bands, axis=0) >= len(BANDS) - 1
+    walls = upright & high
+    lintels = (ndimage.binary_dilation(seen(*LINTEL), near) & high & ~upright
+               & (ndimage.distance_transform_edt(~walls) * cell <= REACH))
+    known = ndimage.binary_fill_holes(ndimage.binary_closing(seen(), _disc(GAP / cell)))
+    barrier = walls | lintels
+    free = known & ~barrier
+    clear = ndimage.distance_transform_edt(~barrier) * cell
+    rooms, count = ndimage.label(free & (clear >= NARROW))
+    half = ndimage.distance_transform_edt(known & ~walls) * cell
+    widths = np.append(0.0, ndimage.maximum(half, rooms, np.arange(1, count + 1)))
+    joined = _joined(rooms, lintels, half, widths, NARROW / cell + 1.5)
+    rooms = joined[rooms]
+    wide = np.zeros(count + 1, dtype=bool)
+    wide[joined[widths >= HALF]] = True
+    rooms[~wide[rooms]] = 0
+    _, (x, y) = ndimage.distance_transform_edt(rooms == 0, return_indices=True)
+    return np.where(free, rooms[x, y], 0)
+
+
+def _joined(rooms: np.ndarray, lintels: np.ndarray, half: np.ndarray, widths: np.ndarray,
+            reach: float) -> np.ndarray:
+    """
+    Join rooms between which there are beams.
+
+    :param rooms: (X, Y) numbers.
+    :param lintels: (X, Y), what may be one or a beam.
+    :param half: (X, Y) metres to the next wall.
+    :param widths: of the rooms by their number, the most of ``half``.
+    :param reach: cells from a lintel to the rooms that it parts.
+    :returns: the number of the room that each is a part of.
+    """
+    joined, near, margin = np.arange(len(widths)), _disc(reach), int(reach) + 1
+    blobs, _ = ndimage.label(lintels)
+    for number, box in enumerate(ndimage.find_objects(blobs), start=1):
+        around = tuple(slice(max(side.start - margin, 0), side.stop + margin) for side in box)
+        blob = blobs[around] == number
+        parted = np.setdiff1d(rooms[around][ndimage.binary_dilation(blob, near)], [0])
+        if len(parted) < 2:
+            continue
+        opening = half[around][blob].max()
+        if opening > widths[parted].min() * (DOOR if opening <= HALF else GATE):
+            joined[np.isin(joined, joined[parted])] = joined[parted[0]]
+    return joined
+
+
+def _disc(radius: float) -> np.ndarray:
+    """Return the cells within a radius, in cells."""
+    reach = np.arange(-int(radius), int(radius) + 1)
+    return np.hypot(reach[:, None], reach) <= radius

@@ -1,0 +1,89 @@
+# Copyright 2026 The ocp_ros authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What a scan shows of other rooms through a door is left out; parts of one room are not."""
+
+from itertools import pairwise
+
+import numpy as np
+from ocp_ros.rooms.generator import generate_room
+from ocp_ros.scenes.scene_files import scene_of, SceneWarning
+import pytest
+
+STEP = 0.06
+
+
+def side(corner, along, up):
+    """Return points on a rectangle, metres."""
+    along, up = np.array(along, dtype=float), np.array(up, dtype=float)
+    across = [np.arange(STEP / 2, np.linalg.norm(way), STEP) / np.linalg.norm(way)
+              for way in (along, up)]
+    first, second = (part.reshape(-1, 1) for part in np.meshgrid(*across))
+    return corner + first * along + second * up
+
+
+def rooms(*spans, door=(1.5, 2.4), lintel=2.05, depth=4.5):
+    """Return rooms (low x, high x, height) beside each other, with doors (low y, high y)."""
+    parts = []
+    for low, high, top in spans:
+        width = high - low
+        parts += [side((low, 0, z), (width, 0, 0), (0, depth, 0)) for z in (0, top)]
+        parts += [side((low, y, 0), (width, 0, 0), (0, 0, top)) for y in (0, depth)]
+        parts += [side((x, 0, 0), (0, depth, 0), (0, 0, top)) for x in (low, high)]
+    points = np.concatenate(parts)
+    for (_, wall, _), (behind, *_) in pairwise(spans):
+        points = points[~((points[:, 0] > wall - 0.03) & (points[:, 0] < behind + 0.03)
+                          & (points[:, 1] > door[0]) & (points[:, 1] < door[1])
+                          & (points[:, 2] < lintel) & (points[:, 2] > 0.01))]
+        parts = [side((wall, door[0], lintel), (behind - wall, 0, 0), (0, door[1] - door[0], 0)),
+                 side((wall, door[0], 0), (behind - wall, 0, 0), (0, door[1] - door[0], 0))]
+        points = np.concatenate([points, *parts])
+    return points + np.random.default_rng(0).normal(0.0, 0.004, points.shape)
+
+
+def turned(points, degrees):
+    """Return points turned about the vertical."""
+    angle = np.deg2rad(degrees)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return np.hstack([points[:, :2] @ turn.T, points[:, 2:]])
+
+
+@pytest.mark.parametrize('wall, degrees', [(0.1, 0.0), (0.15, 30.0), (0.3, 77.0)])
+def test_the_room_behind_a_door_is_left_out_and_named(wall, degrees):
+    points = rooms((0.0, 6.0, 2.7), (6.0 + wall, 9.5, 2.5))
+    with pytest.warns(SceneWarning, match='another room.*--all-rooms'):
+        scene = scene_of(turned(points, degrees))
+    found = turned(scene.points.astype(float), -degrees)
+    own = points[points[:, 0] < 6.0 + 0.5 * wall]
+    assert len(found) > 0.99 * len(own)
+    # Of the other room the floor of the doorway, and a part of the wall between.
+    assert found[:, 0].max() < 6.6 + wall
+    assert np.mean(found[:, 0] > 6.05 + wall) < 0.01
+    whole = scene_of(turned(points, degrees), all_rooms=True)
+    assert len(whole) > 0.99 * len(points)
+
+
+@pytest.mark.parametrize('points', [
+    # A wide passage, a low beam across a corridor, and a building of equal rooms.
+    rooms((0.0, 6.0, 2.7), (6.2, 9.5, 2.7), door=(0.7, 3.8), lintel=2.2),
+    rooms((0.0, 5.0, 2.7), (5.3, 12.0, 2.7), door=(0.0, 1.9), lintel=2.2, depth=1.9),
+    rooms((0.0, 4.0, 2.7), (4.1, 8.1, 2.7), (8.2, 12.2, 2.7))])
+def test_passages_beams_and_buildings_stay_whole(points):
+    assert len(scene_of(points)) > 0.99 * len(points)
+
+
+@pytest.mark.parametrize('seed', [3, 27, 89, 199])
+def test_a_generated_room_is_one(seed):
+    room = generate_room(seed, 20_000)
+    assert len(scene_of(room.points)) > 0.99 * len(room)
