@@ -14,8 +14,11 @@
 
 """Meshes, read with Open3D, and points on their faces, as even as those of a careful scan."""
 
+from contextlib import suppress
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from threading import Thread
 
 import numpy as np
 from ocp_ros.scenes.guarded_reading import read_guarded
@@ -46,8 +49,20 @@ def read_mesh(path: Path) -> np.ndarray:
         return vertices
     if not find_spec('open3d'):
         raise ImportError('open3d; pip install open3d')
-    # A face takes a byte or more, unless one part stands in many places.
-    return read_guarded('mesh', path, 9, max(path.stat().st_size, INSTANCES))
+    # This process casts rays at the faces: it imports Open3D while the other one reads.
+    ahead = Thread(target=_import_open3d)
+    ahead.start()
+    try:
+        # A face takes a byte or more, unless one part stands in many places.
+        return read_guarded('mesh', path, 9, max(path.stat().st_size, INSTANCES))
+    finally:
+        ahead.join()
+
+
+def _import_open3d() -> None:
+    """Import Open3D; where that fails, whoever needs it says why."""
+    with suppress(Exception):
+        import_module('open3d')
 
 
 def _bare_vertices(path: Path) -> np.ndarray | None:

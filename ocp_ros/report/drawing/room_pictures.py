@@ -38,12 +38,15 @@ from ocp_ros.report.drawing.room_drawing import (
     PALE_INK,
     Room,
     room_of,
+    some_of,
 )
 from ocp_ros.rooms.generator import generate_room, plan_of
 from ocp_ros.scenes.scene import Scene
 
 #: What nobody sees; no camera has this colour.
 UNOBSERVED = '#c44e3b'
+#: Points of a room among others.
+SHOWN = 20_000
 
 
 def draw_placement(path: str | Path, points: np.ndarray, observed: np.ndarray | None,
@@ -226,7 +229,8 @@ def draw_rooms(path: Path, scenes: Sequence[tuple[str, Scene]], columns: int = 4
         axes = figure.add_axes(((k % columns + 0.02) / columns,
                                 (rows - 1 - k // columns + 0.02) / rows,
                                 0.96 / columns, 0.86 / rows))
-        view, part = open_view(room_of(scene.points, coloured(scene.points, None)))
+        points = scene.points[some_of(len(scene), SHOWN)]
+        view, part = open_view(room_of(points, coloured(points, None)))
         fit(axes, draw_discs(axes, part, view).get_xy())
         axes.set_axis_off()
         axes.set_title(title, fontsize=12, color=INK, parse_math=False)
