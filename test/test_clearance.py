@@ -24,9 +24,9 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.plane_cells import close_near
 from ocp_ros.online.lookahead import Lookahead
 from ocp_ros.online.online_planner import Online
-from ocp_ros.online.rig_state import clearance_of, RigState
+from ocp_ros.online.rig_state import clearance_of, Limits, RigState
 from ocp_ros.online.rollout import play
-from ocp_ros.online.step import Limits, OnlineStep
+from ocp_ros.online.step import OnlineStep
 from ocp_ros.rig.free_plane import CLEARANCE, EDGE, FINE_EDGE, Floor, floor_of, FreePlane, SLACK
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.rig_file import rig_of

@@ -26,9 +26,9 @@ from ocp_ros.online.lookahead import Lookahead
 from ocp_ros.online.observation_map import CELLS
 from ocp_ros.online.online_planner import AHEAD, Online, ThinksAhead
 from ocp_ros.online.partial_map import cells_of_the_air, LookHistory, NO_CELL, PartialMap, thinned
-from ocp_ros.online.rig_state import RigState
+from ocp_ros.online.rig_state import Limits, RigState
 from ocp_ros.online.rollout import play
-from ocp_ros.online.step import Limits, OnlineStep
+from ocp_ros.online.step import OnlineStep
 from ocp_ros.policy.agent_config import AgentConfig, CLOUD
 from ocp_ros.policy.learned import Learned
 from ocp_ros.policy.map_actor import MapActor

@@ -18,8 +18,9 @@ import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.online.lookahead import Lookahead
 from ocp_ros.online.online_planner import AHEAD
+from ocp_ros.online.rig_state import Limits
 from ocp_ros.online.rollout import state_of
-from ocp_ros.online.step import Limits, OnlineStep
+from ocp_ros.online.step import OnlineStep
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.search.registry import settings_of
 from ocp_ros.simulation.episode import Episode
@@ -50,7 +51,8 @@ def steps(room, turns, reflects, monkeypatch):
 
         monkeypatch.setattr(what, name, counted)
 
-    for what, name in ((planner, '_think'), (step._filter, '_look'), (step.aim, 'think')):
+    for what, name in ((planner, '_think'), (step.constraints.filter, '_look'),
+                       (step.aim, 'think')):
         watched(what, name)
     while not episode.turn.truncated:
         turn, state, answering = episode.turn.step, state_of(episode), True
@@ -92,7 +94,7 @@ def test_a_new_episode_knows_nothing_of_the_last_one(room, monkeypatch):
     step.reflect()
     step.reset()
     looked = []
-    monkeypatch.setattr(step._filter, '_look', lambda *given: looked.append(given))
+    monkeypatch.setattr(step.constraints.filter, '_look', lambda *given: looked.append(given))
     step(episode.observed_cloud, beside(state), 0, AHEAD)
     assert looked
 

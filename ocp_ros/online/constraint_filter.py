@@ -24,10 +24,12 @@ from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.cameras import Pose
+from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.geometry.shadow_maps import in_reach
-from ocp_ros.online.rig_state import RigState
+from ocp_ros.online.rig_state import clearance_of, Limits, RigState
 from ocp_ros.rig.feasible_region import apart, FeasibleRegion
-from ocp_ros.rig.motion import kept_inside, nearest_place, ROUNDING
+from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.rig.motion import kept_inside, nearest_place, ROUNDING, towards
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.rig.structure import floor_height, STAND_OFF
 from ocp_ros.scenes.scene import Scene, SceneError
@@ -52,6 +54,62 @@ class FilteredTargets(NamedTuple):
 
     targets: np.ndarray
     held: list[str]
+
+
+class StepConstraints:
+    """
+    Bring the moves of a step to where cameras may be, by what was seen and by a rig file.
+
+    :param limits: of one step.
+    :param rig: None for cameras that move freely on a plane.
+    :ivar filter: holds targets to the constraints of the rig file.
+    """
+
+    def __init__(self, limits: Limits, rig: Rig | None) -> None:
+        self._limits = limits
+        self.filter = None if rig is None else ConstraintFilter(rig, limits.wall_margin)
+
+    def change(self, limits: Limits) -> None:
+        """Go on with other limits."""
+        self._limits = limits
+        if self.filter is not None:
+            self.filter.wall_margin = limits.wall_margin
+
+    def reset(self) -> None:
+        """Forget the last episode."""
+        if self.filter is not None:
+            self.filter.reset()
+
+    def prepare(self, cloud: np.ndarray, positions: np.ndarray) -> None:
+        """Learn ahead where cameras may be, see :meth:`ConstraintFilter.prepare`."""
+        if self.filter is not None:
+            self.filter.prepare(cloud, positions)
+
+    def __call__(self, cloud: np.ndarray, state: RigState, moves: np.ndarray) -> FilteredTargets:
+        """
+        Choose places.
+
+        :param cloud: (N, 3) float32, metres: the points seen so far.
+        :param state: the cameras as they are.
+        :param moves: (K, 2) metres.
+        """
+        positions, limits = state.placement[:state.movable, :3], self._limits
+        targets = positions.copy()
+        if len(cloud) == 0:
+            targets[:, :2] = towards(positions[:, :2], positions[:, :2] + moves, limits.max_step)
+            return FilteredTargets(targets, [])
+        # Nobody leaves the floor that was seen: beyond a wall one looks through its back.
+        plane = FreePlane.around(cloud, positions, limits.wall_margin,
+                                 clearance_of(state, limits.clearance))
+        targets[:, :2] = plane.moved(positions[:, :2], moves, limits.max_step)
+        targets, _ = kept_inside(targets, corners_of(cloud).astype(np.float64),
+                                 limits.wall_margin)
+        if self.filter is None:
+            # A camera with a frustum may stand far outside what it has seen.
+            targets[:, :2] = towards(positions[:, :2], targets[:, :2], limits.max_step)
+            return FilteredTargets(targets, [])
+        return self.filter(cloud, positions, targets, limits.max_step,
+                           state.placement[state.movable:, :3], state)
 
 
 class FreeWays(NamedTuple):

@@ -31,6 +31,7 @@ from ocp_ros.geometry.visibility import FAST
 from ocp_ros.online.partial_map import curiosity, KeptModel, LookHistory, PartialMap
 from ocp_ros.online.rig_state import AROUND, directions, RigState
 from ocp_ros.rig.motion import turned_towards, way_between
+from ocp_ros.rig.rig_file import Rig
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.simulation.simulator import View
 
@@ -78,6 +79,14 @@ class HeadingPlanner:
         self.aimed = [k for k in range(movable) if not models[k].omnidirectional]
         self._directions = directions(pitch, YAWS, PITCHES)
         self.reset()
+
+    @classmethod
+    def of(cls, rig: Rig | None, wall_margin: float) -> 'HeadingPlanner | None':
+        """Make one for a rig; None where all cameras are known to be omnidirectional."""
+        if rig is None:
+            return None
+        made = cls(rig.models, len(rig.cameras), rig.pitch, wall_margin)
+        return made if made.aimed else None
 
     def reset(self) -> None:
         """Forget the last episode."""

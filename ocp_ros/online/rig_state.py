@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""State of a rig at a time step: poses, camera models, and which cameras may be moved."""
+"""State of a rig at a time step, what it can do in one, and what it is commanded to do."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, Frustum
 from ocp_ros.online.partial_map import LookHistory, PartialMap
+from ocp_ros.rig.free_plane import CLEARANCE
 from ocp_ros.simulation.simulator import View
 
 #: Metres around a camera in which there is air to look into, whatever has been seen of it: those
@@ -79,6 +80,37 @@ class RigState(NamedTuple):
         listed = directions(self.pitch, yaws, pitches)
         listed[:, 2] = self.placement[camera, 5]
         return listed
+
+
+class Limits(NamedTuple):
+    """
+    What a rig can do in one time step.
+
+    :ivar max_step: farthest a camera moves, metres.
+    :ivar max_turn: farthest a camera rotates, radians; 0 where none does.
+    :ivar wall_margin: cameras stay this far inside the observed bounding box, metres.
+    :ivar clearance: cameras stay this far from all points that were seen, metres; those of a rig
+        file as far as it says.
+    """
+
+    max_step: float
+    max_turn: float
+    wall_margin: float
+    clearance: float = CLEARANCE
+
+
+class Command(NamedTuple):
+    """
+    Where the cameras go.
+
+    :ivar placement: (K + F, 6) metres, map frame, and radians; cameras in place stay.
+    :ivar rotated: numbers of the cameras whose heading is commanded.
+    :ivar held: sentences, one for each camera that stays since it may go nowhere.
+    """
+
+    placement: np.ndarray
+    rotated: list[int]
+    held: list[str]
 
 
 def clearance_of(sight: RigState | None, otherwise: float) -> float:

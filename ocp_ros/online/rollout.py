@@ -20,8 +20,8 @@ import time
 
 import numpy as np
 from ocp_ros.online.online_planner import Online
-from ocp_ros.online.rig_state import RigState
-from ocp_ros.online.step import Limits, OnlineStep
+from ocp_ros.online.rig_state import Limits, RigState
+from ocp_ros.online.step import OnlineStep
 from ocp_ros.simulation.episode import Episode
 
 

@@ -23,8 +23,8 @@ from ocp_ros.geometry.cameras import CameraModel, heading_of, Pose
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.online.expected_gain import ExpectedGain
 from ocp_ros.online.online_planner import Online
-from ocp_ros.online.rig_state import RigState
-from ocp_ros.online.step import Limits, OnlineStep
+from ocp_ros.online.rig_state import Limits, RigState
+from ocp_ros.online.step import OnlineStep
 from ocp_ros.rig.motion import way_between
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.ros.interface.conversions import (
