@@ -60,7 +60,7 @@ TABLES = [
      'over_tdsa_100 over_bpso_1000 rooms_won')]
 #: Numbers in sentences: page, words around them, and where they are.
 SENTENCES = [
-    (README, 'trained in {} minutes', 'training/map/value/{key}', 'minutes'),
+    (README, 'trained in {} and {} minutes', 'training/{key}/value/minutes', 'map map_aimed'),
     (README, 'F1 score of {} in {} ms', 'engine/{key}/fine.40000', 'f1 ms'),
     (RESULTS, 'is read to {} m, the ceiling to {} m and 99 % of the wall points to {} m',
      'solid_rooms/{key}_worst', 'floor ceiling walls'),
@@ -106,6 +106,8 @@ SENTENCES = [
      'training/paper_run/value/{key}', 'lowest highest'),
     (RESULTS, 'run of {} interactions, with another network, was no better ({} to {})',
      'training/paper_long_run/value/{key}', 'interactions lowest highest'),
+    (RESULTS, 'leaves {} m after 8 turns of 2 m; the weights before, which had learned from five '
+     'viewpoints, left {} m', 'training/map_before/value/{key}/8x2', 'sum sum_before'),
     (RESULTS, '`map` is {} for the position of an omnidirectional camera, and {} for',
      'training/{key}/value/regret', 'map map_aimed'),
     (RESULTS, 'was {} (95 % interval {} to {}) and {} ({} to {}) times',
