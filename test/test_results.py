@@ -60,7 +60,7 @@ TABLES = [
      'over_tdsa_100 over_bpso_1000 rooms_won')]
 #: Numbers in sentences: page, words around them, and where they are.
 SENTENCES = [
-    (README, 'trained in {} and {} minutes', 'training/{key}/value/minutes', 'map map_aimed'),
+    (README, 'trained in {} minutes', 'training/map/value/{key}', 'minutes'),
     (README, 'F1 score of {} in {} ms', 'engine/{key}/fine.40000', 'f1 ms'),
     (RESULTS, 'is read to {} m, the ceiling to {} m and 99 % of the wall points to {} m',
      'solid_rooms/{key}_worst', 'floor ceiling walls'),
