@@ -34,8 +34,8 @@ TABLES = [
      'few_turns_test/summary/{key}/{row}/ratio_to_best', '5x2 8x2 30x0.5'),
     (RESULTS, '| method', 'fine fast paper hidden_point_removal',
      'engine/{key}', 'f1/{row}.15000 f1/{row}.40000 f1/{row}.100000 ms/{row}.40000'),
-    (RESULTS, '| planner | regret', 'differential_evolution tdsa cma_es greedy_swap annealing '
-     'bpso random greedy_coverage', 'benchmark/planners/{row}/{key}',
+    (RESULTS, '| planner | regret', 'differential_evolution bpso tdsa cma_es greedy_swap '
+     'annealing random greedy_coverage', 'benchmark/planners/{row}/{key}',
      '1000/regret 10000/regret 10000/sum 10000/promise_over_delivered 10000/seconds'),
     (RESULTS, '| planner | 3 turns', 'learned_lookahead lookahead learned greedy_step',
      'few_turns_test/summary/{key}/{row}/ratio_to_best', '3x2 5x2 8x2 14x2 30x0.5'),
