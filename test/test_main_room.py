@@ -74,6 +74,21 @@ def test_the_room_behind_a_door_is_left_out_and_named(wall, degrees):
     assert len(whole) > 0.99 * len(points)
 
 
+@pytest.mark.parametrize('degrees', [0.0, 33.0])
+def test_what_a_scanner_sees_of_a_corridor_through_a_door_is_left_out(degrees):
+    points, scanner = rooms((0.0, 6.0, 2.7), (6.15, 8.0, 2.7)), np.array([3.0, 2.2, 1.5])
+    ways = points - scanner
+    ahead = (6.0 - scanner[0]) / np.where(ways[:, 0] > 0.0, ways[:, 0], 1.0)
+    crossing = scanner + ways * ahead[:, None]
+    beyond = points[:, 0] > 6.08
+    seen = (crossing[:, 1] > 1.5) & (crossing[:, 1] < 2.4) & (crossing[:, 2] < 2.05)
+    points, own = points[~beyond | seen], len(points[~beyond])
+    assert len(points) > 1.03 * own
+    with pytest.warns(SceneWarning, match='another room'):
+        scene = scene_of(turned(points, degrees))
+    assert 0.99 * own < len(scene) < 1.01 * own
+
+
 @pytest.mark.parametrize('points', [
     # A wide passage, a low beam across a corridor, and a building of equal rooms.
     rooms((0.0, 6.0, 2.7), (6.2, 9.5, 2.7), door=(0.7, 3.8), lintel=2.2),

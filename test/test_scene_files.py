@@ -502,7 +502,8 @@ def test_options_without_a_meaning_are_refused(tmp_path, options):
 def test_real_scans_load_and_only_turned_ones_warn(tmp_path, name):
     with warnings.catch_warnings():
         warnings.simplefilter('error')
-        scene = load_scene(scan(name), max_points=15000)
+        # Behind a wall of the living room there is a strip of another room.
+        scene = load_scene(scan(name), max_points=15000, all_rooms=name.startswith('living'))
     assert scene.name == name[:-4]
     assert 10000 < len(scene) <= 15000
     assert scene.spacing.min() > 0.0 and 2.0 < scene.size[2] < 4.5

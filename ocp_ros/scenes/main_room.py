@@ -21,6 +21,7 @@ a shelf no room.
 """
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from ocp_ros.geometry.voxels import voxel_downsample
@@ -40,14 +41,23 @@ FINER, MOST = 4, 4_000_000
 #: and under the ceiling; above the floor where lintels are and beams are not.
 BANDS, UNDER_CEILING, LINTEL = (0.9, 1.2, 1.5, 1.8), (0.12, 0.5), (2.0, 2.35)
 BAND = 0.3
+#: The same as a share of a high room; metres under a low ceiling from which on lintels are looked
+#: for, and where their faces end; cells that a face is high at least, since a ceiling is flat.
+HIGH, UNDER_LOW, BELOW, UPRIGHT = 0.78, 0.35, 0.03, 1.3
+#: Metres: layers in which a ceiling stands out, above which height, by how many times.
+LAYER, OVERHEAD, FULLER = 0.1, 1.9, 3.0
 #: Metres that a lintel reaches from the next wall at most, that gaps in a floor are closed over,
 #: and half of the width of an opening up to the ceiling that parts two rooms.
 REACH, GAP, NARROW = 1.0, 0.4, 0.25
 #: Half of the width of a room at least, and of a door at most, metres; the most that a door is
 #: wide as a share of the rooms on both sides, and a wider one.
 HALF, DOOR, GATE = 0.6, 0.75, 0.5
-#: Square metres of a room's floor, and its share of the points.
-FLOOR, SHARE = 2.0, 0.02
+#: Square metres of a room's floor, and its share of the points; of a hole in what is seen that is
+#: no unseen room.
+FLOOR, SHARE, HOLE = 1.0, 0.02, 1.0
+#: The thickest wall, metres, whose two faces are told apart, how far from a room in cells, and
+#: how near to a place, in multiples of the points' spacing, something stands there.
+THICK, ASIDE, NEAR = 0.3, 3.5, 0.6
 #: A scan is of a building where so many rooms are beside the one with the most points, or where
 #: that has less than such a share of them.
 MANY, BUILDING = 4, 0.45
@@ -61,22 +71,27 @@ def main_room(scene: Scene, points: np.ndarray) -> Scene:
     """
     thin = voxel_downsample(points, VOXEL)
     some = thin[::max(len(thin) // TRIED, 1)]
-    reach = cKDTree(thin).query(some, k=AMONG)[0][:, -1]
-    cell = max(CELL, SPACINGS * float(np.median(reach)) * np.sqrt(np.pi / (AMONG - 1)))
+    reach = float(np.median(cKDTree(thin).query(some, k=AMONG)[0][:, -1]))
+    cell = max(CELL, SPACINGS * reach * np.sqrt(np.pi / (AMONG - 1)))
     if cell > COARSEST:
         return scene
     low = thin[:, :2].min(axis=0) - 2.0 * GAP
-    rooms = _rooms(thin - np.append(low, np.percentile(thin[:, 2], 1)), cell)
+    rooms, closed = _rooms(thin - np.append(low, np.percentile(thin[:, 2], 1)), cell)
     if rooms.max() < 2:
         return scene
     counts = np.bincount(_nearest(rooms, (thin[:, :2] - low) / cell), minlength=rooms.max() + 1)
-    main, floors = int(counts.argmax()), np.bincount(rooms.ravel()) * cell * cell
+    # What is seen of a room through a door has hardly any walls around it.
+    weights = counts * closed
+    main, floors = int(weights.argmax()), np.bincount(rooms.ravel()) * cell * cell
     others = [room for room in np.flatnonzero(counts >= SHARE * len(thin))
               if room != main and floors[room] >= FLOOR]
-    if len(others) >= MANY or others and counts[main] < BUILDING * len(thin):
+    if len(others) >= MANY or others and weights[main] < BUILDING * weights.sum():
         remark = f'{len(others) + 1} rooms with openings between them: all are planned for'
         return replace(scene, remarks=(*scene.remarks, remark))
     kept = ~np.isin(_nearest(rooms, (scene.points[:, :2] - low) / cell), others)
+    lost = np.flatnonzero(~kept)
+    kept[lost] = _faces(scene.points[lost] - np.append(low, 0.0), rooms == main, cell,
+                        cKDTree(thin - np.append(low, 0.0)), NEAR * reach)
     if kept.all() or kept.sum() < MIN_POINTS:
         return scene
     note = (f'found {len(scene) - kept.sum():,} points of another room behind an opening; '
@@ -94,16 +109,50 @@ def _nearest(rooms: np.ndarray, places: np.ndarray) -> np.ndarray:
     return fine[x[at], y[at]]
 
 
-def _rooms(points: np.ndarray, cell: float) -> np.ndarray:
+def _faces(points: np.ndarray, room: np.ndarray, cell: float, tree: cKDTree,
+           radius: float) -> np.ndarray:
+    """
+    Tell which points of walls beside a room nothing stands before: of a wall of one face, that.
+
+    :param points: (N, 3) metres from the corner of the plan, as in ``tree``.
+    :param room: (X, Y) bool.
+    """
+    away, (x, y) = ndimage.distance_transform_edt(~room, return_indices=True)
+    at = tuple(np.clip((points[:, :2] / cell).astype(int), 0, np.array(room.shape) - 1).T)
+    found = away[at] <= ASIDE
+    way = np.column_stack([x[at], y[at]])[found] * cell + 0.5 * cell - points[found, :2]
+    way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
+    way = np.column_stack([way, np.zeros(len(way))])
+    open_to = np.ones(len(way), dtype=bool)
+    for step in np.arange(1.4 * radius, THICK, radius):
+        nearest, _ = tree.query(points[found] + step * way, distance_upper_bound=radius)
+        open_to &= ~np.isfinite(nearest)
+    found[found] = open_to
+    return found
+
+
+def _ceiling(height: np.ndarray) -> float:
+    """Return how high the ceiling is, of heights above the floor, metres."""
+    top = float(np.percentile(height, 99))
+    layers = np.bincount(((height[height > OVERHEAD] - OVERHEAD) / LAYER).astype(int), minlength=2)
+    # It may be on both sides of the border of two layers.
+    layers[1:] += layers[:-1].copy()
+    if layers.max() <= FULLER * np.median(layers):
+        return top
+    return min(top, OVERHEAD + LAYER * (int(layers.argmax()) + 0.5))
+
+
+def _rooms(points: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
     """
     Tell rooms apart on a plan of points.
 
     :param points: (N, 3) metres above the floor, from the lowest corner of the plan.
-    :returns: (X, Y), the number of a room from 1, 0 in walls and outside.
+    :returns: (X, Y), the number of a room from 1, 0 in walls and outside, and the share of the
+        border of each that is walls.
     """
     place = (points[:, :2] / cell).astype(int)
     shape = tuple(place.max(axis=0) + 1 + int(2.0 * GAP / cell))
-    height, top = points[:, 2], np.percentile(points[:, 2], 99)
+    height, top = points[:, 2], _ceiling(points[:, 2])
 
     def seen(low: float = -np.inf, high: float = np.inf) -> np.ndarray:
         cells = np.zeros(shape, dtype=bool)
@@ -115,22 +164,43 @@ def _rooms(points: np.ndarray, cell: float) -> np.ndarray:
     bands = [ndimage.binary_dilation(seen(low, low + BAND), near) for low in BANDS]
     upright = np.sum(bands, axis=0) >= len(BANDS) - 1
     walls = upright & high
-    lintels = (ndimage.binary_dilation(seen(*LINTEL), near) & high & ~upright
-               & (ndimage.distance_transform_edt(~walls) * cell <= REACH))
-    known = ndimage.binary_fill_holes(ndimage.binary_closing(seen(), _disc(GAP / cell)))
+    aside = ndimage.distance_transform_edt(~walls) * cell
+    lowest = min(LINTEL[0], top - UNDER_LOW)
+    part = (height >= lowest) & (height < top - BELOW)
+    ends = np.full((2, *shape), -np.inf)
+    for end, way in zip(ends, (1.0, -1.0), strict=True):
+        np.maximum.at(end, tuple(place[part].T), way * height[part])
+    faces = (seen(lowest, max(LINTEL[1], HIGH * top))
+             & (ends.sum(axis=0) >= UPRIGHT * cell))
+    lintels = ndimage.binary_dilation(faces, near) & high & ~upright & (aside <= REACH)
+    known = ndimage.binary_closing(seen(), _disc(GAP / cell))
+    holes, _ = ndimage.label(ndimage.binary_fill_holes(known) & ~known)
+    # A larger one is of walls, and of rooms, that are not seen.
+    small = np.bincount(holes.ravel()) * cell * cell <= HOLE
+    known |= small[holes] & (holes > 0)
     barrier = walls | lintels
     free = known & ~barrier
     clear = ndimage.distance_transform_edt(~barrier) * cell
     rooms, count = ndimage.label(free & (clear >= NARROW))
     half = ndimage.distance_transform_edt(known & ~walls) * cell
-    widths = np.append(0.0, ndimage.maximum(half, rooms, np.arange(1, count + 1)))
+    numbers = np.arange(1, count + 1)
+    widths = np.append(0.0, ndimage.maximum(half, rooms, numbers))
     joined = _joined(rooms, lintels, half, widths, NARROW / cell + 1.5)
+    # What is seen through a door is narrower than the room that it is a part of.
+    widths = np.append(0.0, ndimage.maximum(aside, rooms, numbers))
     rooms = joined[rooms]
     wide = np.zeros(count + 1, dtype=bool)
     wide[joined[widths >= HALF]] = True
     rooms[~wide[rooms]] = 0
     _, (x, y) = ndimage.distance_transform_edt(rooms == 0, return_indices=True)
-    return np.where(free, rooms[x, y], 0)
+    # Within a thick wall there is no room.
+    parts, _ = ndimage.label(free)
+    rooms = np.where(np.isin(parts, parts[rooms > 0]) & free, rooms[x, y], 0)
+    closed = np.zeros(rooms.max() + 1)
+    for number in np.unique(rooms[rooms > 0]):
+        room = rooms == number
+        closed[number] = barrier[ndimage.binary_dilation(room, near) & ~room].mean()
+    return rooms, closed
 
 
 def _joined(rooms: np.ndarray, lintels: np.ndarray, half: np.ndarray, widths: np.ndarray,
@@ -147,15 +217,18 @@ def _joined(rooms: np.ndarray, lintels: np.ndarray, half: np.ndarray, widths: np
     """
     joined, near, margin = np.arange(len(widths)), _disc(reach), int(reach) + 1
     blobs, _ = ndimage.label(lintels)
+    openings: dict[tuple[int, int], float] = {}
     for number, box in enumerate(ndimage.find_objects(blobs), start=1):
         around = tuple(slice(max(side.start - margin, 0), side.stop + margin) for side in box)
         blob = blobs[around] == number
         parted = np.setdiff1d(rooms[around][ndimage.binary_dilation(blob, near)], [0])
-        if len(parted) < 2:
-            continue
-        opening = half[around][blob].max()
-        if opening > widths[parted].min() * (DOOR if opening <= HALF else GATE):
-            joined[np.isin(joined, joined[parted])] = joined[parted[0]]
+        for pair in combinations(parted.tolist(), 2):
+            # Between columns there are many beams.
+            openings[pair] = openings.get(pair, 0.0) + half[around][blob].max()
+    for pair, opening in openings.items():
+        one, other = pair
+        if opening > widths[[one, other]].min() * (DOOR if opening <= HALF else GATE):
+            joined[joined == joined[other]] = joined[one]
     return joined
 
 
