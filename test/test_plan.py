@@ -463,7 +463,8 @@ def test_ctrl_c_writes_the_best_so_far(files):
     assert process.returncode == 0, err
     found = json.loads(out)
     assert found['search']['stopped'] and found['broken'] == []
-    assert len(list((files / 'out/plan').glob('[!.]*'))) == 10
+    # The report is left to `ocp score`: who interrupts does not wait for pictures.
+    assert len(list((files / 'out/plan').glob('[!.]*'))) == 8
 
 
 #: The command, which gets a real signal as soon as the search has something to offer.

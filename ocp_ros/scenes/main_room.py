@@ -61,6 +61,8 @@ THICK, ASIDE, NEAR = 0.3, 3.5, 0.6
 #: A scan is of a building where so many rooms are beside the one with the most points, or where
 #: that has less than such a share of them.
 MANY, BUILDING = 4, 0.45
+#: Square metres of the largest plan on which rooms are looked for.
+LARGEST_PLAN = 5000.0
 
 
 def main_room(scene: Scene, points: np.ndarray) -> Scene:
@@ -73,7 +75,7 @@ def main_room(scene: Scene, points: np.ndarray) -> Scene:
     some = thin[::max(len(thin) // TRIED, 1)]
     reach = float(np.median(cKDTree(thin).query(some, k=AMONG)[0][:, -1]))
     cell = max(CELL, SPACINGS * reach * np.sqrt(np.pi / (AMONG - 1)))
-    if cell > COARSEST:
+    if cell > COARSEST or np.prod(np.ptp(thin[:, :2], axis=0)) > LARGEST_PLAN:
         return scene
     low = thin[:, :2].min(axis=0) - 2.0 * GAP
     rooms, closed = _rooms(thin - np.append(low, np.percentile(thin[:, 2], 1)), cell)
@@ -196,11 +198,13 @@ def _rooms(points: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
     # Within a thick wall there is no room.
     parts, _ = ndimage.label(free)
     rooms = np.where(np.isin(parts, parts[rooms > 0]) & free, rooms[x, y], 0)
-    closed = np.zeros(rooms.max() + 1)
-    for number in np.unique(rooms[rooms > 0]):
-        room = rooms == number
-        closed[number] = barrier[ndimage.binary_dilation(room, near) & ~room].mean()
-    return rooms, closed
+    border = np.zeros((2, rooms.max() + 1))
+    for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        beside = np.roll(rooms, step, axis)
+        edge = (beside > 0) & (beside != rooms)
+        border += [np.bincount(beside[cells], minlength=border.shape[1])
+                   for cells in (edge & barrier, edge)]
+    return rooms, border[0] / np.maximum(border[1], 1.0)
 
 
 def _joined(rooms: np.ndarray, lintels: np.ndarray, half: np.ndarray, widths: np.ndarray,
