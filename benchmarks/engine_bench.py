@@ -84,16 +84,6 @@ EXTENTS = {'smoke': Extent((MIDDLE,), 2, 2, (40_000, 400_000)), 'full': Extent()
 Method = Callable[['Case'], np.ndarray | Subset]
 
 
-def median_seconds(call: Callable[[], Any], enough: float = np.inf) -> float:
-    """Return the median time of five calls, fewer once they took ``enough`` seconds together."""
-    times: list[float] = []
-    while len(times) < 5 and sum(times) < enough:
-        began = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - began)
-    return float(np.median(times))
-
-
 def cycled_seconds(calls: Sequence[Callable[[], Any]], enough: float = np.inf) -> list[float]:
     """
     Return the times of all calls in up to five rounds, one round if that takes ``enough`` seconds.
@@ -107,6 +97,11 @@ def cycled_seconds(calls: Sequence[Callable[[], Any]], enough: float = np.inf) -
             call()
             times.append(time.perf_counter() - began)
     return times
+
+
+def median_seconds(call: Callable[[], Any]) -> float:
+    """Return the median time of five calls."""
+    return float(np.median(cycled_seconds([call])))
 
 
 def free_places(scene: Scene, height: float, count: int, rng: np.random.Generator) -> np.ndarray:

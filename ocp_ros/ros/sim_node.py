@@ -125,8 +125,7 @@ class SimNode(ManagedNode):
         self._coverage = loop(Float64, topics.SPACE_COVERAGE)
         self._error = loop(Float64, topics.DEPTH_ERROR)
         self._scene = self.create_publisher(PointCloud2, topics.SCENE, LATCHED)
-        self._frames = CameraFrames(self, lambda frame, parent: False) \
-            if self.config.publish_tf else None
+        self._frames = CameraFrames(self, self.config.publish_tf, lambda frame, parent: False)
         models = self.problem.models
         self._rig_view = RigView(self, topics.MARKERS, models, len(models))
         self._cloud_view = CloudView(
@@ -163,13 +162,8 @@ class SimNode(ManagedNode):
         self._coverage.publish(Float64(data=turn.space_coverage))
         self._error.publish(Float64(data=turn.depth_error))
         self._rig_view.turn(header, self._camera_poses())
-        self._show_frames(header)
+        self._frames.publish(header, self._camera_poses())
         self._cloud_view.turn(header)
-
-    def _show_frames(self, header: Header) -> None:
-        """Publish where the cameras are for whoever looks frames up."""
-        if self._frames is not None:
-            self._frames.publish(header, self._camera_poses())
 
     def _camera_poses(self) -> list[Pose]:
         """Return where the cameras are and how they are turned."""
@@ -202,8 +196,8 @@ class SimNode(ManagedNode):
     def _on_silence(self) -> None:
         """Send the turn again: its messages or the answer may have been lost."""
         if self.active:
-            self._show_frames(Header(stamp=self.get_clock().now().to_msg(),
-                                     frame_id=self.config.frame_id))
+            now = Header(stamp=self.get_clock().now().to_msg(), frame_id=self.config.frame_id)
+            self._frames.publish(now, self._camera_poses())
         # The last turn leads nowhere, but whoever commands has to know that it is the last.
         if self.active and not (self._answered and self.episode.turn.truncated):
             self._counts['resent_turns'] += 1

@@ -20,6 +20,7 @@ falls apart into rooms. A beam over the whole width of a corridor is no lintel, 
 a shelf no room.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations
 
@@ -72,16 +73,18 @@ def main_room(scene: Scene, points: np.ndarray) -> Scene:
     :param points: (N, 3) metres, those of the file before any were merged.
     """
     thin = voxel_downsample(points, VOXEL)
-    some = thin[::max(len(thin) // TRIED, 1)]
-    reach = float(np.median(cKDTree(thin).query(some, k=AMONG)[0][:, -1]))
+    corner = np.append(thin[:, :2].min(axis=0) - 2.0 * GAP, np.percentile(thin[:, 2], 1))
+    thin = thin - corner
+    tree = cKDTree(thin)
+    reach = float(np.median(tree.query(thin[::max(len(thin) // TRIED, 1)], k=AMONG)[0][:, -1]))
     cell = max(CELL, SPACINGS * reach * np.sqrt(np.pi / (AMONG - 1)))
     if cell > COARSEST or np.prod(np.ptp(thin[:, :2], axis=0)) > LARGEST_PLAN:
         return scene
-    low = thin[:, :2].min(axis=0) - 2.0 * GAP
-    rooms, closed = _rooms(thin - np.append(low, np.percentile(thin[:, 2], 1)), cell)
+    rooms, closed = _rooms(thin, cell)
     if rooms.max() < 2:
         return scene
-    counts = np.bincount(_nearest(rooms, (thin[:, :2] - low) / cell), minlength=rooms.max() + 1)
+    nearest = _nearest(rooms, cell)
+    counts = np.bincount(nearest(thin), minlength=rooms.max() + 1)
     # What is seen of a room through a door has hardly any walls around it.
     weights = counts * closed
     main, floors = int(weights.argmax()), np.bincount(rooms.ravel()) * cell * cell
@@ -90,10 +93,9 @@ def main_room(scene: Scene, points: np.ndarray) -> Scene:
     if len(others) >= MANY or others and weights[main] < BUILDING * weights.sum():
         remark = f'{len(others) + 1} rooms with openings between them: all are planned for'
         return replace(scene, remarks=(*scene.remarks, remark))
-    kept = ~np.isin(_nearest(rooms, (scene.points[:, :2] - low) / cell), others)
-    lost = np.flatnonzero(~kept)
-    kept[lost] = _faces(scene.points[lost] - np.append(low, 0.0), rooms == main, cell,
-                        cKDTree(thin - np.append(low, 0.0)), NEAR * reach)
+    places = scene.points - corner
+    kept = ~np.isin(nearest(places), others)
+    kept[~kept] = _faces(places[~kept], rooms == main, cell, tree, NEAR * reach)
     if kept.all() or kept.sum() < MIN_POINTS:
         return scene
     note = (f'found {len(scene) - kept.sum():,} points of another room behind an opening; '
@@ -101,14 +103,23 @@ def main_room(scene: Scene, points: np.ndarray) -> Scene:
     return replace(scene.only(kept), notes=(*scene.notes, note))
 
 
-def _nearest(rooms: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return the nearest room of each place (N, 2), in cells, of those on a plan (X, Y)."""
+def _nearest(rooms: np.ndarray, cell: float) -> Callable[[np.ndarray], np.ndarray]:
+    """
+    Return a function that finds the nearest room of places.
+
+    :param rooms: (X, Y) their numbers on the plan, whose cells have this edge, metres.
+    :returns: of places (N, 3), metres from the corner of the plan, the numbers (N,).
+    """
     # On the two faces of a wall there are points of two rooms.
     finer = int(np.clip(np.sqrt(MOST / rooms.size), 1, FINER))
     fine = rooms.repeat(finer, axis=0).repeat(finer, axis=1)
     _, (x, y) = ndimage.distance_transform_edt(fine == 0, return_indices=True)
-    at = tuple(np.clip((places * finer).astype(int), 0, np.array(fine.shape) - 1).T)
-    return fine[x[at], y[at]]
+    fine = fine[x, y]
+
+    def nearest(places: np.ndarray) -> np.ndarray:
+        at = (places[:, :2] * (finer / cell)).astype(int)
+        return fine[tuple(np.clip(at, 0, np.array(fine.shape) - 1).T)]
+    return nearest
 
 
 def _faces(points: np.ndarray, room: np.ndarray, cell: float, tree: cKDTree,

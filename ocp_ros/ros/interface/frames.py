@@ -100,7 +100,7 @@ class Transforms:
             self._buffer.clear()
 
     def knows(self, frame: str, parent: str) -> bool:
-        """Return whether somebody publishes where a frame is in another."""
+        """Return whether any node publishes where a frame is in another."""
         return self._buffer is not None and self._buffer.can_transform(parent, frame, Time())
 
     def pose(self, frame: str, rig: LiveRig) -> Pose:
@@ -151,14 +151,17 @@ class CameraFrames:
     by the name that the frames of most drivers begin with.
 
     :param node: publishes.
-    :param taken: tells of a frame and its parent whether somebody else publishes it already.
+    :param wanted: the parameter ``publish_tf``.
+    :param taken: returns whether another node publishes a frame in its parent already.
     """
 
-    def __init__(self, node: Node, taken: Callable[[str, str], bool]) -> None:
+    def __init__(self, node: Node, wanted: bool, taken: Callable[[str, str], bool]) -> None:
+        self._message = None
+        if not wanted:
+            return
         try:
             from tf2_msgs.msg import TFMessage
         except ImportError:
-            self._message = None
             return
         self._message, self._taken, self._log = TFMessage, taken, node.get_logger()
         self._moving = node.create_publisher(TFMessage, '/tf', LOOP)
@@ -185,8 +188,8 @@ class CameraFrames:
         others = {camera for camera in range(cameras) if camera not in self._published
                   and self._taken(f'camera_{camera}', parent)}
         if others:
-            self._log.info(f'publish_tf: somebody else publishes {len(others)} of the '
-                           f'{cameras} frames camera_<i>; these are left to them')
+            self._log.info(f'publish_tf: another node publishes {len(others)} of the '
+                           f'{cameras} frames camera_<i>; these are left to it')
         self._cameras, self._published = cameras, frozenset(range(cameras)) - others
         own, body = np.zeros(3), np.eye(3)
         self._static.publish(self._message(transforms=[

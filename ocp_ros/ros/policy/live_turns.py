@@ -107,7 +107,7 @@ class LiveTurns:
         self._answer, self._final, self._refuse = answer, final, refuse
         self._fused = FusedCloud(config.voxel_size, config.most_points)
         self._transforms, self._in_place = Transforms(node), in_place
-        self._frames = CameraFrames(node, self._transforms.knows) if config.publish_tf else None
+        self._frames = CameraFrames(node, config.publish_tf, self._transforms.knows)
         self._await_turns()
         #: The newest cloud of each topic, unread.
         self._newest: dict[str, PointCloud2] = {}
@@ -202,9 +202,8 @@ class LiveTurns:
         if self._turns.on_poses(stamp_to_ns(message.header.stamp), rig.positions,
                                 [pose.rotation for pose in rig.poses]):
             self._poses, self._rig = message, rig
-            if self._frames is not None:
-                fixed, movable = self._in_place
-                self._frames.publish(message.header, rig.poses + fixed[len(rig.poses) - movable:])
+            fixed, movable = self._in_place
+            self._frames.publish(message.header, rig.poses + fixed[len(rig.poses) - movable:])
         self._act()
 
     def _check_known(self, rig: LiveRig) -> None:
