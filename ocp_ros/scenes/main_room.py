@@ -231,7 +231,8 @@ def _joined(rooms: np.ndarray, lintels: np.ndarray, half: np.ndarray, widths: np
     :returns: the number of the room that each is a part of.
     """
     joined, near, margin = np.arange(len(widths)), _disc(reach), int(reach) + 1
-    blobs, _ = ndimage.label(lintels)
+    # A beam has two faces, and its underside between them.
+    blobs, _ = ndimage.label(ndimage.binary_closing(lintels, near) & (half > 0.0))
     openings: dict[tuple[int, int], float] = {}
     for number, box in enumerate(ndimage.find_objects(blobs), start=1):
         around = tuple(slice(max(side.start - margin, 0), side.stop + margin) for side in box)
@@ -239,7 +240,8 @@ def _joined(rooms: np.ndarray, lintels: np.ndarray, half: np.ndarray, widths: np
         parted = np.setdiff1d(rooms[around][ndimage.binary_dilation(blob, near)], [0])
         for pair in combinations(parted.tolist(), 2):
             # Between columns there are many beams.
-            openings[pair] = openings.get(pair, 0.0) + half[around][blob].max()
+            opening = half[around][blob & lintels[around]].max(initial=0.0)
+            openings[pair] = openings.get(pair, 0.0) + opening
     for pair, opening in openings.items():
         one, other = pair
         if opening > widths[[one, other]].min() * (DOOR if opening <= HALF else GATE):
