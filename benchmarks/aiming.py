@@ -68,7 +68,7 @@ def played(options: argparse.Namespace, room: int, max_turn: float, rig_file: st
     episode = Episode(PlaneProblem(Simulator(generate_room(room, options.points), config)),
                       np.random.default_rng(options.seed))
     asked = PolicyNodeConfig(planner=options.planner, turns=options.turns, max_turn=max_turn,
-                             rig_file=rig_file, max_range=float(config.rig.ranges.max()),
+                             rig_file=rig_file, max_range=config.placed_rig.farthest,
                              seed=options.seed)
     checkpoint = None if asked.weightless else Checkpoint.load(find_model(asked.model))
     decider, took = Decider(asked, checkpoint, get_logger('aiming')), []

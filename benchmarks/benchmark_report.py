@@ -132,7 +132,7 @@ def draw_best(path: Path, summary: dict[str, Any], chosen: Chosen) -> None:
             examples[-1].append(Example(
                 f'{name}: {spaced(planner)}, depth error {row["depth_error"]:.2f} m',
                 simulator.scene.points, simulator.evaluate(paths[-1]).visible, paths))
-    reach = float(next(iter(chosen.values()))[0].config.rig.ranges.max())
+    reach = next(iter(chosen.values()))[0].config.placed_rig.farthest
     draw_examples(path, examples, reach, 'Where the best planners put the cameras')
 
 

@@ -37,7 +37,6 @@ from ocp_ros.compare.protocol import BenchmarkTask, placing, Protocol, run_task,
 from ocp_ros.compare.summary import NEGLIGIBLE, pair
 from ocp_ros.rooms.splits import SETS
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import EpisodeConfig
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.settings import ConfigurationError
@@ -124,7 +123,7 @@ def play_room(protocol: Protocol, lengths: Sequence[tuple[int, float]], task: Ro
 def start_error(protocol: Protocol, room: str, rotation: float) -> float:
     """Return the depth error, metres, where cameras on a plane begin the episodes of seed 0."""
     judged = protocol.room(room, rotation)
-    episode = Episode(PlaneProblem(judged.fine), np.random.default_rng([0, 0]))
+    episode = Episode(judged.promising, np.random.default_rng([0, 0]))
     return judged.judge(episode.turn.positions)['depth_error']
 
 

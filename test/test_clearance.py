@@ -250,7 +250,7 @@ def test_lookahead_keeps_it_from_what_it_has_seen(validation):
         EpisodeConfig(turns=10))
     problem = PlaneProblem(Simulator(Scene(validation, 'validation'), config))
     episode, seen = Episode(problem, np.random.default_rng(0)), []
-    online = Lookahead(*settings_of(config, np.random.default_rng(1)))
+    online = Lookahead(*settings_of(config.episode, problem.rig, np.random.default_rng(1)))
 
     def remember(turn):
         seen.append(episode.observed_cloud)

@@ -28,7 +28,7 @@ from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.search.registry import ONLINE
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.problem import make_problem, settings_for
+from ocp_ros.simulation.problem import make_problem
 from ocp_ros.simulation.reward import potential
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.training.encoded_environment import playable
@@ -147,7 +147,7 @@ def test_a_rig_file_that_does_not_go_with_an_environment_is_refused(room, settin
             r'rotations: found \(0.0, 30.0\) with .*rig.yaml, whose fixed, keep_out, keep_in or '
             'regions are places in the map; expected 0')):
         CameraPlacementEnv([room], settings(ANCHORED), rotations=(0.0, 30.0))
-    assert settings_for(settings(rig_text(count=7))).rig.cameras == 7
+    assert len(settings(rig_text(count=7)).placed_rig.cameras) == 7
     crowded = settings(rig_text().replace('0.5', '50.0'))
     with pytest.raises(ConfigurationError, match='rig.yaml.*spacing: found 50 m, at which not all '
                        'of the 3 cameras find room in room-8'):
@@ -158,7 +158,8 @@ def test_a_rig_file_that_does_not_go_with_an_environment_is_refused(room, settin
 def test_online_planners_play_a_rig_under_its_constraints(room, settings, name):
     config = settings(ANCHORED)
     episode = Episode(make_problem(room, config), np.random.default_rng(2))
-    outcome = play(ONLINE[name](settings_for(config), np.random.default_rng(0)), episode)
+    online = ONLINE[name](config.episode, config.placed_rig, np.random.default_rng(0))
+    outcome = play(online, episode)
     assert outcome.trajectory.shape == (TURNS + 1, 3, 3)
     assert episode.problem.region.broken(poses_of(episode)) == []
     assert len(episode.observed) > 0.3 * len(room)
@@ -190,7 +191,7 @@ def test_ocp_train_takes_a_rig_file(tmp_path, here, settings):
     simulation = {**TINY['simulation'], 'rig_file': rig}
     changes = {'simulation': simulation, 'interactions': 24}
     config = from_nested(TrainingConfig, {**TINY, **changes})
-    assert config.simulation.rig.cameras == config.fewest_cameras == 2
+    assert len(config.simulation.placed_rig.cameras) == config.fewest_cameras == 2
     trained = train(config, tmp_path / 'run')
     assert trained.provenance['test']['rooms'] == 1
     assert np.isfinite(trained.provenance['test']['policy']['depth_error_end'])

@@ -24,7 +24,7 @@ from ocp_ros.online.step import OnlineStep
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.search.registry import settings_of
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.problem import described, Problem
+from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 import pytest
 
@@ -33,10 +33,10 @@ RIG = rig_of(2, 'realsense_d455', mount={'on': 'plane', 'height': 1.9})
 
 def steps(room, turns, reflects, monkeypatch):
     """Play an episode: commands, and at which turns somebody waited for something."""
-    config = SimulationConfig(described(RIG), EngineConfig('fast', 32, 0.5),
-                              EpisodeConfig(turns=turns))
+    config = SimulationConfig(engine=EngineConfig('fast', 32, 0.5),
+                              episode=EpisodeConfig(turns=turns))
     episode = Episode(Problem.of(room, RIG, config), np.random.default_rng(3))
-    planner = Lookahead(*settings_of(config, np.random.default_rng(0)))
+    planner = Lookahead(*settings_of(config.episode, RIG, np.random.default_rng(0)))
     step = OnlineStep(planner, Limits(0.5, 0.5, 0.1), RIG)
     step.reset()
     waited, commands, turn = set(), [], 0
@@ -87,7 +87,7 @@ def test_in_few_turns_each_step_is_of_what_is_newest(room, monkeypatch):
 def test_a_new_episode_knows_nothing_of_the_last_one(room, monkeypatch):
     step = OnlineStep(Lookahead(np.random.default_rng(0), 0.5, 4.0, 0.1), Limits(0.5, 0.5, 0.1),
                       RIG)
-    config = SimulationConfig(described(RIG), EngineConfig('fast', 32, 0.5))
+    config = SimulationConfig(engine=EngineConfig('fast', 32, 0.5))
     episode = Episode(Problem.of(room, RIG, config), np.random.default_rng(3))
     state = state_of(episode)
     step(episode.observed_cloud, state, 0, AHEAD)
@@ -119,7 +119,7 @@ def test_a_planner_that_says_no_targets_is_thought_about_too(room, max_turn):
         def reflect(self):
             pass
 
-    config = SimulationConfig(described(RIG), EngineConfig('fast', 32, 0.5))
+    config = SimulationConfig(engine=EngineConfig('fast', 32, 0.5))
     episode = Episode(Problem.of(room, RIG, config), np.random.default_rng(3))
     step = OnlineStep(Staying(np.random.default_rng(0), 0.5, 4.0, 0.1),
                       Limits(0.5, max_turn, 0.1), RIG)
@@ -133,7 +133,7 @@ def test_a_planner_that_says_no_targets_is_thought_about_too(room, max_turn):
 
 def test_thinking_ends_when_the_next_step_has_waited(room):
     """What was found so far holds, and the step after is taken as ever."""
-    config = SimulationConfig(described(RIG), EngineConfig('fast', 32, 0.5))
+    config = SimulationConfig(engine=EngineConfig('fast', 32, 0.5))
     episode = Episode(Problem.of(room, RIG, config), np.random.default_rng(3))
     asked = []
 

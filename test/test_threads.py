@@ -66,6 +66,6 @@ def test_planners_answer_alike_with_any_number_of_threads(threads, room, name):
     answers = []
     for count in (1, 3):
         threads(count)
-        online = ONLINE[name](config, np.random.default_rng(0))
+        online = ONLINE[name](config.episode, config.placed_rig, np.random.default_rng(0))
         answers.append([online.move(room.points, positions, turn, 30) for turn in (0, 1, 25)])
     np.testing.assert_array_equal(*answers)

@@ -58,7 +58,7 @@ from ocp_ros.ros.policy.policy_config import PLANNERS, PolicyNodeConfig
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.runtime.network import LOCALHOST
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.problem import make_problem, settings_for
+from ocp_ros.simulation.problem import make_problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.threads import cores
 from rclpy.parameter import Parameter
@@ -112,8 +112,8 @@ class Answers:
 
     def play(self, room: int, points: int) -> None:
         """Play an episode in a room of so many points."""
-        config = settings_for(SimulationConfig(
-            engine=EngineConfig(preset='fast', error_rows=32), rig_file=self.rig))
+        config = SimulationConfig(
+            engine=EngineConfig(preset='fast', error_rows=32), rig_file=self.rig)
         problem = make_problem(generate_room(room, round(points / SEEN)), config)
         episode = Episode(problem, np.random.default_rng(room))
         number = room * 1000

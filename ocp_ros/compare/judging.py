@@ -30,7 +30,7 @@ from ocp_ros.rig.motion import mounted
 from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.up_axis import BY_FILE
-from ocp_ros.simulation.problem import make_problem, PlaneProblem, Problem
+from ocp_ros.simulation.problem import make_problem, Problem
 from ocp_ros.simulation.ray_visibility import with_rays
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
@@ -46,7 +46,7 @@ SEED = 0
 JUDGING = EngineConfig(preset='fine', error_rows=128, coverage_cell=0.5, error_folds=1)
 
 
-def worth_of(problem: PlaneProblem | Problem, placement: np.ndarray) -> tuple[float, float]:
+def worth_of(problem: Problem, placement: np.ndarray) -> tuple[float, float]:
     """
     Return the error of a placement in metres, and its space coverage in cubic metres.
 
@@ -86,12 +86,12 @@ class JudgedRoom:
                 make_room(name, rotation, 2 * points, scale=scale, up=up), half)
 
     @cached_property
-    def promising(self) -> PlaneProblem | Problem:
+    def promising(self) -> Problem:
         """Return the rig in the room and by the engine that it is searched with: it promises."""
         return make_problem(self.scene, self.config)
 
     @cached_property
-    def problem(self) -> PlaneProblem | Problem:
+    def problem(self) -> Problem:
         """Return the rig in the judge's room, by the truth where it is known."""
         return make_problem(self.judged, replace(
             self.config, engine=with_rays(JUDGING, self.judged)))

@@ -34,7 +34,6 @@ from ocp_ros.compare.judging import JUDGED_POINTS, judged_room, JudgedRoom, POIN
 from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.online.rollout import play
 from ocp_ros.rig.rig_config import RigConfig
-from ocp_ros.rig.rig_file import load_rig, rig_of
 from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.rooms.splits import TEST
 from ocp_ros.scenes.s3dis import chosen_rooms, s3dis_folder, TEST_AREAS
@@ -54,8 +53,7 @@ from ocp_ros.search.rig_plan import RigPlanner
 from ocp_ros.search.scorer import Scorer
 from ocp_ros.search.solve import Result, solve
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.objective import Objective
-from ocp_ros.simulation.problem import PlaneProblem, Problem, space_of
+from ocp_ros.simulation.problem import Problem, space_of
 from ocp_ros.simulation.ray_visibility import with_rays
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
@@ -182,9 +180,8 @@ class Protocol:
             raise ConfigurationError(
                 f'rig.sensors: found {self.simulation.rig.sensors!r}; expected omnidirectional: '
                 'planners choose where cameras are, not where they look')
-        if self.simulation.rig_file:
-            load_rig(self.simulation.rig_file).check_rotations(
-                self.rotations, f'rotations: found {list(self.rotations)}', '0 alone')
+        self.simulation.placed_rig.check_rotations(
+            self.rotations, f'rotations: found {list(self.rotations)}', '0 alone')
         if not self.rooms or not self.budgets or min(self.budgets) < 1 or self.seeds < 1:
             raise ConfigurationError(
                 f'protocol: found {len(self.rooms)} rooms, budgets {list(self.budgets)} and '
@@ -211,9 +208,7 @@ class Protocol:
     @property
     def cameras(self) -> int:
         """Return how many cameras are placed."""
-        if self.simulation.rig_file:
-            return len(load_rig(self.simulation.rig_file).cameras)
-        return self.simulation.rig.cameras
+        return len(self.simulation.placed_rig.cameras)
 
     @property
     def yardsticks(self) -> tuple[str, ...]:
@@ -267,9 +262,9 @@ def _runs(protocol: Protocol, room: JudgedRoom, planner: str) -> Iterator[Row]:
     if planner == TRUTH:
         return _true_searches(protocol, room.truth())
     if planner == PROVED:
-        return _proofs(protocol, room.fine)
+        return _proofs(protocol, room.promising)
     if planner in ONLINE:
-        return _episodes(protocol, room.fine, planner)
+        return _episodes(protocol, room.promising, planner)
     return _searches(protocol, room.fine, planner)
 
 
@@ -291,9 +286,10 @@ def _true_searches(protocol: Protocol, truth: Simulator) -> Iterator[Row]:
         yield _found(solve(planner, Scorer(truth), budget, clock=time.process_time))
 
 
-def _proofs(protocol: Protocol, fine: Simulator) -> Iterator[Row]:
+def _proofs(protocol: Protocol, problem: Problem) -> Iterator[Row]:
     """Price places of a grid, then places near the best of them as well."""
-    space, began = space_of(fine), time.process_time()
+    fine, began = problem.simulator, time.process_time()
+    space = space_of(fine)
     rng, grid, still = np.random.default_rng(0), PoseGrid(fine), np.zeros((1, 3))
 
     def over() -> bool:
@@ -303,8 +299,7 @@ def _proofs(protocol: Protocol, fine: Simulator) -> Iterator[Row]:
         grid.add(space.placement(space.inside(places)), [still] * len(places))
 
     add(space.grid(protocol.candidates))
-    objective = Objective(fine, rig_of(space.cameras, 'omnidirectional'))
-    relaxation = ColumnGeneration(LossTrees.of(objective), [grid], [space.cameras], 0.0,
+    relaxation = ColumnGeneration(LossTrees.of(problem.objective), [grid], [space.cameras], 0.0,
                                   len(fine.scene))
     relaxation.close(over)
     best = relaxation.choices(CHOICES, rng, over)[0]
@@ -329,13 +324,13 @@ def _found(result: Result) -> Row:
             'placement': result.placement, 'trace': result.trace.tolist()}
 
 
-def _episodes(protocol: Protocol, fine: Simulator, name: str) -> Iterator[Row]:
+def _episodes(protocol: Protocol, problem: Problem, name: str) -> Iterator[Row]:
     """Play an episode with every seed; the last placement is what counts."""
-    space = space_of(fine)
+    space = space_of(problem.simulator)
     for _, seed in protocol.runs(name):
-        online = ONLINE[name](protocol.simulation, np.random.default_rng([seed, 1]),
-                              protocol.model)
-        episode = Episode(PlaneProblem(fine), np.random.default_rng([seed, 0]))
+        online = ONLINE[name](protocol.simulation.episode, problem.rig,
+                              np.random.default_rng([seed, 1]), protocol.model)
+        episode = Episode(problem, np.random.default_rng([seed, 0]))
         outcome = play(online, episode, clock=time.process_time)
         # Who ends where no camera may be is mounted at the nearest place where one may.
         placement = space.placement(space.inside(outcome.trajectory[-1][:, :2]))
@@ -363,7 +358,7 @@ def _drawn(least: float, placement: np.ndarray) -> Row:
 
 def _rig_plans(protocol: Protocol, room: JudgedRoom, name: str) -> Iterator[Row]:
     """Plan a rig file with every budget and seed; the best known is searched with the truth."""
-    rig = load_rig(protocol.simulation.rig_file)
+    rig = protocol.simulation.placed_rig
     planner_name, engine = name, protocol.simulation.engine
     if name == TRUTH:
         planner_name, engine = RIG_SEARCH, with_rays(engine, room.scene)

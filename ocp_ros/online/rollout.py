@@ -28,10 +28,8 @@ from ocp_ros.simulation.episode import Episode
 def state_of(episode: Episode) -> RigState:
     """Return how the cameras of an episode stand and what each sees, those in place included."""
     problem, placement, count = episode.problem, episode.placement, len(episode.turn.positions)
-    if problem.rig is None:
-        return RigState(placement, problem.models[:count], count)
-    return RigState(placement, problem.models, count, problem.rig.pitch,
-                    clearance=problem.rig.clearance)
+    models = (*problem.models[:count], *problem.models[len(problem.rig.cameras):])
+    return RigState(placement, models, count, problem.rig.pitch, clearance=problem.rig.clearance)
 
 
 @dataclass(frozen=True)

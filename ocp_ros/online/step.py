@@ -35,14 +35,15 @@ class OnlineStep:
 
     :param planner: chooses the moves.
     :param limits: of one time step.
-    :param rig: constraints of the cameras; None for those that move freely on a plane.
+    :param rig: constraints of the cameras; None where none are known.
     :param report: is told in a sentence what failed, and the cameras stay as they are; None to
         raise the error.
     """
 
     def __init__(self, planner: Online, limits: Limits, rig: Rig | None = None,
                  report: Callable[[str], None] | None = None) -> None:
-        self.planner, self.limits, self.rig, self._report = planner, limits, rig, report
+        self.planner, self.limits, self._report = planner, limits, report
+        self.rig = rig = None if rig is None or rig.free else rig
         self.constraints = StepConstraints(limits, rig)
         self.aim = HeadingPlanner.of(rig, limits.wall_margin)
         #: The step that is to be thought about while the cameras move.

@@ -16,9 +16,7 @@
 
 from dataclasses import dataclass
 
-import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
-from ocp_ros.rig.motion import outwards
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.util.settings import check_known, ConfigurationError, MOST_CAMERAS, setting
 
@@ -66,13 +64,3 @@ class RigConfig:
         own = CameraModel(self.min_range, self.max_range)
         return tuple(own if name == OMNIDIRECTIONAL else SENSORS[name].model
                      for name in self._names)
-
-    @property
-    def ranges(self) -> np.ndarray:
-        """Return how far each camera sees: (K,) metres."""
-        return np.broadcast_to([model.max_range for model in self.models], self.cameras)
-
-    @property
-    def headings(self) -> np.ndarray:
-        """Return how the cameras of an episode are turned, outwards: (K, 3) yaw, pitch, roll."""
-        return outwards(self.cameras, self.tilt)

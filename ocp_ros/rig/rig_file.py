@@ -40,6 +40,8 @@ MUST_SEE = 0.95
 SPACING = 0.2
 #: Share of points and degrees that link two cameras where a file does not say.
 OVERLAP, ANGLE = 0.2, 60.0
+#: Metres: farther than this no planner is told that cameras see.
+FARTHEST = 100.0
 #: Metres above the floor where a file names none; on the ceiling it is the ceiling's own.
 HEIGHTS = {'plane': (1.9, 1.9), 'ceiling': None, 'walls': (1.5, 2.5), 'free': (1.5, 2.5)}
 
@@ -76,8 +78,10 @@ class Mount(NamedTuple):
     """
     What cameras hang on.
 
-    :ivar on: ``plane``, ``ceiling``, ``walls`` or ``free``.
-    :ivar heights: the lowest and highest metres above the floor; None for just below the ceiling.
+    :ivar on: ``plane``, ``ceiling``, ``walls`` or ``free``; ``box``, which no file says, for any
+        place at a height within the bounding box of the room.
+    :ivar heights: the lowest and highest metres above the floor, above the lowest point of the
+        room for a ``box``; None for just below the ceiling.
     :ivar footprint: metres around the place below a camera that have to be floor: the feet of a
         tripod; 0 for cameras on poles and rods.
     """
@@ -167,13 +171,38 @@ class Rig:
     calibratable: Calibratable | None
     document: Document
 
+    @classmethod
+    def plane(cls, config: RigConfig) -> 'Rig':
+        """
+        Describe the simplest rig: cameras that move freely on a horizontal plane.
+
+        They stay turned as they are, unless whoever moves them turns them too.
+        """
+        models = config.models * (config.cameras // len(config.models))
+        cameras = tuple(Camera(f'camera_{k}', '', model) for k, model in enumerate(models))
+        return cls(cameras, (), Mount('box', (config.height, config.height)), (0.0, 0.5 * np.pi),
+                   (0.0,), 0.0, 0.0, (), (), (), 1, None, Document('rig', {}))
+
     @property
-    def clearance(self) -> float:
+    def free(self) -> bool:
+        """Return whether its cameras move freely on a plane, without any constraint."""
+        return self.mount.on == 'box'
+
+    @property
+    def farthest(self) -> float:
+        """Return how far planners are told that its cameras see, metres."""
+        return min(max(camera.model.max_range for camera in self.cameras), FARTHEST)
+
+    @property
+    def clearance(self) -> float | None:
         """
         Return how far a horizontal plane of places has to be from surfaces, metres.
 
-        It is none where cameras hang on a surface, which a plane cannot tell from the others.
+        It is none where cameras hang on a surface, which a plane cannot tell from the others, and
+        None where the rig asks for nothing and a setting says it.
         """
+        if self.free:
+            return None
         return self.keep_clear if self.mount.on in ('plane', 'free') else 0.0
 
     @property
@@ -199,6 +228,8 @@ class Rig:
         :returns: ``x`` and ``y``; ``z`` where the mount leaves a choice of height; ``yaw`` and
             ``pitch`` where a camera is not omnidirectional.
         """
+        if self.free:
+            return 'x', 'y'
         heights = self.mount.heights
         upwards = ('z',) if heights is not None and heights[0] < heights[1] else ()
         aimed = any(not camera.model.omnidirectional for camera in self.cameras)

@@ -36,6 +36,7 @@ from ocp_ros.policy.encoder import Encoder
 from ocp_ros.policy.learned import Learned
 from ocp_ros.policy.map_actor import MapActor
 from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.rig.rig_file import Rig
 from ocp_ros.search.annealing import FixedAnnealing, TransDimensionalAnnealing
 from ocp_ros.search.baselines import Random, RegularGrid
 from ocp_ros.search.bee_colony import BeeColony
@@ -43,7 +44,7 @@ from ocp_ros.search.evolution import CmaEs, DifferentialEvolution
 from ocp_ros.search.greedy import GreedyCoverage, GreedyError, GreedySwap
 from ocp_ros.search.particle_swarm import BinaryParticleSwarm
 from ocp_ros.search.planner import Planner
-from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulation_config import EpisodeConfig
 from ocp_ros.util.resources import DEFAULT_MODEL, find_model
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
@@ -60,16 +61,16 @@ TAKEN = ('rig_search', 'random_placement', 'truth_search', 'priced_plane')
 _log = logging.getLogger(__name__)
 
 
-def settings_of(config: SimulationConfig, rng: np.random.Generator) -> tuple:
-    """Return what every online planner is told of its rig."""
-    return (rng, config.episode.max_step, float(config.rig.ranges.max()),
-            config.episode.wall_margin, config.episode.clearance)
+def settings_of(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator) -> tuple:
+    """Return what every online planner is told of its rig and its time steps."""
+    return rng, episode.max_step, rig.farthest, episode.wall_margin, episode.clearance
 
 
 def _without_weights(planner: type[Online]) -> Callable[..., Online]:
     """Return what makes an online planner that has no weights."""
-    def make(config: SimulationConfig, rng: np.random.Generator, model: str = '') -> Online:
-        return planner(*settings_of(config, rng))
+    def make(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator, model: str = ''
+             ) -> Online:
+        return planner(*settings_of(episode, rig, rng))
 
     return make
 
@@ -89,19 +90,21 @@ def planned_by(policy: 'Policy | ValuePolicy', settings: tuple) -> Learned | Map
     return Learned(policy, *settings)
 
 
-def _learned(config: SimulationConfig, rng: np.random.Generator, model: str = DEFAULT_MODEL
-             ) -> Online:
+def _learned(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator,
+             model: str = DEFAULT_MODEL) -> Online:
     """Return a policy."""
     # Only here: PyTorch takes longer to start than most searches.
     from ocp_ros.policy.checkpoint import Checkpoint
     from ocp_ros.policy.policy import make_policy
-    return planned_by(make_policy(Checkpoint.load(find_model(model))), settings_of(config, rng))
+    policy = make_policy(Checkpoint.load(find_model(model)))
+    return planned_by(policy, settings_of(episode, rig, rng))
 
 
-def _learned_lookahead(config: SimulationConfig, rng: np.random.Generator,
+def _learned_lookahead(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator,
                        model: str = DEFAULT_MODEL) -> Lookahead:
     """Return lookahead that a policy makes proposals to."""
-    return Lookahead(*settings_of(config, rng), guide=_learned(config, rng, model))
+    guide = _learned(episode, rig, rng, model)
+    return Lookahead(*settings_of(episode, rig, rng), guide=guide)
 
 
 OFFLINE: dict[str, Callable[[FreePlane, np.random.Generator, int], Planner]] = {
@@ -118,7 +121,8 @@ OFFLINE: dict[str, Callable[[FreePlane, np.random.Generator, int], Planner]] = {
     'cma_es': CmaEs,
 }
 
-#: A rig, the source of chance, and the weights of those that have learned: path or name.
+#: Time steps, a rig, the source of chance, and the weights of those that have learned: path or
+#: name.
 ONLINE: dict[str, Callable[..., Online]] = {
     'greedy_step': _without_weights(GreedyStep),
     'learned': _learned,

@@ -37,7 +37,7 @@ from ocp_ros.search.registry import OFFLINE, ONLINE
 from ocp_ros.search.rig_search import anneal, Answer, answered, Progress, views_of
 from ocp_ros.search.solve import solve
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.problem import described, Problem
+from ocp_ros.simulation.problem import Problem
 from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.yaml_files import nearest
@@ -179,8 +179,8 @@ def _played(name: str, problem: Problem, pool: Pool, budget: Budget, seed: int,
     target is held to the rig and each camera turned as ``policy_node`` does it. Where the cameras
     end they are mounted.
     """
-    config = replace(problem.simulator.config, rig=described(problem.rig))
-    online = ONLINE[name](config, np.random.default_rng([seed, 1]), model)
+    online = ONLINE[name](problem.simulator.config.episode, problem.rig,
+                          np.random.default_rng([seed, 1]), model)
     episode = Episode(problem, np.random.default_rng([seed, 0]))
     turns = min(episode.config.turns, budget.evaluations or episode.config.turns)
     episode.config = replace(episode.config, turns=turns)

@@ -24,12 +24,11 @@ from gymnasium import spaces
 import numpy as np
 from ocp_ros.geometry.clouds import corners_of, fixed_size
 from ocp_ros.rig.motion import bounded_moves, wrapped
-from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.rooms.splits import TRAINING
 from ocp_ros.scenes.scene import Scene, turned
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.problem import make_problem, PlaneProblem, Problem, settings_for
+from ocp_ros.simulation.problem import make_problem, Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.settings import ConfigurationError, from_nested, to_nested
 
@@ -92,20 +91,20 @@ class CameraPlacementEnv(gym.Env):
                  rotations: Sequence[float] = (0.0,)) -> None:
         if not scenes:
             raise ConfigurationError('scenes: found none; expected at least one room')
-        self.scenes, self.config = scenes, settings_for(config or SimulationConfig())
+        self.scenes, self.config = scenes, config or SimulationConfig()
+        self.rig = self.config.placed_rig
         self.observation_points, self.rotations = observation_points, tuple(rotations)
         self.problem = lru_cache(maxsize=KEPT)(self._make_problem)
         self.episode: Episode | None = None
-        cameras = self.config.rig.cameras
+        cameras = len(self.rig.cameras)
         self.fewest = cameras if fewest is None else fewest
         if not 1 <= self.fewest <= cameras:
             raise ValueError(f'fewest: found {self.fewest}; expected 1 to {cameras}')
-        if self.fewest < cameras and len(self.config.rig.models) > 1:
+        self._check_rig()
+        if self.fewest < cameras and len(set(self.rig.models)) > 1:
             raise ValueError(f'fewest: found {self.fewest} with several kinds of camera; expected '
                              f'{cameras}: which of them would be left out?')
-        #: Of the rig file; None where there is none.
-        self.rig = load_rig(self.config.rig_file) if self.config.rig_file else None
-        self.axes = self._read_axes()
+        self.axes = self.rig.axes
         shapes = {'cloud': (observation_points, 3), 'camera_positions': (cameras, 3),
                   'bounds': (2, 3), 'present': (cameras,)}
         if 'yaw' in self.axes:
@@ -115,18 +114,15 @@ class CameraPlacementEnv(gym.Env):
             name: spaces.Box(-LARGEST_ROOM, LARGEST_ROOM, shape, np.float32)
             for name, shape in shapes.items()})
 
-    def _read_axes(self) -> tuple[str, ...]:
-        """Return what an action changes of each camera."""
-        if self.rig is None:
-            return PlaneProblem.axes
-        rig, cameras = self.rig, self.config.rig.cameras
-        if self.fewest < cameras:
+    def _check_rig(self) -> None:
+        """Refuse fewer cameras than a rig file lists, and rooms that turn without its places."""
+        rig, cameras = self.rig, len(self.rig.cameras)
+        if self.fewest < cameras and not rig.free:
             raise ConfigurationError(f'fewest: found {self.fewest} with a rig file; expected '
                                      f'{cameras}, all cameras that {rig.document.name} lists')
         rig.check_rotations(self.rotations, f'rotations: found {self.rotations}', '0 alone')
-        return rig.axes
 
-    def _make_problem(self, index: int, rotation: float) -> PlaneProblem | Problem:
+    def _make_problem(self, index: int, rotation: float) -> Problem:
         """Prepare a scene, turned."""
         scene = self.scenes[index]
         return make_problem(turned(scene, rotation) if rotation else scene, self.config)
@@ -137,7 +133,7 @@ class CameraPlacementEnv(gym.Env):
         drawn = {'rotation': self.rotations[int(self.np_random.integers(len(self.rotations)))],
                  'scene': int(self.np_random.integers(len(self.scenes))),
                  'cameras': int(self.np_random.integers(self.fewest,
-                                                        self.config.rig.cameras + 1))}
+                                                        len(self.rig.cameras) + 1))}
         chosen = {**drawn, **(options or {})}
         self.episode = Episode(self.problem(chosen['scene'], chosen['rotation']),
                                self.np_random, chosen['cameras'])
@@ -163,7 +159,7 @@ class CameraPlacementEnv(gym.Env):
         cloud = self.episode.observed_cloud
         if len(cloud) == 0:
             cloud = self.episode.turn.positions.astype(np.float32)
-        positions = np.zeros((self.config.rig.cameras, 3), dtype=np.float32)
+        positions = np.zeros((len(self.rig.cameras), 3), dtype=np.float32)
         present = np.zeros(len(positions), dtype=np.float32)
         count = len(self.episode.turn.positions)
         positions[:count], present[:count] = self.episode.turn.positions, 1.0

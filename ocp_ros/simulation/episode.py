@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from ocp_ros.rig.motion import shortened
-from ocp_ros.simulation.problem import PlaneProblem, Problem
+from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.reward import NO_REWARD, reward, RewardTerms
 from ocp_ros.simulation.simulator import View
 
@@ -61,13 +61,13 @@ class Episode:
         :meth:`value_of`.
     """
 
-    def __init__(self, problem: PlaneProblem | Problem, rng: np.random.Generator,
+    def __init__(self, problem: Problem, rng: np.random.Generator,
                  cameras: int | None = None) -> None:
         self.problem, self.simulator = problem, problem.simulator
         self.scene, self.config = self.simulator.scene, self.simulator.config.episode
         self.observed = problem.nothing()
-        count = len(problem.models) - len(problem.fixed_poses)
-        start = problem.start(rng, self.config, count if cameras is None else cameras)
+        start = problem.start(
+            rng, self.config, len(problem.rig.cameras) if cameras is None else cameras)
         self.turn = self._look(0, start)
         #: The value before the turn, and what each camera saw then.
         self._before = self.value, self.views

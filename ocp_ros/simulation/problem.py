@@ -15,11 +15,10 @@
 """
 What there is to solve in a room: which cameras, where they may be, what placements are worth.
 
-A :class:`Problem` is that of a rig file; a :class:`PlaneProblem` the simplest one, cameras that
-move freely on a horizontal plane. Whoever plays an episode need not know which of them it is.
+A :class:`Problem` is a rig in a room. Cameras that move freely on a plane have a quick way to
+their places in :class:`PlaneProblem`.
 """
 
-from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -27,49 +26,29 @@ from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.rig.feasible_region import apart, FeasibleRegion
 from ocp_ros.rig.free_plane import FreePlane
-from ocp_ros.rig.motion import drawn_near, kept_inside, nearest_place
+from ocp_ros.rig.motion import drawn_near, kept_inside, nearest_place, outwards
 from ocp_ros.rig.mounts import first_headings
-from ocp_ros.rig.rig_config import RigConfig
-from ocp_ros.rig.rig_file import load_rig, Rig
+from ocp_ros.rig.rig_file import Rig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.objective import Objective, RigEvaluation
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
-from ocp_ros.simulation.simulator import Evaluation, Simulator, View
+from ocp_ros.simulation.simulator import Simulator, View
 
-#: Metres: farther than this no planner is told that cameras see.
-FARTHEST = 100.0
 #: Metres: who ends this near to where it was sent was not stopped.
 NEAR = 0.01
 #: Places that starts are drawn of, for cameras that are turned and for those that see all around.
 STARTS, ALL_ROUND = 166, 4000
 
 
-def settings_for(config: SimulationConfig) -> SimulationConfig:
-    """
-    Return settings whose ``rig`` holds for what a rig file describes, where one is named.
-
-    :returns: with the number of cameras to be placed and the farthest that one of them sees.
-    :raises ConfigurationError: if the rig file cannot be used.
-    """
-    return replace(config, rig=described(load_rig(config.rig_file))) if config.rig_file else config
-
-
-def described(rig: Rig) -> RigConfig:
-    """Return what planners are told of a rig: how many cameras, and how far one of them sees."""
-    farthest = min(max(camera.model.max_range for camera in rig.cameras), FARTHEST)
-    return RigConfig(cameras=len(rig.cameras), max_range=farthest)
-
-
-def make_problem(scene: Scene, config: SimulationConfig) -> 'PlaneProblem | Problem':
+def make_problem(scene: Scene, config: SimulationConfig) -> 'Problem':
     """
     Build the problem that settings describe.
 
     :raises ConfigurationError: if the rig file cannot be used in this room.
     :raises SceneError: if the cameras' plane is not inside the room.
     """
-    if config.rig_file:
-        return Problem.of(scene, load_rig(config.rig_file), config)
-    return PlaneProblem(Simulator(scene, config))
+    rig = config.placed_rig
+    return PlaneProblem(Simulator(scene, config)) if rig.free else Problem.of(scene, rig, config)
 
 
 def plane_of(simulator: Simulator, config: EpisodeConfig, cameras: int) -> FreePlane:
@@ -81,78 +60,6 @@ def plane_of(simulator: Simulator, config: EpisodeConfig, cameras: int) -> FreeP
 def space_of(simulator: Simulator) -> FreePlane:
     """Return where the cameras of a simulator's rig may be on their plane."""
     return plane_of(simulator, simulator.config.episode, simulator.config.rig.cameras)
-
-
-class PlaneProblem:
-    """
-    Cameras that move freely on a horizontal plane, within the bounding box of the room.
-
-    :param simulator: the engine, with the settings of rig, episode and reward.
-    :ivar rig: None: there is no rig file.
-    :ivar axes: what an action changes, see :attr:`ocp_ros.rig.rig_file.Rig.axes`.
-    :ivar dimensions: in which cameras move.
-    :ivar models: what each camera sees.
-    :ivar fixed_poses: (0, 6), no camera is in place.
-    """
-
-    rig: Rig | None = None
-    axes: tuple[str, ...] = ('x', 'y')
-    dimensions = 2
-
-    def __init__(self, simulator: Simulator) -> None:
-        self.simulator, count = simulator, simulator.config.rig.cameras
-        self.models = simulator.models * (count // len(simulator.models))
-        self.fixed_poses = np.empty((0, 6))
-
-    def nothing(self) -> Subset:
-        """Return what is seen before the cameras look: no point."""
-        return self.simulator.nothing()
-
-    def start(self, rng: np.random.Generator, config: EpisodeConfig, cameras: int) -> np.ndarray:
-        """
-        Draw where an episode begins, around the centre of the room.
-
-        Who would stand in furniture begins at the nearest place where planners may put it.
-
-        :param cameras: how many there are, K.
-        :returns: (K, 6) metres, map frame, and radians.
-        """
-        simulator, poses = self.simulator, np.empty((cameras, 6))
-        bounds = simulator.scene.bounds
-        poses[:, :2] = bounds.mean(axis=0)[:2]
-        poses[:, :2] += drawn_near(rng, cameras, config.start_radius)
-        poses[:, 2] = simulator.height
-        poses[:, :3], _ = kept_inside(poses[:, :3], bounds, config.wall_margin)
-        if config.clearance:
-            poses[:, :2] = plane_of(simulator, config, cameras).inside(poses[:, :2])
-        poses[:, 3:] = replace(simulator.config.rig, cameras=cameras).headings
-        return poses
-
-    def reached(self, poses: np.ndarray, targets: np.ndarray, config: EpisodeConfig
-                ) -> tuple[np.ndarray, bool]:
-        """
-        Tell where cameras end that are sent somewhere.
-
-        :param poses: (K, 6) metres, map frame, and radians, where they are.
-        :param targets: (K, 6), no farther than a time step reaches.
-        :returns: (K, 6), and whether one of them was sent to where it must not be.
-        """
-        ended = targets.copy()
-        ended[:, :3], outside = kept_inside(
-            targets[:, :3], self.simulator.scene.bounds, config.wall_margin)
-        return ended, outside
-
-    def look(self, poses: np.ndarray) -> list[View]:
-        """Compute what the cameras see from poses (K, 6), metres, map frame, and radians."""
-        return [self.simulator.look(pose, camera) for camera, pose in enumerate(poses)]
-
-    def judge(self, views: list[View]) -> Evaluation:
-        """Judge cameras by what they see."""
-        return self.simulator.judge(views)
-
-    def error(self, result: Evaluation) -> float:
-        """Return the error that rewards are made of: the depth error, metres."""
-        return result.depth_error
 
 
 class Problem:
@@ -280,4 +187,55 @@ class Problem:
         It is the loss in units of the depth error of seeing nothing: the depth error itself where
         no region matters more than the rest.
         """
-        return result.loss * self.simulator.depth_error.worst
+        worst = self.simulator.depth_error.worst
+        return result.depth_error + (result.loss - result.depth_error / worst) * worst
+
+
+class PlaneProblem(Problem):
+    """
+    Cameras that move freely on a horizontal plane, within the bounding box of the room.
+
+    :param simulator: the engine, with the settings of rig, episode and reward.
+    """
+
+    dimensions = 2
+
+    def __init__(self, simulator: Simulator) -> None:
+        rig = Rig.plane(simulator.config.rig)
+        self.objective, self.simulator, self.rig = Objective(simulator, rig), simulator, rig
+        self.axes, self.fixed_poses = rig.axes, rig.fixed_poses
+        self.models = simulator.models * (len(rig.cameras) // len(simulator.models))
+
+    def start(self, rng: np.random.Generator, config: EpisodeConfig, cameras: int) -> np.ndarray:
+        """
+        Draw where an episode begins, around the centre of the room.
+
+        Who would stand in furniture begins at the nearest place where planners may put it.
+
+        :param cameras: how many there are, K.
+        :returns: (K, 6) metres, map frame, and radians.
+        """
+        simulator, poses = self.simulator, np.empty((cameras, 6))
+        bounds = simulator.scene.bounds
+        poses[:, :2] = bounds.mean(axis=0)[:2]
+        poses[:, :2] += drawn_near(rng, cameras, config.start_radius)
+        poses[:, 2] = simulator.height
+        poses[:, :3], _ = kept_inside(poses[:, :3], bounds, config.wall_margin)
+        if config.clearance:
+            poses[:, :2] = plane_of(simulator, config, cameras).inside(poses[:, :2])
+        poses[:, 3:] = outwards(cameras, simulator.config.rig.tilt)
+        return poses
+
+    def reached(self, poses: np.ndarray, targets: np.ndarray, config: EpisodeConfig
+                ) -> tuple[np.ndarray, bool]:
+        """
+        Tell where cameras end that are sent somewhere.
+
+        :param poses: (K, 6) metres, map frame, and radians, where they are.
+        :param targets: (K, 6), no farther than a time step reaches.
+        :returns: (K, 6), and whether one of them was sent to where it must not be.
+        """
+        ended = targets.copy()
+        ended[:, :3], outside = kept_inside(
+            targets[:, :3], self.simulator.scene.bounds, config.wall_margin)
+        return ended, outside

@@ -15,10 +15,12 @@
 """Settings of a simulated rig: cameras, engine, episode and reward."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.free_plane import CLEARANCE
 from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.rig.rig_file import load_rig, Rig
 from ocp_ros.util.settings import group, setting
 
 
@@ -70,3 +72,12 @@ class SimulationConfig:
     rig_file: str = setting(
         '', 'rig file (docs/reference/rig.md) that replaces rig.*: cameras and constraints; '
         'empty: none')
+
+    @cached_property
+    def placed_rig(self) -> Rig:
+        """
+        Return the cameras that are placed: those of the rig file, or those that move on a plane.
+
+        :raises ConfigurationError: if the rig file cannot be used.
+        """
+        return load_rig(self.rig_file) if self.rig_file else Rig.plane(self.rig)

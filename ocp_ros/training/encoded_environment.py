@@ -30,7 +30,6 @@ from ocp_ros.rig.motion import bounded_moves, order_of, way_between
 from ocp_ros.search.registry import settings_of
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.reward import NO_REWARD, RewardTerms
 
 LARGEST = 1000.0
@@ -93,10 +92,10 @@ class PlaneMoves(gym.ActionWrapper):
 
     def __init__(self, env: CameraPlacementEnv) -> None:
         super().__init__(env)
-        config, rig = env.config, env.rig
-        self.action_space = action_space(config.rig.cameras)
+        rig = env.rig
+        self.action_space = action_space(len(rig.cameras))
         self._aim = HeadingPlanner(rig.models, len(rig.cameras), rig.pitch,
-                                   config.episode.wall_margin)
+                                   env.config.episode.wall_margin)
 
     def reset(self, **kwargs):
         """Begin an episode."""
@@ -155,7 +154,8 @@ class CameraByCamera(gym.Wrapper):
 
     def __init__(self, env: gym.Env, agent: AgentConfig) -> None:
         super().__init__(env)
-        _, max_step, max_range, *margins = settings_of(unwrapped(env).config, env.np_random)
+        _, max_step, max_range, *margins = settings_of(
+            unwrapped(env).config.episode, unwrapped(env).rig, env.np_random)
         self._encoder = Encoder(agent, max_range, max_step, *margins)
         self.observation_space, self.action_space = encoded_space(agent), action_space(1)
         self.encoded: EncodedTurn | None = None
@@ -253,7 +253,7 @@ class MapChoices(gym.Wrapper):
         env = unwrapped(self.env)
         episode, turn, turns = env.episode, env.episode.turn, env.config.episode.turns
         if new:
-            self._actor = MapActor(None, *settings_of(env.config, env.np_random))
+            self._actor = MapActor(None, *settings_of(env.config.episode, env.rig, env.np_random))
         self._actor.know(state_of(episode))
         known = self._actor.begin(episode.observed_cloud, turn.positions, turn.step, turns)
         if known is None:
@@ -274,7 +274,7 @@ def playable(env: CameraPlacementEnv, agent: AgentConfig) -> gym.Env:
     :param agent: which network. An action is where on the map a camera goes (``map``), the move of
         one camera on the plane (``cloud``), or those of all cameras (``paper``).
     """
-    level = env if env.axes == PlaneProblem.axes else PlaneMoves(env)
+    level = env if len(env.axes) == 2 else PlaneMoves(env)
     if agent.map:
         return MapChoices(level, agent)
     return (CameraByCamera if agent.one_by_one else EncodedObservation)(level, agent)

@@ -17,9 +17,7 @@
 from dataclasses import dataclass
 
 from ocp_ros.policy.agent_config import AgentConfig
-from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.up_axis import BY_FILE, UP_CHOICES
-from ocp_ros.simulation.problem import settings_for
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.settings import ConfigurationError, group, LARGEST_SEED, MOST_CAMERAS, setting
 
@@ -136,19 +134,22 @@ class TrainingConfig:
 
     def __post_init__(self) -> None:
         """Take over what a rig file says; refuse what contradicts itself."""
-        if self.simulation.rig_file:
-            self._read_rig()
-        if self.fewest_cameras > self.simulation.rig.cameras:
+        rig = self.simulation.placed_rig
+        if not rig.free:
+            object.__setattr__(self, 'fewest_cameras', len(rig.cameras))
+            rig.check_rotations(self.rooms.angles,
+                                f'rooms.rotations: found {self.rooms.rotations!r}', "'0'")
+        if self.fewest_cameras > len(rig.cameras):
             raise ConfigurationError(
                 f'fewest_cameras: found {self.fewest_cameras} with simulation.rig.cameras '
-                f'{self.simulation.rig.cameras}; expected no more than these')
-        if set(self.simulation.rig.models) != {self.simulation.rig.models[0]} or not (
-                self.simulation.rig.models[0].omnidirectional):
+                f'{len(rig.cameras)}; expected no more than these')
+        if rig.free and (len(rig.placed_models) > 1
+                         or not rig.placed_models[0].omnidirectional):
             raise ConfigurationError(
                 f'simulation.rig.sensors: found {self.simulation.rig.sensors!r}; expected '
                 'omnidirectional: a policy learns positions, and policy_node chooses the headings '
                 'of all other cameras')
-        for count in (self.fewest_cameras, self.simulation.rig.cameras):
+        for count in (self.fewest_cameras, len(rig.cameras)):
             self.agent.check_cameras(count)
         if not (self.interactions or (self.agent.map and self.values.steps)):
             raise ConfigurationError(
@@ -159,11 +160,3 @@ class TrainingConfig:
                 f'model: found none with agent.headings {self.agent.headings}; expected weights '
                 'of the map actor to begin with: the value map of cameras that do not see all '
                 'around begins as that of those that do; train one without headings first')
-
-    def _read_rig(self) -> None:
-        """Take the number of cameras from a rig file, and refuse what does not go with one."""
-        rig = load_rig(self.simulation.rig_file)
-        object.__setattr__(self, 'simulation', settings_for(self.simulation))
-        object.__setattr__(self, 'fewest_cameras', len(rig.cameras))
-        rig.check_rotations(self.rooms.angles,
-                            f'rooms.rotations: found {self.rooms.rotations!r}', "'0'")

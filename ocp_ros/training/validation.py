@@ -26,7 +26,7 @@ from ocp_ros.policy.policy import make_policy, Policy, ValuePolicy
 from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.search.registry import ONLINE, planned_by, settings_of
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.problem import make_problem, PlaneProblem, Problem, settings_for
+from ocp_ros.simulation.problem import make_problem, Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.training.training_config import RoomsConfig, TrainingConfig
 from ocp_ros.training.training_rooms import make, room_names
@@ -74,14 +74,14 @@ def play_trial(trial: ValidationTrial) -> tuple[float, float, float]:
     :returns: depth error at start and end, metres, and space coverage at the end, cubic metres.
     """
     problem = _prepared(trial.rooms, trial.room, trial.rotation, trial.simulation)
-    simulation = settings_for(trial.simulation)
-    settings = settings_of(simulation, np.random.default_rng([trial.seed, 1]))
+    told = trial.simulation.episode, problem.rig, np.random.default_rng([trial.seed, 1])
+    settings = settings_of(*told)
     if trial.weights:
         online: Online = planned_by(policy_of(trial.weights), settings)
     elif trial.planner == RANDOM_MOVES:
         online = RandomMoves(*settings)
     else:
-        online = ONLINE[trial.planner](simulation, settings[0])
+        online = ONLINE[trial.planner](*told)
     episode = Episode(problem, np.random.default_rng([trial.seed, 0]))
     outcome = play(online, episode)
     return (float(outcome.depth_error[0]), float(outcome.depth_error[-1]),
@@ -90,7 +90,7 @@ def play_trial(trial: ValidationTrial) -> tuple[float, float, float]:
 
 @lru_cache(maxsize=32)
 def _prepared(rooms: RoomsConfig, room: str, rotation: float, config: SimulationConfig
-              ) -> PlaneProblem | Problem:
+              ) -> Problem:
     """Keep some engines ready."""
     return make_problem(make(rooms, room, rotation), config)
 

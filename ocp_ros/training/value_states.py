@@ -54,7 +54,7 @@ from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.search.registry import settings_of
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.problem import plane_of, PlaneProblem
+from ocp_ros.simulation.problem import plane_of, PlaneProblem, Problem
 from ocp_ros.simulation.ray_visibility import with_rays
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator, View
@@ -223,7 +223,7 @@ class _States:
         #: Poses that cameras would go to, as the last choices have them.
         self._good: list[int] = []
 
-    def play(self, problem: PlaneProblem, cameras: int, step: float, weights: bytes) -> None:
+    def play(self, problem: Problem, cameras: int, step: float, weights: bytes) -> None:
         """Play an episode; at some turns read the map and choose."""
         rng, memory = self._rng, LookHistory()
         due = np.sort(rng.choice(TURNS, MAPS, replace=False))
@@ -232,7 +232,7 @@ class _States:
         simulator.config = replace(simulator.config, episode=EpisodeConfig(
             turns=turns, max_step=step, start_radius=float(rng.choice([0.5, 3.0])),
             max_turn=float(rng.uniform(*TURNED)) if self._headings else EpisodeConfig.max_turn))
-        settings = settings_of(simulator.config, rng)
+        settings = settings_of(simulator.config.episode, problem.rig, rng)
         actor = MapActor(policy_of(weights), *settings) if weights else None
         episode = Episode(problem, rng, cameras)
         going = self._drawn(cameras)
