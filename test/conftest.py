@@ -327,9 +327,7 @@ class Here:
 def here(monkeypatch):
     """Let a run play in this process: others take longer to start than all there is to do."""
     from ocp_ros.training import train
-    from stable_baselines3.common.vec_env import DummyVecEnv
     monkeypatch.setattr(train, 'WorkerPool', Here)
-    monkeypatch.setattr(train, 'SubprocVecEnv', lambda made, start_method: DummyVecEnv(made))
 
 
 @pytest.fixture(scope='module')

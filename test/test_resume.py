@@ -38,7 +38,6 @@ from ocp_ros.util.worker_pool import WorkerPool
 import pytest
 import safetensors.numpy
 import safetensors.torch
-from stable_baselines3.common.vec_env import DummyVecEnv
 from test_training import TINY
 import torch
 
@@ -180,7 +179,6 @@ def here():
     """Play in this process."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training, 'WorkerPool', Here)
-        patch.setattr(training, 'SubprocVecEnv', lambda made, start_method: DummyVecEnv(made))
         yield
 
 

@@ -24,17 +24,13 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.policy.policy import Policy
 from ocp_ros.rig.rig_config import RigConfig
-from ocp_ros.rooms.generator import generate_room
-from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
-from ocp_ros.training.encoded_environment import CameraByCamera
 from ocp_ros.training.run_folder import claim, read_config
 from ocp_ros.training.train import train, trials_of
 from ocp_ros.training.training_config import RoomsConfig, TrainingConfig
 from ocp_ros.training.validation import evaluate, play_trial, ValidationTrial
 from ocp_ros.util.settings import ConfigurationError, from_nested
 import pytest
-from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 SIMULATION = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=16, coverage_cell=1.0),
                               episode=EpisodeConfig(turns=6))
@@ -144,21 +140,6 @@ def test_cameras_that_look_one_way_are_no_rig_to_learn_with():
     rig = {'cameras': 3, 'sensors': 'realsense_d455'}
     with pytest.raises(ConfigurationError, match="sensors: found 'realsense_d455'; expected omni"):
         from_nested(TrainingConfig, {**TINY, 'simulation': {'rig': rig}})
-
-
-def test_a_process_that_ends_while_it_plays_is_told_of(tmp_path, here, monkeypatch):
-    class Dying(DummyVecEnv):
-
-        def step_wait(self):
-            raise EOFError
-
-    def environments(config, rooms):
-        return VecMonitor(Dying([lambda: CameraByCamera(CameraPlacementEnv(
-            [generate_room(8, 1500)], config.simulation, fewest=2), config.agent)] * 2))
-
-    monkeypatch.setattr('ocp_ros.training.train.environments', environments)
-    with pytest.raises(ConfigurationError, match='one of the 2 processes that play has ended'):
-        train(from_nested(TrainingConfig, TINY), tmp_path)
 
 
 @pytest.mark.system

@@ -46,7 +46,7 @@ from ocp_ros.util.settings import UserError
 #: What may come of a file; the last three must not.
 OUTCOMES = ('read', 'refused', 'wrong', 'crashed', 'hung')
 #: Seconds after which a file hangs, and until a process is ready.
-PATIENCE, START = 15.0, 120.0
+PATIENCE, START = 60.0, 120.0
 #: Bytes of address space of the process that reads, and characters of a sentence.
 MOST, SENTENCE = 4_000_000_000, 2500
 

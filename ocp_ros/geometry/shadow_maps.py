@@ -154,11 +154,13 @@ def splat(projection, spacing, cube_scale, far, shadow_map):
         first_row, last_row, first_column, count = footprint(
             r, projection.elevation[i], projection.azimuth[i], cube_scale * spacing[i],
             rows, columns)
+        first = first_column % columns
+        last = first + count
         for row in range(first_row, last_row + 1):
-            for k in range(first_column, first_column + count):
-                column = k % columns
-                if r < shadow_map[row, column]:
-                    shadow_map[row, column] = r
+            for column in range(first, min(last, columns)):
+                shadow_map[row, column] = min(shadow_map[row, column], r)
+            for column in range(last - columns):
+                shadow_map[row, column] = min(shadow_map[row, column], r)
 
 
 @njit(cache=True, nogil=True)

@@ -262,43 +262,47 @@ class EnclosedAir(NamedTuple):
             for way in _directions():
                 some = rows[left]
                 ways = _ways(some, sign, *way)
-                free = rays.lengths(_before(some, sign), ways)
-                reached = self._reached(some[:, :3], ways, free)
+                first = self._first(some[:, :3], ways)
+                # Rays cost most: only those are cast that would come into the air.
+                reached = np.isfinite(first)
+                reached[reached] = first[reached] < rays.lengths(
+                    _before(some[reached], sign), ways[reached])
                 found[left[reached], side] = True
                 left = left[~reached]
             if self.roofed:
                 found[:, side] &= _under_a_roof(rows, sign, found[:, side], rays)
         return found
 
-    def _reached(self, points: np.ndarray, ways: np.ndarray, free: np.ndarray) -> np.ndarray:
-        """Tell of which points (N, 3) the ways come into the air, each in its free metres."""
+    def _first(self, points: np.ndarray, ways: np.ndarray) -> np.ndarray:
+        """Return after how many metres ways from points (N, 3) come into the air; inf: never."""
         reach = max(REACH, 3.0 * (self.ball + self.grid.edge))
-        return _come_into(self.cells, (points - self.grid.low) / self.grid.edge, ways,
-                          np.minimum(free, reach) / self.grid.edge)
+        return self.grid.edge * _steps_into(
+            self.cells, (points - self.grid.low) / self.grid.edge, ways, reach / self.grid.edge)
 
 
 @njit(cache=True, nogil=True)
-def _come_into(cells, points, ways, free):
+def _steps_into(cells, points, ways, most):
     """
-    Tell which ways come into some cells at one of their steps.
+    Count the steps until ways come into some cells.
 
     :param cells: (X, Y, Z) bool.
     :param points: (N, 3) where they begin, in edges of a cell from the lowest corner.
-    :param ways: (N, 3) unit vectors.
-    :param free: (N,) edges of a cell until each way ends; the steps are one long.
-    :returns: (N,) bool.
+    :param ways: (N, 3) unit vectors; a step is an edge of a cell long.
+    :param most: fewer steps than this are taken.
+    :returns: (N,) steps; inf where they do not come into one.
     """
-    come = np.zeros(len(points), dtype=np.bool_)
+    steps = np.full(len(points), np.inf)
     shape = np.array(cells.shape)
     for row in range(len(points)):
         step = 1.0
-        while step < free[row] and not come[row]:
+        while step < most and steps[row] == np.inf:
             x = min(max(int(np.floor(points[row, 0] + step * ways[row, 0])), 0), shape[0] - 1)
             y = min(max(int(np.floor(points[row, 1] + step * ways[row, 1])), 0), shape[1] - 1)
             z = min(max(int(np.floor(points[row, 2] + step * ways[row, 2])), 0), shape[2] - 1)
-            come[row] = cells[x, y, z]
+            if cells[x, y, z]:
+                steps[row] = step
             step += 1.0
-    return come
+    return steps
 
 
 def _under_a_roof(rows: np.ndarray, sign: float, asked: np.ndarray, rays: MeshRays) -> np.ndarray:

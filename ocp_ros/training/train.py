@@ -22,17 +22,19 @@ evaluation), ``best.safetensors`` with its card, ``state.safetensors`` and ``rep
 to resume from, and TensorBoard's files.
 """
 
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import lru_cache, partial
 import logging
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.simulation.environment import CameraPlacementEnv
+from ocp_ros.simulation.environment import CameraPlacementEnv, KEPT
 from ocp_ros.training.encoded_environment import playable
 from ocp_ros.training.run_folder import BEST, claim, records, REPLAY, STATE, VALUES
 from ocp_ros.training.sac import actor_checkpoint, AgentSac, load_actor, make_sac
@@ -43,14 +45,14 @@ from ocp_ros.training.validation import evaluate, RANDOM_MOVES, trials_of
 from ocp_ros.training.value_training import learn_values, TrainingRun, ValueRun
 from ocp_ros.util.files import remove_unfinished
 from ocp_ros.util.resources import find_model
-from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
 from ocp_ros.util.threads import cores
 from ocp_ros.util.worker_pool import WorkerPool
 from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
-from stable_baselines3.common.vec_env import SubprocVecEnv, VecMonitor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 import torch
 
 _log = logging.getLogger(__name__)
@@ -195,14 +197,46 @@ class TrainingWatch(BaseCallback):
         self.run.progress.update(self.task, error=f'validation {ratio:.4f}')
 
 
+class SideBySide(DummyVecEnv):
+    """Environments that play in threads of this process: what takes long there holds no lock."""
+
+    def __init__(self, made: list[Callable[[], gym.Env]]) -> None:
+        super().__init__(made)
+        self._players = ThreadPoolExecutor(cores(), 'environment')
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Play a step of each, and begin anew where an episode has ended."""
+        list(self._players.map(self._play, range(self.num_envs)))
+        return (self._obs_from_buf(), self.buf_rews.copy(), self.buf_dones.copy(),
+                [info.copy() for info in self.buf_infos])
+
+    def _play(self, number: int) -> None:
+        """Play a step of one environment."""
+        env, action = self.envs[number], self.actions[number]
+        seen, reward, terminated, truncated, info = env.step(action)
+        info['TimeLimit.truncated'] = truncated and not terminated
+        if terminated or truncated:
+            info['terminal_observation'] = seen
+            seen, self.reset_infos[number] = env.reset()
+        self.buf_rews[number], self.buf_infos[number] = reward, info
+        self.buf_dones[number] = terminated or truncated
+        self._save_obs(number, seen)
+
+    def close(self) -> None:
+        """End the threads."""
+        self._players.shutdown()
+        super().close()
+
+
 def environments(config: TrainingConfig, rooms: Sequence[str]) -> VecMonitor:
-    """Return the environments of a run, each in a process of its own."""
-    def make():
-        torch.set_num_threads(1)
-        env = CameraPlacementEnv(Rooms(rooms, config.rooms), config.simulation,
-                                 fewest=config.fewest_cameras, rotations=config.rooms.angles)
-        return playable(env, config.agent)
-    return VecMonitor(SubprocVecEnv([make] * config.environments, start_method='spawn'))
+    """Return the environments of a run; rooms and engines that one has made serve all."""
+    made = [CameraPlacementEnv(Rooms(rooms, config.rooms), config.simulation,
+                               fewest=config.fewest_cameras, rotations=config.rooms.angles)
+            for _ in range(config.environments)]
+    problem = lru_cache(KEPT * len(made))(made[0].problem.__wrapped__)
+    for env in made:
+        env.problem = problem
+    return VecMonitor(SideBySide([partial(playable, env, config.agent) for env in made]))
 
 
 def learn(run: Run) -> None:
@@ -221,15 +255,8 @@ def learn(run: Run) -> None:
     try:
         model.learn(last - model.num_timesteps, callback=TrainingWatch(run),
                     reset_num_timesteps=False, tb_log_name=SAC)
-    except (EOFError, ConnectionError) as error:
-        raise ConfigurationError(
-            f'environments: found that one of the {config.environments} processes that play has '
-            'ended; expected them to live; its last words are above, or there was no memory left '
-            'for it: play fewer at once, and start again: what was saved goes on') from error
     finally:
-        # One that has ended cannot be asked to.
-        with suppress(EOFError, OSError):
-            model.env.close()
+        model.env.close()
 
 
 def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint:
