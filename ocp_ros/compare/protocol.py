@@ -51,7 +51,7 @@ from ocp_ros.search.registry import OFFLINE, ONLINE
 from ocp_ros.search.rig_methods import planner_names, RIG_SEARCH
 from ocp_ros.search.rig_plan import RigPlanner
 from ocp_ros.search.scorer import Scorer
-from ocp_ros.search.solve import Result, solve
+from ocp_ros.search.solve import solve
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import Problem, space_of
 from ocp_ros.simulation.ray_visibility import with_rays
@@ -254,36 +254,28 @@ def run_task(protocol: Protocol, task: BenchmarkTask) -> list[dict[str, Any]]:
 
 def _runs(protocol: Protocol, room: JudgedRoom, planner: str) -> Iterator[Row]:
     """Yield what a planner or yardstick finds in each of its runs."""
-    rig_file = protocol.simulation.rig_file
     if planner == CONTROL:
-        return _random_rigs(room.problem) if rig_file else _random_placements(room.simulator)
-    if rig_file:
+        return _random(room.problem)
+    if protocol.simulation.rig_file:
         return _rig_plans(protocol, room, planner)
-    if planner == TRUTH:
-        return _true_searches(protocol, room.truth())
     if planner == PROVED:
         return _proofs(protocol, room.promising)
     if planner in ONLINE:
         return _episodes(protocol, room.promising, planner)
-    return _searches(protocol, room.fine, planner)
+    return _searches(protocol, room.truth() if planner == TRUTH else room.fine, planner)
 
 
-def _searches(protocol: Protocol, fine: Simulator, name: str) -> Iterator[Row]:
-    """Search a scan with every budget and seed."""
-    space = space_of(fine)
+def _searches(protocol: Protocol, simulator: Simulator, name: str) -> Iterator[Row]:
+    """Search with every budget and seed, by a planner or, for the best known, with the truth."""
+    space = space_of(simulator)
+    make, search = (GreedySwap, solve) if name == TRUTH else (OFFLINE[name], search_and_finish)
     # Kernels are read from disk before the clock runs.
-    Scorer(fine)([space.placement(space.random(np.random.default_rng(0)))])
+    Scorer(simulator)([space.placement(space.random(np.random.default_rng(0)))])
     for budget, seed in protocol.runs(name):
-        planner = OFFLINE[name](space, np.random.default_rng([seed, budget]), budget)
-        yield _found(search_and_finish(planner, Scorer(fine), budget, time.process_time))
-
-
-def _true_searches(protocol: Protocol, truth: Simulator) -> Iterator[Row]:
-    """Search with the truth, for the best known; the judge's points are not searched with."""
-    space = space_of(truth)
-    for budget, seed in protocol.runs(TRUTH):
-        planner = GreedySwap(space, np.random.default_rng([seed, budget]), budget)
-        yield _found(solve(planner, Scorer(truth), budget, clock=time.process_time))
+        planner = make(space, np.random.default_rng([seed, budget]), budget)
+        result = search(planner, Scorer(simulator), budget, clock=time.process_time)
+        yield {'evaluations': result.evaluations, 'seconds': result.seconds,
+               'placement': result.placement, 'trace': result.trace.tolist()}
 
 
 def _proofs(protocol: Protocol, problem: Problem) -> Iterator[Row]:
@@ -318,12 +310,6 @@ def _proofs(protocol: Protocol, problem: Problem) -> Iterator[Row]:
            'proved': bool(bound >= best.loss * (1.0 - EQUAL))}
 
 
-def _found(result: Result) -> Row:
-    """Return what a search has found."""
-    return {'evaluations': result.evaluations, 'seconds': result.seconds,
-            'placement': result.placement, 'trace': result.trace.tolist()}
-
-
 def _episodes(protocol: Protocol, problem: Problem, name: str) -> Iterator[Row]:
     """Play an episode with every seed; the last placement is what counts."""
     space = space_of(problem.simulator)
@@ -340,20 +326,22 @@ def _episodes(protocol: Protocol, problem: Problem, name: str) -> Iterator[Row]:
                'placement': placement, 'trace': [], 'trajectory': outcome.trajectory.tolist()}
 
 
-def _random_placements(simulator: Simulator) -> Iterator[Row]:
-    """Draw placements without end, and tell what all places of the plane together miss."""
-    space = space_of(simulator)
-    pool = space.placement(space.grid(POOL))
-    least = simulator.judge(simulator.look_many(pool)).depth_error
-    rng = np.random.default_rng(0)
+def _random(problem: Problem) -> Iterator[Row]:
+    """Draw feasible placements without end, and tell what all candidates together miss."""
+    rng, rig = np.random.default_rng(0), problem.rig
+    if rig.free:
+        space = space_of(problem.simulator)
+        views = problem.simulator.look_many(space.placement(space.grid(POOL)))
+    else:
+        pool = Pool(problem, POOL)
+        views = pool.everywhere(rig)
+    least = problem.error(problem.judge(views))
     while True:
-        yield _drawn(least, space.placement(space.random(rng)))
-
-
-def _drawn(least: float, placement: np.ndarray) -> Row:
-    """Return the row of a random placement."""
-    return {'lower_bound': least, 'evaluations': 1, 'seconds': 0.0, 'trace': [],
-            'placement': placement}
+        placement = space.placement(space.random(rng)) if rig.free else np.array(
+            [site.pose for site in random_sites(rig, pool, rng)])
+        if len(placement):
+            yield {'lower_bound': least, 'evaluations': 1, 'seconds': 0.0, 'trace': [],
+                   'placement': placement}
 
 
 def _rig_plans(protocol: Protocol, room: JudgedRoom, name: str) -> Iterator[Row]:
@@ -371,12 +359,3 @@ def _rig_plans(protocol: Protocol, room: JudgedRoom, name: str) -> Iterator[Row]
         answer = planner.plan(rig).answer
         yield {'evaluations': answer.evaluations, 'seconds': time.process_time() - began,
                'placement': answer.poses, 'trace': []}
-
-
-def _random_rigs(problem: Problem) -> Iterator[Row]:
-    """Draw feasible placements without end, and tell what all candidates together miss."""
-    rig, pool, rng = problem.rig, Pool(problem, POOL), np.random.default_rng(0)
-    least = problem.error(problem.judge(pool.everywhere(rig)))
-    while True:
-        if sites := random_sites(rig, pool, rng):
-            yield _drawn(least, np.array([site.pose for site in sites]))

@@ -51,15 +51,18 @@ def make_problem(scene: Scene, config: SimulationConfig) -> 'Problem':
     return PlaneProblem(Simulator(scene, config)) if rig.free else Problem.of(scene, rig, config)
 
 
-def plane_of(simulator: Simulator, config: EpisodeConfig, cameras: int) -> FreePlane:
-    """Return where cameras that move freely on a plane may be in a room."""
-    return FreePlane.of(simulator.scene.points, simulator.height, cameras, config.wall_margin,
+def space_of(simulator: Simulator, cameras: int | None = None,
+             config: EpisodeConfig | None = None) -> FreePlane:
+    """
+    Return where cameras that move freely on a plane may be in a room.
+
+    :param cameras: how many there are; those of the simulator's settings by default.
+    :param config: their distance to surfaces; that of the simulator's settings by default.
+    """
+    config = config or simulator.config.episode
+    return FreePlane.of(simulator.scene.points, simulator.height,
+                        cameras or simulator.config.rig.cameras, config.wall_margin,
                         config.clearance)
-
-
-def space_of(simulator: Simulator) -> FreePlane:
-    """Return where the cameras of a simulator's rig may be on their plane."""
-    return plane_of(simulator, simulator.config.episode, simulator.config.rig.cameras)
 
 
 class Problem:
@@ -222,7 +225,7 @@ class PlaneProblem(Problem):
         poses[:, 2] = simulator.height
         poses[:, :3], _ = kept_inside(poses[:, :3], bounds, config.wall_margin)
         if config.clearance:
-            poses[:, :2] = plane_of(simulator, config, cameras).inside(poses[:, :2])
+            poses[:, :2] = space_of(simulator, cameras, config).inside(poses[:, :2])
         poses[:, 3:] = outwards(cameras, simulator.config.rig.tilt)
         return poses
 

@@ -54,7 +54,7 @@ from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.search.registry import settings_of
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.problem import plane_of, PlaneProblem, Problem
+from ocp_ros.simulation.problem import PlaneProblem, Problem, space_of
 from ocp_ros.simulation.ray_visibility import with_rays
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator, View
@@ -135,7 +135,7 @@ class TrueRoom:
     def __init__(self, scene: Scene, config: SimulationConfig, headings: int = 0) -> None:
         engine = EngineConfig(preset='fine', error_rows=TRUE_ROWS, coverage_cell=1.0)
         self.engine = Simulator(scene, replace(config, engine=with_rays(engine, scene)))
-        self.space = plane_of(self.engine, config.episode, 1)
+        self.space = space_of(self.engine, 1)
         self.places = self.space.grid(AIMED_PLACES if headings else PLACES)
         turned = np.zeros((max(headings, 1), 3))
         if headings:
