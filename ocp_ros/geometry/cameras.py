@@ -183,7 +183,9 @@ def in_view(x: float, y: float, z: float, lens: Frustum) -> bool:
     if lens.kind == OMNIDIRECTIONAL:
         return True
     if lens.kind == PINHOLE:
-        return x > 0.0 and abs(y) <= x * lens.half_horizontal and abs(z) <= x * lens.half_vertical
+        # Without branches, so that a loop of it is vectorised.
+        return ((x > 0.0) & (abs(y) <= x * lens.half_horizontal)
+                & (abs(z) <= x * lens.half_vertical))
     return (abs(math.atan2(y, x)) <= lens.half_horizontal
             and abs(math.atan2(z, math.hypot(x, y))) <= lens.half_vertical)
 

@@ -487,26 +487,26 @@ def _keep_in_cone(points, first, count, pose, lens, flags):
 
 
 @njit(cache=True, nogil=True)
-def kept_in_cone(points, pose, lens, seen):
+def kept_in_cone(points, bounds, pose, lens, seen):
     """
     Clip what an omnidirectional camera sees to a frustum.
 
-    :param points: N :class:`Surfels` or :class:`SurfelPlaces`.
+    :param points: N :class:`Surfels` or :class:`SurfelPlaces` in spatial order.
+    :param bounds: (B, 2, 3) float32, of their blocks.
     :param pose: the camera's :class:`~ocp_ros.geometry.cameras.Pose`.
     :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Frustum`.
     :param seen: (W,) uint64, packed bits of the points.
     :returns: (W,) uint64, packed bits of those in the viewing cone.
     """
-    x0, y0, z0 = pose.position[0], pose.position[1], pose.position[2]
-    kept = np.zeros_like(seen)
-    for word in range(seen.shape[0]):
-        bits, i, flag = seen[word], word * 64, u64(1)
-        while bits != u64(0):
-            if bits & u64(1) and in_cone(points.x[i] - x0, points.y[i] - y0, points.z[i] - z0,
-                                         pose, lens):
-                kept[word] |= flag
-            bits, flag, i = bits >> u64(1), flag << u64(1), i + 1
-    return kept
+    kept, blocks = np.zeros_like(seen), np.empty(bounds.shape[0], dtype=np.uint32)
+    octets = np.empty(BLOCK // 8, dtype=np.uint64)
+    flags = octets.view(np.uint8)
+    for number in blocks[:blocks_in_view(bounds, pose, lens, blocks)]:
+        first, count = _block(number, points.x.shape[0])
+        flags[:count], flags[count:] = 1, 0
+        _keep_in_cone(points, first, count, pose, lens, flags)
+        _pack(octets, kept, u64(number) * u64(WORDS))
+    return kept & seen
 
 
 @njit(nogil=True, inline='always')

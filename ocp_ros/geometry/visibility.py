@@ -111,8 +111,8 @@ class SurfelVisibility:
         :param covered: packed bits of the places that it covers.
         :returns: the bits of both that are in the cone.
         """
-        return (kept_in_cone(self._surfels, pose, lens, seen),
-                kept_in_cone(self._places, pose, lens, covered))
+        return (kept_in_cone(self._surfels, self._bounds, pose, lens, seen),
+                kept_in_cone(self._places, self._place_bounds, pose, lens, covered))
 
 
 class CubeVisibility:

@@ -16,7 +16,6 @@
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -34,7 +33,7 @@ from ocp_ros.util.settings import ConfigurationError
 from scipy.spatial import cKDTree
 
 #: Poses that are looked from at a time, and those that are in any case.
-CHUNK, LEAST = 64, 256
+CHUNK, LEAST = 256, 256
 #: Metres that a turn by a radian counts as, where nearest poses are looked for.
 TURN = 1.0
 #: Places that a close packing of cameras is begun at.
@@ -136,20 +135,24 @@ class Pool:
         models = rig.placed_models
         #: Whether all that are spread over the room were looked from.
         self.complete = True
-        with ThreadPoolExecutor(threads) as workers:
-            for model in models:
-                camera, count = rig.models.index(model), max(most // len(models), 1)
-                offered = _offered(problem.region, model, max(count, among // len(models)))
-                poses, views = offered[:count], []
-                while len(views) < len(poses) and (len(views) < LEAST or not over()):
-                    part = poses[len(views):len(views) + CHUNK]
-                    views += workers.map(
-                        lambda pose, camera=camera: simulator.look(pose, camera), part)
-                self.complete &= len(views) == len(offered)
-                poses = poses[:len(views)]
-                if not any(view.seen.any() for view in views):
-                    raise _sees_nothing(problem, camera, len(views))
-                self._kinds[model] = PoseSet(poses, views, cKDTree(features_of(poses)))
+        for model in models:
+            camera, count = rig.models.index(model), max(most // len(models), 1)
+            offered = _offered(problem.region, model, max(count, among // len(models)))
+            poses = offered[:count]
+            # The headings of a place are looked in at once, in the order of the first of each.
+            _, first, place = np.unique(poses[:, :3], axis=0, return_index=True,
+                                        return_inverse=True)
+            order, views = np.argsort(first[place], kind='stable'), []
+            while len(views) < len(poses) and (len(views) < LEAST or not over()):
+                views += simulator.look_many(
+                    poses[order[len(views):len(views) + CHUNK]], camera, threads)
+            self.complete &= len(views) == len(offered)
+            # They come as they were offered.
+            known = np.argsort(order[:len(views)])
+            poses, views = poses[order[known]], [views[k] for k in known]
+            if not any(view.seen.any() for view in views):
+                raise _sees_nothing(problem, camera, len(views))
+            self._kinds[model] = PoseSet(poses, views, cKDTree(features_of(poses)))
 
     def __len__(self) -> int:
         """Return the number of poses, those of all models together."""

@@ -248,9 +248,30 @@ class Simulator:
         """
         Compute what a camera sees from each of many poses, the candidates of a search.
 
+        Each place is looked from once, whatever the headings there.
+
         :param poses: (M, 3) or (M, 6), rows of a placement.
         :param camera: which camera of the rig.
         :param threads: how many to use.
         """
+        poses, views = np.asarray(poses, dtype=np.float64), {}
+        _, place = np.unique(poses[:, :3], axis=0, return_inverse=True)
+        order = np.argsort(place, kind='stable')
+        places = np.split(order, np.flatnonzero(np.diff(place[order])) + 1)
         with ThreadPoolExecutor(threads) as pool:
-            return list(pool.map(lambda pose: self.look(pose, camera), poses))
+            for rows, found in zip(places, pool.map(
+                    lambda rows: self._by_headings(poses[rows], camera), places)):
+                views.update(zip(rows.tolist(), found))
+        return [views[row] for row in range(len(poses))]
+
+    def _by_headings(self, poses: np.ndarray, camera: int) -> list[View]:
+        """Compute what a camera sees by several headings (H, 6) from one place."""
+        lens, visibility = self._lenses[self.kind(camera)], self.visibility
+        if len(poses) == 1 or lens.kind == OMNIDIRECTIONAL or not isinstance(
+                visibility, (SurfelVisibility, RayVisibility)):
+            return [self.look(pose, camera) for pose in poses]
+        around = View(no_bits(len(self.scene)), no_bits(len(self.grid)))
+        visibility.look(Pose(poses[0, :3], LEVEL), lens._replace(kind=OMNIDIRECTIONAL),
+                        around.seen, around.covered)
+        return [View(*visibility.narrowed(Pose.of(pose), lens, *around[:2]), pose[:3])
+                for pose in poses]
