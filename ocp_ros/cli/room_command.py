@@ -47,8 +47,8 @@ def add_arguments(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> Found:
     """Write a room file."""
+    from ocp_ros.scenes.file_formats import MEASURED
     from ocp_ros.scenes.measured_room import document_of, triangles_of
-    from ocp_ros.scenes.room_formats import MEASURED
     from ocp_ros.util.files import write_atomically
     from ocp_ros.util.yaml_files import written
     if arguments.out.suffix.lower() not in MEASURED:

@@ -25,12 +25,12 @@ import warnings
 import numpy as np
 from ocp_ros.geometry.clouds import away_from, corners_of
 from ocp_ros.geometry.voxels import SMALLEST, voxel_downsample, voxel_size_for
+from ocp_ros.scenes.file_formats import Declared, declared_by, MEASURED, READERS
 from ocp_ros.scenes.inner_surface import inner_surface, without_outside
 from ocp_ros.scenes.main_room import main_room
 from ocp_ros.scenes.measured_room import CORNERS, room_between
 from ocp_ros.scenes.mesh_files import sampled, SAMPLES
 from ocp_ros.scenes.mirror_images import without_mirror_images
-from ocp_ros.scenes.room_formats import Declared, declared_by, MEASURED, READERS
 from ocp_ros.scenes.scene import (
     check_numbers,
     check_points,
