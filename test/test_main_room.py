@@ -89,6 +89,19 @@ def test_what_a_scanner_sees_of_a_corridor_through_a_door_is_left_out(degrees):
     assert 0.99 * own < len(scene) < 1.01 * own
 
 
+def test_a_gate_and_a_door_in_a_thick_wall_lead_to_two_rooms():
+    hall = rooms((0.0, 7.0, 2.7), (7.5, 12.5, 2.7), door=(2.1, 4.1), depth=8.1)
+    doorway = (abs(hall[:, 0] - 7.25) < 0.28) & (abs(hall[:, 1] - 5.15) < 0.45) & (
+        abs(hall[:, 2] - 1.03) < 1.0)
+    wall = np.concatenate([side((7.5, y, 0), (5.0, 0, 0), (0, 0, 2.7)) for y in (4.4, 4.5)])
+    jambs = [side((7.0, 4.7, 2.05), (0.5, 0, 0), (0, 0.9, 0)),
+             side((7.0, 4.7, 0), (0.5, 0, 0), (0, 0.9, 0))]
+    points = np.concatenate([hall[~doorway], wall, *jambs])
+    with pytest.warns(SceneWarning, match='another room'):
+        scene = scene_of(points)
+    assert scene.bounds[1, 0] < 7.6
+
+
 @pytest.mark.parametrize('points', [
     # A wide passage, a low beam across a corridor, and a building of equal rooms.
     rooms((0.0, 6.0, 2.7), (6.2, 9.5, 2.7), door=(0.7, 3.8), lintel=2.2),

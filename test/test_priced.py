@@ -99,6 +99,28 @@ def test_one_look_around_is_a_look_by_each_heading(mount):
             assert np.array_equal(grid.points(place, heading), seen)
 
 
+@pytest.mark.parametrize('preset', ['fine', 'fast', 'paper'])
+def test_many_looks_from_few_places_are_the_looks(preset):
+    problem = Problem.of(made_room(8, 2000), rig_of(1, 'd455', mount={'on': 'walls'}),
+                         SimulationConfig(engine=EngineConfig(preset)))
+    simulator, model = problem.simulator, problem.rig.models[0]
+    poses = np.random.default_rng(0).permutation(problem.region.candidates(model, 60))
+    for pose, view in zip(poses, simulator.look_many(poses, threads=2), strict=True):
+        alone = simulator.look(pose)
+        assert np.array_equal(view.position, pose[:3])
+        for found, bits in zip(view[:2], alone[:2]):
+            assert int(np.bitwise_count(found ^ bits).sum()) <= (preset == 'fast')
+    assert simulator.look_many(poses[:0]) == []
+
+
+def test_candidates_that_are_few_for_want_of_time_are_spread_over_the_room():
+    problem = problem_of(1)
+    whole, few = Pool(problem, 2000), Pool(problem, 2000, over=lambda: True)
+    model = problem.rig.models[0]
+    places = [len(np.unique(pool.kind(model).poses[:, :3], axis=0)) for pool in (whole, few)]
+    assert not few.complete and len(few) < len(whole) and places[1] > 0.8 * places[0]
+
+
 @settings(max_examples=40, deadline=None)
 @given(data=strategies.data())
 def test_the_trees_are_the_loss_and_cuts_are_below(asked, data):

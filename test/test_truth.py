@@ -87,7 +87,8 @@ def test_the_engine_agrees_with_the_truth_about_a_room(room):
 
 def test_a_generated_room_is_judged_on_points_that_no_search_saw():
     room = JudgedRoom('7', 0.0, SMALL, 3000, 4000)
-    assert [one.config.engine.preset for one in (room.simulator, room.fine)] == [MESH, 'fine']
+    assert [one.config.engine.preset for one in (room.problem.simulator, room.fine)] == [
+        MESH, 'fine']
     shared = set(map(tuple, room.scene.points)) & set(map(tuple, room.judged.points))
     assert not shared
     np.testing.assert_array_equal(room.scene.mesh.vertices, room.judged.mesh.vertices)
@@ -98,7 +99,7 @@ def test_a_scan_is_judged_on_points_that_are_held_out(tmp_path):
     save_scene(Scene(generate_room(7, 4000).points, 'scan'), path)
     room = judged_room(str(path), 0.0, SMALL)
     assert judged_room(str(path), 0.0, SMALL) is room
-    assert type(room.simulator) is Simulator
+    assert type(room.problem.simulator) is Simulator
     searched, judged = (set(map(tuple, scene.points)) for scene in (room.scene, room.judged))
     assert not searched & judged
     assert len(searched) + len(judged) == pytest.approx(4000, rel=0.1)
@@ -107,7 +108,7 @@ def test_a_scan_is_judged_on_points_that_are_held_out(tmp_path):
 
 def test_the_judge_takes_the_mean_over_cameras_that_are_mounted_a_little_off():
     room = JudgedRoom('7', 0.0, SMALL, 3000, 4000)
-    simulator = room.simulator
+    simulator = room.problem.simulator
     placement = np.random.default_rng(0).uniform(*room.judged.bounds, (4, 3))
     judged = room.judge(placement)
     assert judged['exact'] == simulator.evaluate(placement).depth_error

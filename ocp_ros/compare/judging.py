@@ -101,11 +101,6 @@ class JudgedRoom:
         """Return the engine on all points that searches may see."""
         return self.promising.simulator
 
-    @property
-    def simulator(self) -> Simulator:
-        """Return the judge's engine."""
-        return self.problem.simulator
-
     def truth(self) -> Simulator:
         """Return the truth on the points that searches see."""
         engine = replace(self.config.engine, coverage_cell=JUDGING.coverage_cell)

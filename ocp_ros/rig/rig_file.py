@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-A real rig: its cameras, where they may hang and what they shall see, read from a YAML file.
+A rig: its cameras, where they may hang and what they shall see, mostly read from a YAML file.
 
 In files angles are degrees, here they are radians; docs/reference/rig.md explains every key.
 """
@@ -154,7 +154,7 @@ class Rig:
     :ivar regions: what matters more than the rest.
     :ivar seen_by: how many cameras have to see a place.
     :ivar calibratable: what pairs of cameras share that link all of them; None if not required.
-    :ivar document: what the rig was read from.
+    :ivar document: what the rig was read from; empty where it was not.
     """
 
     cameras: tuple[Camera, ...]
@@ -198,8 +198,8 @@ class Rig:
         """
         Return how far a horizontal plane of places has to be from surfaces, metres.
 
-        It is none where cameras hang on a surface, which a plane cannot tell from the others, and
-        None where the rig asks for nothing and a setting says it.
+        :returns: 0 where cameras hang on a surface, which a plane cannot tell from the others;
+            None where the rig asks for nothing and a setting says it.
         """
         if self.free:
             return None

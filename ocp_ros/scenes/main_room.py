@@ -231,8 +231,9 @@ def _joined(rooms: np.ndarray, lintels: np.ndarray, half: np.ndarray, widths: np
     :returns: the number of the room that each is a part of.
     """
     joined, near, margin = np.arange(len(widths)), _disc(reach), int(reach) + 1
-    # A beam has two faces, and its underside between them.
-    blobs, _ = ndimage.label(ndimage.binary_closing(lintels, near) & (half > 0.0))
+    # A beam has two faces, and its underside between them; in a thick wall nothing hangs.
+    between = ndimage.binary_closing(lintels, near) & ~ndimage.binary_closing(half == 0.0, near)
+    blobs, _ = ndimage.label(lintels | between)
     openings: dict[tuple[int, int], float] = {}
     for number, box in enumerate(ndimage.find_objects(blobs), start=1):
         around = tuple(slice(max(side.start - margin, 0), side.stop + margin) for side in box)

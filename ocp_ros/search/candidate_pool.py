@@ -139,10 +139,11 @@ class Pool:
             camera, count = rig.models.index(model), max(most // len(models), 1)
             offered = _offered(problem.region, model, max(count, among // len(models)))
             poses = offered[:count]
-            # The headings of a place are looked in at once, in the order of the first of each.
+            # The first are spread over the room; of the others, a place is looked from once.
             _, first, place = np.unique(poses[:, :3], axis=0, return_index=True,
                                         return_inverse=True)
-            order, views = np.argsort(first[place], kind='stable'), []
+            rank = np.where(np.arange(len(poses)) < LEAST, -1, first[place.ravel()])
+            order, views = np.argsort(rank, kind='stable'), []
             while len(views) < len(poses) and (len(views) < LEAST or not over()):
                 views += simulator.look_many(
                     poses[order[len(views):len(views) + CHUNK]], camera, threads)

@@ -15,8 +15,8 @@
 """
 What there is to solve in a room: which cameras, where they may be, what placements are worth.
 
-A :class:`Problem` is a rig in a room. Cameras that move freely on a plane have a quick way to
-their places in :class:`PlaneProblem`.
+A :class:`Problem` is a rig in a room; :class:`PlaneProblem` is the case of cameras that move
+freely on a plane.
 """
 
 from functools import cached_property
@@ -47,8 +47,9 @@ def make_problem(scene: Scene, config: SimulationConfig) -> 'Problem':
     :raises ConfigurationError: if the rig file cannot be used in this room.
     :raises SceneError: if the cameras' plane is not inside the room.
     """
-    rig = config.placed_rig
-    return PlaneProblem(Simulator(scene, config)) if rig.free else Problem.of(scene, rig, config)
+    if config.placed_rig.free:
+        return PlaneProblem(Simulator(scene, config))
+    return Problem.of(scene, config.placed_rig, config)
 
 
 def space_of(simulator: Simulator, cameras: int | None = None,
@@ -191,6 +192,7 @@ class Problem:
         no region matters more than the rest.
         """
         worst = self.simulator.depth_error.worst
+        # Without any rounding where nothing else counts.
         return result.depth_error + (result.loss - result.depth_error / worst) * worst
 
 

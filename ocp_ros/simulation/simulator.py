@@ -248,7 +248,7 @@ class Simulator:
         """
         Compute what a camera sees from each of many poses, the candidates of a search.
 
-        Each place is looked from once, whatever the headings there.
+        Where poses share a place it is looked from once, but by the paper's rules.
 
         :param poses: (M, 3) or (M, 6), rows of a placement.
         :param camera: which camera of the rig.
@@ -256,6 +256,7 @@ class Simulator:
         """
         poses, views = np.asarray(poses, dtype=np.float64), {}
         _, place = np.unique(poses[:, :3], axis=0, return_inverse=True)
+        place = place.ravel()
         order = np.argsort(place, kind='stable')
         places = np.split(order, np.flatnonzero(np.diff(place[order])) + 1)
         with ThreadPoolExecutor(threads) as pool:
@@ -267,7 +268,7 @@ class Simulator:
     def _by_headings(self, poses: np.ndarray, camera: int) -> list[View]:
         """Compute what a camera sees by several headings (H, 6) from one place."""
         lens, visibility = self._lenses[self.kind(camera)], self.visibility
-        if len(poses) == 1 or lens.kind == OMNIDIRECTIONAL or not isinstance(
+        if len(poses) < 2 or lens.kind == OMNIDIRECTIONAL or not isinstance(
                 visibility, (SurfelVisibility, RayVisibility)):
             return [self.look(pose, camera) for pose in poses]
         around = View(no_bits(len(self.scene)), no_bits(len(self.grid)))

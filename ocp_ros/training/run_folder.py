@@ -74,7 +74,9 @@ def claim(folder: Path, config: TrainingConfig) -> None:
     asked = _flat(to_nested(config))
     before = _flat(to_nested(_settings(path))) if path.exists() else asked
     wrong = [f'{name} {before[name]!r}' for name in asked
-             if name not in MAY_CHANGE and asked[name] != before[name]]
+             if name not in MAY_CHANGE and asked[name] != before[name]
+             # A rig file replaces these.
+             and not (config.simulation.rig_file and name.startswith('simulation.rig.'))]
     if rooms.exists() and _sets(rooms) != sets:
         wrong.append('other rooms')
     if wrong:

@@ -230,9 +230,9 @@ class SideBySide(DummyVecEnv):
 
 def environments(config: TrainingConfig, rooms: Sequence[str]) -> VecMonitor:
     """Return the environments of a run; rooms and engines that one has made serve all."""
-    made = [CameraPlacementEnv(Rooms(rooms, config.rooms), config.simulation,
-                               fewest=config.fewest_cameras, rotations=config.rooms.angles)
-            for _ in range(config.environments)]
+    made = [CameraPlacementEnv(shared, config.simulation, fewest=config.fewest_cameras,
+                               rotations=config.rooms.angles)
+            for shared in [Rooms(rooms, config.rooms)] * config.environments]
     problem = lru_cache(KEPT * len(made))(made[0].problem.__wrapped__)
     for env in made:
         env.problem = problem
