@@ -66,7 +66,7 @@ def test_the_simulation_shows_what_the_cameras_truly_see_and_miss(graph, probe, 
     np.testing.assert_array_equal(msg_to_cloud(coverage), scene.points)
     expected = sum(
         sim.simulator.judge([sim.simulator.look(row, k)]).visible.astype(int)
-        for k, row in enumerate(np.hstack([turn.positions, sim.config.rig.headings])))
+        for k, row in enumerate(np.hstack([turn.positions, turn.headings])))
     np.testing.assert_array_equal(counts, expected)
     assert counts.max() > 1
     name, lost = values_of(error)
