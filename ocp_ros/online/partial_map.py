@@ -30,7 +30,7 @@ from ocp_ros.geometry.visibility import FAST, SurfelVisibility
 from ocp_ros.geometry.voxels import thinned_to
 from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
 from ocp_ros.scenes.scene import Scene, SceneError
-from ocp_ros.simulation.simulator import View
+from ocp_ros.simulation.simulator import clipped, View
 from ocp_ros.simulation.viewpoints import observed_viewpoints
 from scipy.spatial import ConvexHull, QhullError
 
@@ -155,9 +155,8 @@ class PartialMap:
         around = self.look(position, lens._replace(kind=OMNIDIRECTIONAL))
         if lens.kind == OMNIDIRECTIONAL:
             return [around] * len(headings)
-        poses = (Pose.of(np.concatenate([position, heading])) for heading in headings)
-        return [View(*self.visibility.narrowed(pose, lens, around.seen, around.covered))
-                for pose in poses]
+        poses = np.hstack([np.broadcast_to(position, headings.shape), headings])
+        return clipped(self.visibility, around, poses, lens)
 
     def follow(self, settings: SurfelSettings) -> None:
         """Look by these rules from now on; what was seen by others has to be looked at again."""

@@ -40,7 +40,7 @@ MUST_SEE = 0.95
 SPACING = 0.2
 #: Share of points and degrees that link two cameras where a file does not say.
 OVERLAP, ANGLE = 0.2, 60.0
-#: Metres: farther than this no planner is told that cameras see.
+#: Metres: planners count on no view that is longer than this.
 FARTHEST = 100.0
 #: Metres above the floor where a file names none; on the ceiling it is the ceiling's own.
 HEIGHTS = {'plane': (1.9, 1.9), 'ceiling': None, 'walls': (1.5, 2.5), 'free': (1.5, 2.5)}
@@ -190,7 +190,7 @@ class Rig:
 
     @property
     def farthest(self) -> float:
-        """Return how far planners are told that its cameras see, metres."""
+        """Return how far planners count on its cameras to see, metres."""
         return min(max(camera.model.max_range for camera in self.cameras), FARTHEST)
 
     @property

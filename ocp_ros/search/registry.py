@@ -62,7 +62,7 @@ _log = logging.getLogger(__name__)
 
 
 def settings_of(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator) -> tuple:
-    """Return what every online planner is told of its rig and its time steps."""
+    """Return what every online planner gets of its rig and its time steps."""
     return rng, episode.max_step, rig.farthest, episode.wall_margin, episode.clearance
 
 
@@ -103,8 +103,7 @@ def _learned(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator,
 def _learned_lookahead(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator,
                        model: str = DEFAULT_MODEL) -> Lookahead:
     """Return lookahead that a policy makes proposals to."""
-    guide = _learned(episode, rig, rng, model)
-    return Lookahead(*settings_of(episode, rig, rng), guide=guide)
+    return Lookahead(*settings_of(episode, rig, rng), guide=_learned(episode, rig, rng, model))
 
 
 OFFLINE: dict[str, Callable[[FreePlane, np.random.Generator, int], Planner]] = {

@@ -132,8 +132,7 @@ class CameraPlacementEnv(gym.Env):
         super().reset(seed=seed)
         drawn = {'rotation': self.rotations[int(self.np_random.integers(len(self.rotations)))],
                  'scene': int(self.np_random.integers(len(self.scenes))),
-                 'cameras': int(self.np_random.integers(self.fewest,
-                                                        len(self.rig.cameras) + 1))}
+                 'cameras': int(self.np_random.integers(self.fewest, len(self.rig.cameras) + 1))}
         chosen = {**drawn, **(options or {})}
         self.episode = Episode(self.problem(chosen['scene'], chosen['rotation']),
                                self.np_random, chosen['cameras'])

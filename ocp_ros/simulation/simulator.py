@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from ocp_ros.geometry.cameras import (
     CameraModel,
+    Frustum,
     LEVEL,
     mark_headings,
     OMNIDIRECTIONAL,
@@ -72,6 +73,19 @@ class Evaluation(NamedTuple):
     def visible(self) -> np.ndarray:
         """Return (N,) bool, whether at least one camera sees each point of the scene."""
         return self.seen.mask
+
+
+def clipped(visibility: SurfelVisibility | RayVisibility, around: View, poses: np.ndarray,
+            lens: Frustum) -> list[View]:
+    """
+    Clip what is seen all around from one place to the viewing cone of each of some headings.
+
+    :param around: what an omnidirectional camera sees there.
+    :param poses: (H, 6) metres, map frame, and radians.
+    :param lens: of the camera.
+    """
+    return [View(*visibility.narrowed(Pose.of(pose), lens, around.seen, around.covered), pose[:3])
+            for pose in poses]
 
 
 class Simulator:
@@ -255,8 +269,7 @@ class Simulator:
         :param threads: how many to use.
         """
         poses, views = np.asarray(poses, dtype=np.float64), {}
-        _, place = np.unique(poses[:, :3], axis=0, return_inverse=True)
-        place = place.ravel()
+        place = np.unique(poses[:, :3], axis=0, return_inverse=True)[1].ravel()
         order = np.argsort(place, kind='stable')
         places = np.split(order, np.flatnonzero(np.diff(place[order])) + 1)
         with ThreadPoolExecutor(threads) as pool:
@@ -274,5 +287,4 @@ class Simulator:
         around = View(no_bits(len(self.scene)), no_bits(len(self.grid)))
         visibility.look(Pose(poses[0, :3], LEVEL), lens._replace(kind=OMNIDIRECTIONAL),
                         around.seen, around.covered)
-        return [View(*visibility.narrowed(Pose.of(pose), lens, *around[:2]), pose[:3])
-                for pose in poses]
+        return clipped(visibility, around, poses, lens)

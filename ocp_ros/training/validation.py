@@ -74,14 +74,14 @@ def play_trial(trial: ValidationTrial) -> tuple[float, float, float]:
     :returns: depth error at start and end, metres, and space coverage at the end, cubic metres.
     """
     problem = _prepared(trial.rooms, trial.room, trial.rotation, trial.simulation)
-    told = trial.simulation.episode, problem.rig, np.random.default_rng([trial.seed, 1])
-    settings = settings_of(*told)
+    rig_and_turns = trial.simulation.episode, problem.rig, np.random.default_rng([trial.seed, 1])
+    settings = settings_of(*rig_and_turns)
     if trial.weights:
         online: Online = planned_by(policy_of(trial.weights), settings)
     elif trial.planner == RANDOM_MOVES:
         online = RandomMoves(*settings)
     else:
-        online = ONLINE[trial.planner](*told)
+        online = ONLINE[trial.planner](*rig_and_turns)
     episode = Episode(problem, np.random.default_rng([trial.seed, 0]))
     outcome = play(online, episode)
     return (float(outcome.depth_error[0]), float(outcome.depth_error[-1]),
