@@ -42,6 +42,39 @@ def perceptron(*widths: int) -> nn.Sequential:
     return nn.Sequential(*layers)
 
 
+class ResidualBlock(nn.Module):
+    """
+    A block of a head: what two layers make of the normalised input is added to it.
+
+    After SimBa (Lee et al., arXiv 2410.09754).
+
+    :param width: of input and output; four times as wide in between.
+    """
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, 4 * width), nn.ReLU(),
+                                    nn.Linear(4 * width, width))
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Return (B, width) of (B, width)."""
+        return features + self.layers(features)
+
+
+def head(width: int, hidden: int, blocks: int) -> nn.Sequential:
+    """
+    Return the layers between what is read and the last layer.
+
+    :param width: of what is read.
+    :param hidden: of the output.
+    :param blocks: residual ones; 0 for two plain layers.
+    """
+    if not blocks:
+        return perceptron(width, hidden, hidden)
+    return nn.Sequential(nn.Linear(width, hidden), *(ResidualBlock(hidden) for _ in range(blocks)),
+                         nn.LayerNorm(hidden))
+
+
 def gather(values: Tensor, indices: Tensor) -> Tensor:
     """Pick rows per batch entry: values (B, N, C), indices (B, ...) -> (B, ..., C)."""
     batch = torch.arange(len(values), device=values.device)
@@ -145,7 +178,7 @@ class Actor(nn.Module):
         super().__init__()
         cameras = config.cameras if config.inputs == PAPER else 1
         self.extractor = Extractor(config)
-        self.latent_pi = perceptron(self.extractor.width, config.hidden, config.hidden)
+        self.latent_pi = head(self.extractor.width, config.hidden, config.blocks)
         self.mu = nn.Linear(config.hidden, 2 * cameras)
         self.log_std = nn.Linear(config.hidden, 2 * cameras)
 

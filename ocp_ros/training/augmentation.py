@@ -30,6 +30,8 @@ SYMMETRIES = torch.tensor([
     [[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]],
     [[-1, 0], [0, 1]], [[0, -1], [-1, 0]], [[1, 0], [0, -1]], [[0, 1], [1, 0]]],
     dtype=torch.float32)
+#: How far points are moved, in units of the network's length, and the share that is dropped.
+JITTER, DROPPED = 0.005, 0.1
 #: What the map actor reads that is seen from above.
 MAPS = ('room', 'others', 'choices')
 
@@ -131,15 +133,63 @@ def _part(room: np.ndarray) -> int:
     return rows.start * CELLS + columns.start
 
 
-class SymmetricReplayBuffer(DictReplayBuffer):
-    """A replay buffer whose samples are turned or mirrored at random, each on its own."""
+class CloudReplayBuffer(DictReplayBuffer):
+    """
+    A replay buffer of clouds.
+
+    :param n_steps: rewards that are summed up before the critics value what follows.
+    :param gamma: their discount.
+    :param augmented: whether each sample is turned or mirrored, and its cloud jittered.
+    """
+
+    def __init__(self, *args, n_steps: int = 1, gamma: float = 0.99, augmented: bool = True,
+                 **kwargs) -> None:
+        super().__init__(*args, **kwargs)
+        self.n_steps, self.gamma, self.augmented = n_steps, gamma, augmented
 
     def sample(self, batch_size: int, env=None) -> DictReplayBufferSamples:
-        """Draw a batch and one symmetry per transition."""
+        """Draw a batch and, where asked for, one symmetry per transition."""
         batch = super().sample(batch_size, env)
+        if not self.augmented:
+            return batch
         numbers = np.random.randint(len(SYMMETRIES), size=len(batch.actions))
         maps = SYMMETRIES[torch.from_numpy(numbers)].to(batch.actions.device)
         return batch._replace(
-            observations=turn_observation(batch.observations, maps),
-            next_observations=turn_observation(batch.next_observations, maps),
+            observations=jittered(turn_observation(batch.observations, maps)),
+            next_observations=jittered(turn_observation(batch.next_observations, maps)),
             actions=turn(batch.actions, maps))
+
+    def _get_samples(self, batch_inds: np.ndarray, env=None) -> DictReplayBufferSamples:
+        """Return transitions over some steps, of any environment each."""
+        column, steps = np.random.randint(self.n_envs, size=len(batch_inds)), np.arange(
+            self.n_steps)
+        rows = (batch_inds[:, None] + steps) % self.buffer_size
+        # An episode's end ends a sum, and so does the newest step: behind it are the oldest.
+        ends = (self.dones[rows, column[:, None]] > 0.0) | (
+            rows == (self.pos - 1) % self.buffer_size)
+        ends[:, -1] = True
+        last = ends.argmax(axis=1)
+        shares = self.gamma ** steps * (steps <= last[:, None])
+        rewards = (self.rewards[rows, column[:, None]] * shares).sum(axis=1)
+        begin, end = (batch_inds, column), (rows[np.arange(len(rows)), last], column)
+
+        def taken(arrays: dict[str, np.ndarray], at: tuple) -> dict[str, torch.Tensor]:
+            return {name: self.to_torch(values[at]) for name, values in arrays.items()}
+
+        ended = self.dones[end] * (1.0 - self.timeouts[end])
+        columns = (self.to_torch(values.astype(np.float32)[:, None])
+                   for values in (ended, rewards, self.gamma ** (last + 1.0)))
+        return DictReplayBufferSamples(
+            taken(self.observations, begin), self.to_torch(self.actions[begin]),
+            taken(self.next_observations, end), *columns)
+
+
+def jittered(observation: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Move the points of clouds a little, and drop some of each group but for its first."""
+    points, found = observation['points'], dict(observation)
+    found['points'] = points + JITTER * torch.randn_like(points)
+    for name in ('groups_1', 'groups_2'):
+        groups = observation[name]
+        dropped = torch.rand(groups.shape, device=groups.device) < DROPPED
+        found[name] = torch.where(dropped, groups[..., :1], groups)
+    return found

@@ -18,7 +18,7 @@ from typing import Any
 
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError
-from ocp_ros.training.augmentation import MapReplayBuffer, SymmetricReplayBuffer
+from ocp_ros.training.augmentation import CloudReplayBuffer, MapReplayBuffer
 from ocp_ros.training.encoded_environment import action_space, cameras_of, encoded_space
 from ocp_ros.training.sac_networks import NearValueMap, policy_of
 from ocp_ros.training.training_config import SacConfig
@@ -86,16 +86,18 @@ def make_sac(sac: SacConfig, agent: AgentConfig, env=None, seed: int = 0,
     :param kwargs: passed on to ``stable_baselines3.SAC``.
     """
     cameras = cameras_of(agent)
-    policy, arguments = policy_of(agent)
-    buffer = MapReplayBuffer if agent.map else (
-        SymmetricReplayBuffer if agent.one_by_one else DictReplayBuffer)
+    policy, arguments = policy_of(agent, sac.bfloat16)
+    buffer, settings = MapReplayBuffer if agent.map else DictReplayBuffer, {}
+    if agent.one_by_one and not agent.map:
+        buffer, settings = CloudReplayBuffer, {'n_steps': sac.n_steps, 'gamma': sac.gamma,
+                                               'augmented': sac.augmented}
     model = AgentSac(
         policy, env, config=sac, agent=agent, learning_rate=sac.learning_rate,
         buffer_size=sac.buffer_size, learning_starts=sac.learning_starts,
         batch_size=sac.batch_size, tau=sac.tau, gamma=sac.gamma, ent_coef=f'auto_{sac.entropy}',
         target_entropy=sac.target_entropy * 2 * cameras, tensorboard_log=tensorboard, seed=seed,
         device=sac.device, _init_setup_model=False, policy_kwargs=arguments,
-        replay_buffer_class=buffer, **kwargs)
+        replay_buffer_class=buffer, replay_buffer_kwargs=settings, **kwargs)
     if env is None:
         model.observation_space, model.action_space = encoded_space(agent), action_space(cameras)
         model.n_envs = environments

@@ -28,7 +28,7 @@ from typing import Any
 from gymnasium import spaces
 from ocp_ros.online.observation_map import CELLS
 from ocp_ros.policy.agent_config import AgentConfig
-from ocp_ros.policy.networks import Extractor
+from ocp_ros.policy.networks import Extractor, head
 from ocp_ros.policy.value_network import cell_of, CellChoices, valued, ValueMapNetwork
 from stable_baselines3.common.policies import ContinuousCritic
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
@@ -45,35 +45,74 @@ UNLIKE = 0.01
 
 
 class CloudFeatures(BaseFeaturesExtractor):
-    """The agent's extractor as stable-baselines3 wants it."""
+    """
+    The agent's extractor as stable-baselines3 wants it.
 
-    def __init__(self, observation_space: spaces.Dict, agent: AgentConfig) -> None:
+    :param agent: its sizes.
+    :param bfloat16: whether it computes in half of the bits.
+    """
+
+    def __init__(self, observation_space: spaces.Dict, agent: AgentConfig, bfloat16: bool) -> None:
         extractor = Extractor(agent)
         super().__init__(observation_space, extractor.width)
-        self.extractor = extractor
+        self.extractor, self.bfloat16 = extractor, bfloat16
+        #: The batch that was read last with gradients, and its features.
+        self._batch: Any = None
+        self._features: torch.Tensor | None = None
 
     def forward(self, observation: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return (B, F)."""
-        return self.extractor(observation)
+        device = observation['points'].device.type
+        with torch.autocast(device, torch.bfloat16, enabled=self.bfloat16):
+            return self.extractor(observation).float()
+
+    def once(self, batch: Any, extract: Callable[[], torch.Tensor]) -> torch.Tensor:
+        """
+        Return the features (B, F) of a batch, which is read once for all losses of a gradient step.
+
+        :param batch: the very same object in all of them.
+        :param extract: reads it.
+        """
+        if not torch.is_grad_enabled():
+            return extract()
+        if self._batch is not batch:
+            self._batch, self._features = batch, extract()
+        return self._features
 
 
 class FollowingActor(Actor):
     """An actor that reads features as they are: its loss does not train them."""
 
+    def __init__(self, *args, agent: AgentConfig, **kwargs) -> None:
+        super().__init__(*args, **kwargs)
+        self.latent_pi = head(self.features_dim, agent.hidden, agent.blocks)
+
     def extract_features(self, obs, features_extractor) -> torch.Tensor:
         """Return (B, F) without gradients."""
-        with torch.no_grad():
-            return super().extract_features(obs, features_extractor)
+        return features_extractor.once(
+            obs, lambda: super(FollowingActor, self).extract_features(obs, features_extractor)
+        ).detach()
 
 
 class LeadingCritic(ContinuousCritic):
     """Critics whose loss trains the features that they share with the actor."""
 
+    def __init__(self, *args, agent: AgentConfig, **kwargs) -> None:
+        super().__init__(*args, **kwargs)
+        width = self.q_networks[0][0].in_features
+        for number in range(len(self.q_networks)):
+            network = torch.nn.Sequential(head(width, agent.hidden, agent.blocks),
+                                          torch.nn.Linear(agent.hidden, 1))
+            self.q_networks[number] = network
+            setattr(self, f'qf{number}', network)
+
     def forward(self, obs, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return (B, 1) of each critic."""
-        # What the actor does for more reward shall not change what is read.
-        with torch.set_grad_enabled(torch.is_grad_enabled() and not actions.requires_grad):
-            features = self.extract_features(obs, self.features_extractor)
+        features = self.features_extractor.once(
+            obs, lambda: self.extract_features(obs, self.features_extractor))
+        if actions.requires_grad:
+            # What the actor does for more reward shall not change what is read.
+            features = features.detach()
         read = torch.cat([features, actions], dim=1)
         return tuple(network(read) for network in self.q_networks)
 
@@ -108,7 +147,10 @@ class CloudPolicy(OwnPolicy):
     seen reaches it that way (Yarats et al., 2021).
     """
 
-    actor_of, critic_of = FollowingActor, LeadingCritic
+    def __init__(self, *args, agent: AgentConfig, **kwargs) -> None:
+        self.actor_of = partial(FollowingActor, agent=agent)
+        self.critic_of = partial(LeadingCritic, agent=agent)
+        super().__init__(*args, **kwargs)
 
     def _build(self, lr_schedule) -> None:
         """Build the networks and their optimizers."""
@@ -229,12 +271,18 @@ class MapPolicy(OwnPolicy):
         self.critic_target.load_state_dict(self.critic.state_dict())
 
 
-def policy_of(agent: AgentConfig) -> tuple[type[MultiInputPolicy], dict[str, Any]]:
-    """Return SAC's policy and its arguments; for ``paper`` it is stable-baselines3's own."""
+def policy_of(agent: AgentConfig, bfloat16: bool) -> tuple[type[MultiInputPolicy], dict[str, Any]]:
+    """
+    Return SAC's policy and its arguments; for ``paper`` it is stable-baselines3's own.
+
+    :param bfloat16: whether gradient steps read clouds in half of the bits.
+    """
     if agent.map:
         return MapPolicy, {'agent': agent}
     arguments = {'features_extractor_class': CloudFeatures,
-                 'features_extractor_kwargs': {'agent': agent},
+                 'features_extractor_kwargs': {'agent': agent, 'bfloat16': bfloat16},
                  'net_arch': [agent.hidden, agent.hidden],
                  'share_features_extractor': agent.one_by_one}
-    return CloudPolicy if agent.one_by_one else MultiInputPolicy, arguments
+    if agent.one_by_one:
+        return CloudPolicy, arguments | {'agent': agent}
+    return MultiInputPolicy, arguments

@@ -35,6 +35,12 @@ class SacConfig:
     entropy: float = setting(0.1, 'first entropy coefficient; it is then learned', 1e-6, 100.0)
     target_entropy: float = setting(
         -1.5, 'target entropy per component of the action', -10.0, 1.0)
+    n_steps: int = setting(1, 'with agent.inputs cloud: rewards that are summed up before the '
+                              'critics value what follows', 1, 100)
+    augmented: bool = setting(True, 'with agent.inputs cloud: turn, mirror and jitter the clouds '
+                                    'of each batch at random')
+    bfloat16: bool = setting(False, 'with agent.inputs cloud: gradient steps read clouds in half '
+                                    'of the bits, faster where the processor has them')
     burn_in: int = setting(
         0, 'gradient steps of the critics alone before the actor learns', 0, 1 << 31)
     imitation: float = setting(

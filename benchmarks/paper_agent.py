@@ -1,0 +1,112 @@
+# Copyright 2026 The ocp_ros authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Which repairs make the paper's agent learn: a ladder of trainings, each with one repair more.
+
+    python -m benchmarks.paper_agent --rungs literal,critics --out out/ladder
+    python -m benchmarks.paper_agent --record
+
+A run that was interrupted goes on. ``--record`` writes what the runs of the folder have done.
+"""
+
+import argparse
+from copy import deepcopy
+import logging
+from pathlib import Path
+from typing import Any
+
+from benchmarks import results
+from ocp_ros.training.run_folder import read_config, records
+from ocp_ros.training.train import train
+from ocp_ros.training.training_config import TrainingConfig
+from ocp_ros.util.settings import from_nested
+from ocp_ros.util.yaml_files import read_plain
+
+#: What all rungs begin with, and what each adds to the one before.
+BASE = Path('config/train/paper.yaml')
+COMMON = {'interactions': 60_000, 'environments': 4, 'evaluate_every': 10_000,
+          'simulation': {'engine': {'preset': 'fast', 'error_rows': 64, 'coverage_cell': 0.5,
+                                    'viewpoints': 'air'},
+                         'reward': {'kind': 'potential'}},
+          'sac': {'buffer_size': 60_000, 'device': 'cpu'}}
+RUNGS: dict[str, dict[str, Any]] = {
+    'literal': {},
+    'critics': {'agent': {'inputs': 'cloud', 'points': 256, 'keys_1': 32, 'group_1': 16,
+                          'radius_1': 1.5, 'keys_2': 8, 'group_2': 8, 'radius_2': 3.0,
+                          'pooled': 128},
+                'sac': {'augmented': False, 'bfloat16': True}},
+    'updates': {'updates_per_turn': 0.5,
+                'sac': {'batch_size': 256, 'gamma': 0.95, 'n_steps': 3, 'tau': 0.01,
+                        'learning_rate': 5e-4}},
+    'blocks': {'agent': {'blocks': 2, 'hidden': 128}},
+    'augmented': {'sac': {'augmented': True}}}
+
+
+def merged(settings: dict[str, Any], more: dict[str, Any]) -> dict[str, Any]:
+    """Return settings with others put in their place."""
+    found = dict(settings)
+    for name, value in more.items():
+        found[name] = merged(found.get(name, {}), value) if isinstance(value, dict) else value
+    return found
+
+
+def config_of(rung: str, seed: int, interactions: int) -> TrainingConfig:
+    """Return the settings of a rung: those of all rungs up to it."""
+    nested = merged(deepcopy(read_plain(BASE).data), COMMON)
+    nested['simulation']['reward'] = COMMON['simulation']['reward']
+    for name, more in RUNGS.items():
+        nested = merged(nested, more)
+        if name == rung:
+            break
+    nested |= {'seed': seed, 'interactions': interactions}
+    nested['sac']['buffer_size'] = interactions
+    return from_nested(TrainingConfig, nested, rung)
+
+
+def row_of(folder: Path) -> dict[str, Any]:
+    """Return what a run has done, from its lines of progress."""
+    lines = [line for line in records(folder) if 'ratio' in line]
+    config, last = read_config(folder / 'config.yaml'), lines[-1]
+    return {'seed': config.seed, 'interactions': last['interactions'],
+            'updates': last['updates'], 'minutes': round(last['seconds'] / 60.0, 1),
+            'ratio': round(last['ratio'], 3),
+            'least_ratio': round(min(line['ratio'] for line in lines), 3),
+            'critic_loss': last.get('critic_loss'),
+            'curve': [[line['interactions'], round(line['ratio'], 3)] for line in lines]}
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Run."""
+    parser = argparse.ArgumentParser(prog='paper_agent', description=__doc__)
+    parser.add_argument('--rungs', default='', help=f'of {", ".join(RUNGS)}, with commas between')
+    parser.add_argument('--seed', type=int, default=0)
+    parser.add_argument('--interactions', type=int, default=COMMON['interactions'])
+    parser.add_argument('--out', type=Path, default=Path('out/ladder'))
+    results.add_record(parser, 'paper_agent')
+    options = parser.parse_args(argv)
+    logging.basicConfig(level=logging.INFO)
+    command = results.command_of('paper_agent', argv)
+    for rung in filter(None, options.rungs.split(',')):
+        folder = options.out / f'{rung}_{options.interactions}_{options.seed}'
+        train(config_of(rung, options.seed, options.interactions), folder, command)
+        print(rung, row_of(folder), flush=True)
+    if options.record:
+        rows = {folder.name: row_of(folder) for folder in sorted(options.out.iterdir())
+                if (folder / 'progress.jsonl').exists()}
+        results.write('paper_agent', {'rows': rows}, command)
+
+
+if __name__ == '__main__':
+    main()
