@@ -37,8 +37,7 @@ from ocp_ros.compare.summary import budgets_of, last_runs, Rows
 from ocp_ros.report.drawing.figures import save_figure
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 from ocp_ros.report.installer import in_markdown
-from ocp_ros.search.registry import OFFLINE, ONLINE
-from ocp_ros.search.rig_methods import planner_names
+from ocp_ros.search.registry import OBSERVED, planner_names, PLANNERS, SCORES
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.shown_text import printable
@@ -120,8 +119,8 @@ def chosen_rooms(rows: Rows, summary: dict[str, Any], protocol: dict[str, Any]) 
 def draw_best(path: Path, summary: dict[str, Any], chosen: Chosen) -> None:
     """Draw what the best planner made of some rooms, and below it the best online one."""
     ranked = sorted(last_runs(summary).items(), key=lambda item: item[1]['sum'])
-    offline = [name for name, _ in ranked if name in OFFLINE][:1]
-    online = [name for name, _ in ranked if name in ONLINE][:1]
+    offline = [name for name, _ in ranked if name in planner_names(SCORES)][:1]
+    online = [name for name, _ in ranked if name in planner_names(OBSERVED)][:1]
     examples: list[list[Example]] = []
     for planner in offline + online:
         examples.append([])
@@ -226,7 +225,7 @@ def shown(number: float | None, digits: int) -> str:
 
 def knows(name: str) -> str:
     """Say what a planner knows of a room."""
-    return 'observed points' if name in ONLINE else KNOWS.get(name, 'scores')
+    return KNOWS.get(name, PLANNERS[name].knows)
 
 
 def page(summary: dict[str, Any]) -> str:
@@ -361,7 +360,7 @@ def _rooms(summary: dict[str, Any]) -> str:
 
 def compared(summary: dict[str, Any]) -> str:
     """Say how many of all planners are compared, and which are not."""
-    known = planner_names() if 'rig' in summary else (*OFFLINE, *ONLINE)
+    known = planner_names(*() if 'rig' in summary else (SCORES, OBSERVED))
     left_out = [spaced(name) for name in known if name not in summary['planners']]
     text = f'The comparison has {len(summary["planners"])} of {len(known)} planners.'
     return text + (f' It leaves out: {"; ".join(left_out)}.' if left_out else '')

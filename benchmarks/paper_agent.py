@@ -36,11 +36,12 @@ from ocp_ros.util.yaml_files import read_plain
 
 #: What all rungs begin with, and what each adds to the one before.
 BASE = Path('config/train/paper.yaml')
-COMMON = {'interactions': 60_000, 'environments': 4, 'evaluate_every': 10_000,
-          'simulation': {'engine': {'preset': 'fast', 'error_rows': 64, 'coverage_cell': 0.5,
-                                    'viewpoints': 'air'},
-                         'reward': {'kind': 'potential'}},
-          'sac': {'buffer_size': 60_000, 'device': 'cpu'}}
+COMMON: dict[str, Any] = {
+    'interactions': 60_000, 'environments': 4, 'evaluate_every': 10_000,
+    'simulation': {'engine': {'preset': 'fast', 'error_rows': 64, 'coverage_cell': 0.5,
+                              'viewpoints': 'air'},
+                   'reward': {'kind': 'potential'}},
+    'sac': {'buffer_size': 60_000, 'device': 'cpu'}}
 RUNGS: dict[str, dict[str, Any]] = {
     'literal': {},
     'critics': {'agent': {'inputs': 'cloud', 'points': 256, 'keys_1': 32, 'group_1': 16,

@@ -30,7 +30,7 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.online.online_planner import matched
 from ocp_ros.rig.motion import towards
 from ocp_ros.rooms.generator import generate_room
-from ocp_ros.search.registry import OFFLINE
+from ocp_ros.search.registry import PLANNERS
 from ocp_ros.search.scorer import Scorer
 from ocp_ros.search.solve import solve
 from ocp_ros.simulation.episode import Episode
@@ -83,7 +83,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     print('|---|---|---|---|---|')
     for room in options.rooms:
         simulator = Simulator(generate_room(room, 12000), config)
-        planner = OFFLINE['differential_evolution'](
+        planner = PLANNERS['differential_evolution'].make(
             space_of(simulator), np.random.default_rng(0), 600)
         goal = solve(planner, Scorer(simulator), 600).placement[:, :2]
         for name, reward in REWARDS.items():

@@ -25,7 +25,7 @@ import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.search.registry import OFFLINE
+from ocp_ros.search.registry import PLANNERS
 from ocp_ros.search.scorer import Scorer
 from ocp_ros.search.solve import solve
 from ocp_ros.simulation.problem import space_of
@@ -48,7 +48,7 @@ def difficulty(scene: Scene) -> float:
     space = space_of(simulator)
     score = Scorer(simulator)
     drawn = score([space.placement(space.random(rng)) for _ in range(64)])
-    best = solve(OFFLINE['differential_evolution'](space, rng, SEARCHED), score, SEARCHED)
+    best = solve(PLANNERS['differential_evolution'].make(space, rng, SEARCHED), score, SEARCHED)
     return best.depth_error / float(drawn.error.mean())
 
 

@@ -23,7 +23,7 @@ from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.plane_cells import close_near
 from ocp_ros.online.lookahead import Lookahead
-from ocp_ros.online.online_planner import Online
+from ocp_ros.online.online_planner import Online, settings_of
 from ocp_ros.online.rig_state import clearance_of, Limits, RigState
 from ocp_ros.online.rollout import play
 from ocp_ros.online.step import OnlineStep
@@ -33,7 +33,7 @@ from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.rooms.splits import VALIDATION
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.search.registry import OFFLINE, settings_of
+from ocp_ros.search.registry import PLANNERS
 from ocp_ros.search.scorer import Scorer
 from ocp_ros.search.solve import solve
 from ocp_ros.simulation.episode import Episode
@@ -239,7 +239,7 @@ def test_no_planner_puts_a_camera_at_a_surface(validation, name):
         asked.extend(placements)
         return score(placements)
 
-    solve(OFFLINE[name](space, np.random.default_rng(0), 60), remembered, 60)
+    solve(PLANNERS[name].make(space, np.random.default_rng(0), 60), remembered, 60)
     places = np.concatenate(asked)
     assert cKDTree(validation).query(places)[0].min() >= CLEARANCE - ROUNDING
 

@@ -158,9 +158,10 @@ def test_the_example_with_a_planner_runs(capsys):
 
 
 def test_every_planner_is_documented():
-    from ocp_ros.search.registry import OFFLINE, ONLINE
+    from ocp_ros.search.registry import OBSERVED, planner_names, SCORES
     text = (ROOT / 'docs' / 'reference' / 'planners.md').read_text()
-    assert re.findall(r'^\| `(\w+)` \|', text, re.M) == [*OFFLINE, *ONLINE]
+    assert re.findall(r'^\| `(\w+)` \|', text, re.M) == [
+        *planner_names(SCORES, OBSERVED)]
 
 
 def test_the_readmes_python_example_runs(tmp_path, monkeypatch, capsys):

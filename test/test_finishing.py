@@ -30,7 +30,7 @@ from ocp_ros.search.finishing import (
     SEED,
     steadiest,
 )
-from ocp_ros.search.registry import OFFLINE
+from ocp_ros.search.registry import PLANNERS
 from ocp_ros.search.scorer import LATTICE, LatticeScorer, Scorer
 from ocp_ros.search.solve import Archive, KEPT, solve
 from ocp_ros.simulation.problem import space_of
@@ -48,7 +48,7 @@ def engine(room):
 
 def planner(engine, name, budget, seed=0):
     """Return a planner of four cameras in the room."""
-    return OFFLINE[name](space_of(engine), np.random.default_rng(seed), budget)
+    return PLANNERS[name].make(space_of(engine), np.random.default_rng(seed), budget)
 
 
 @pytest.mark.parametrize('name', ['annealing', 'tdsa', 'cma_es'])

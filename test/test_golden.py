@@ -61,11 +61,10 @@ def test_plain_searches_find_what_they_found(golden, stored, tmp_path):
 
 
 def test_every_planner_is_stored(golden, stored):
-    from ocp_ros.search.registry import OFFLINE, ONLINE
-    from ocp_ros.search.rig_methods import planner_names
-    for section, names in (('offline', OFFLINE), ('online', ONLINE)):
+    from ocp_ros.search.registry import OBSERVED, planner_names, SCORES
+    for section, knows in (('offline', SCORES), ('online', OBSERVED)):
         kept = {key.partition(',')[0] for key in stored[section]}
-        assert kept - {'environment'} == set(names)
+        assert kept - {'environment'} == set(planner_names(knows))
     assert {f'ceiling by {name}' for name in planner_names()} <= stored['rigs'].keys()
 
 

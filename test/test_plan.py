@@ -36,7 +36,7 @@ from ocp_ros.rig.rig_file import load_rig, rig_of, with_count
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import best_addition, clear, packed, Pool, random_sites
-from ocp_ros.search.rig_methods import find, RIG_SEARCH
+from ocp_ros.search.plan import plan as plan_problem
 from ocp_ros.search.rig_plan import RigPlanner
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
@@ -70,7 +70,8 @@ def found_by(scene, rig, evaluations=120, seed=0, start=()):
     problem = problem_of(scene, rig)
     pool = Pool(problem, 120, dense=500)
     budget = Budget(evaluations=evaluations)
-    return (find(RIG_SEARCH, problem, pool, budget, seed, start), problem.objective, pool)
+    found = plan_problem(problem, budget, pool=pool, seed=seed, start=start)
+    return found, problem.objective, pool
 
 
 HEIGHTS = {'plane': (1.9, 1.9), 'ceiling': (2.5, 2.75), 'rods': (2.0, 2.0), 'walls': (1.7, 2.3),
@@ -227,7 +228,7 @@ def test_who_has_had_enough_gets_the_best_so_far(furnished):
         if np.isfinite(loss):
             budget.stop()
 
-    answer = find(RIG_SEARCH, problem, pool, budget, 0, (), progress)
+    answer = plan_problem(problem, budget, pool=pool, progress=progress)
     assert budget.stopped and calls[-1][1] >= answer.loss
     assert problem.region.broken(answer.poses) == []
 

@@ -32,9 +32,9 @@ from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import Pool
+from ocp_ros.search.plan import RigScorer
 from ocp_ros.search.pose_decoder import Decoder
-from ocp_ros.search.registry import OFFLINE, ONLINE
-from ocp_ros.search.rig_methods import planner_names, RigScorer
+from ocp_ros.search.registry import OBSERVED, planner_names, PLANNERS, SCORES
 from ocp_ros.search.rig_plan import RigPlanner
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import Problem
@@ -79,7 +79,7 @@ def planned(files):
 
     def plan(name, seed=0, again=0):
         if (name, seed, again) not in known:
-            budget = Budget(evaluations=TURNS if name in ONLINE else EVALUATIONS)
+            budget = Budget(evaluations=TURNS if PLANNERS[name].knows == OBSERVED else EVALUATIONS)
             planner = RigPlanner(scene, rig, FAST, budget, seed, planner=name)
             known[name, seed, again] = planner.plan(rig)
         return known[name, seed, again]
@@ -91,7 +91,7 @@ def planned(files):
 @pytest.fixture
 def few_candidates(monkeypatch):
     """Lay out few candidates where the clock is all that limits a search."""
-    monkeypatch.setattr('ocp_ros.search.rig_plan.CANDIDATES', 200)
+    monkeypatch.setattr('ocp_ros.search.candidate_pool.CANDIDATES', 200)
 
 
 def decoder_of(scene, rig, candidates=120):
@@ -128,9 +128,9 @@ def test_the_same_seed_gives_the_same_answer_within_the_budget(planned, name):
     one, again = planned(name), planned(name, again=1)
     assert np.array_equal(one.answer.poses, again.answer.poses)
     assert one.answer.evaluations == again.answer.evaluations
-    if name in OFFLINE:
+    if PLANNERS[name].knows == SCORES:
         assert 1 <= one.answer.evaluations <= EVALUATIONS
-    if name in ONLINE:
+    if PLANNERS[name].knows == OBSERVED:
         assert one.answer.evaluations == TURNS
 
 
@@ -251,7 +251,7 @@ def test_who_has_had_enough_gets_the_best_so_far(furnished, few_candidates, name
     plan = planner.plan(rig)
     assert len(calls) == 3 and budget.stopped
     assert FeasibleRegion(furnished, rig).broken(plan.answer.poses) == []
-    if name in OFFLINE:
+    if PLANNERS[name].knows == SCORES:
         assert plan.answer.evaluations == 3
         # What it had before all cameras hung is completed.
         assert plan.answer.loss <= calls[-1][1]

@@ -25,7 +25,7 @@ from ocp_ros.search.evolution import matched
 from ocp_ros.search.greedy import fill
 from ocp_ros.search.particle_swarm import BinaryParticleSwarm
 from ocp_ros.search.planner import Planner, Scores
-from ocp_ros.search.registry import OFFLINE
+from ocp_ros.search.registry import planner_names, PLANNERS, SCORES
 from ocp_ros.search.scorer import Scorer
 from ocp_ros.search.solve import solve
 from ocp_ros.simulation.simulation_config import SimulationConfig
@@ -51,11 +51,11 @@ def toy(placements):
 
 def run(name, budget, seed=0, score=toy, space=SPACE):
     """Run a planner by its name."""
-    return solve(OFFLINE[name](space, np.random.default_rng(seed), budget), score, budget)
+    return solve(PLANNERS[name].make(space, np.random.default_rng(seed), budget), score, budget)
 
 
 @pytest.mark.parametrize('budget', [1, 2, 9, 100, 733])
-@pytest.mark.parametrize('name', OFFLINE)
+@pytest.mark.parametrize('name', planner_names(SCORES))
 def test_no_planner_exceeds_its_budget_or_leaves_its_space(name, budget):
     asked = []
 
@@ -76,7 +76,7 @@ def test_no_planner_exceeds_its_budget_or_leaves_its_space(name, budget):
     assert (np.diff(result.trace[:, 2]) <= 0).all() and (np.diff(result.trace[:, 0]) > 0).all()
 
 
-@pytest.mark.parametrize('name', OFFLINE)
+@pytest.mark.parametrize('name', planner_names(SCORES))
 def test_the_same_seed_leaves_the_same_trace(name):
     one, other = (run(name, 300, seed=7) for _ in range(2))
     assert np.array_equal(one.placement, other.placement)
@@ -90,7 +90,7 @@ def test_a_problem_with_a_known_answer_is_solved(name):
     assert np.abs(matched(TARGETS, result.placement[:, :2]) - TARGETS).max() < 0.25
 
 
-@pytest.mark.parametrize('name', sorted(set(OFFLINE) - {'random', 'regular_grid'}))
+@pytest.mark.parametrize('name', sorted(set(planner_names(SCORES)) - {'random', 'regular_grid'}))
 def test_every_search_beats_chance(name):
     space = FreePlane(SPACE.low, SPACE.high, 1.9, 3)
     found = np.mean([run(name, 400, seed, space=space).depth_error for seed in range(4)])
@@ -134,7 +134,7 @@ def test_greedy_coverage_answers_with_what_it_covers():
         covered = score(placements).space_coverage
         return Scores(covered, covered)
 
-    planner = OFFLINE['greedy_coverage'](SPACE, np.random.default_rng(0), 48)
+    planner = PLANNERS['greedy_coverage'].make(SPACE, np.random.default_rng(0), 48)
     result = solve(planner, backwards, 48)
     assert len(result.placement) == 3 and result.space_coverage >= (1.0 - 1.0 / np.e) * best
 
@@ -243,7 +243,7 @@ def test_a_planner_that_breaks_the_rules_is_found_out():
 
 
 def test_a_time_limit_ends_a_search():
-    planner = OFFLINE['random'](SPACE, np.random.default_rng(0), 10 ** 9)
+    planner = PLANNERS['random'].make(SPACE, np.random.default_rng(0), 10 ** 9)
     assert 1 <= solve(planner, toy, 10 ** 9, seconds=0.0).evaluations < 100
 
 

@@ -33,7 +33,7 @@ from ocp_ros.rig.rig_file import load_rig, rig_of
 from ocp_ros.scenes.scene_files import load_scene, save_scene
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.planner import Planner
-from ocp_ros.search.registry import OFFLINE, ONLINE, register_planner
+from ocp_ros.search.registry import PLANNERS, register_planner
 from ocp_ros.simulation.simulation_config import EngineConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 import pytest
@@ -60,7 +60,7 @@ def files(tmp_path, monkeypatch):
 
 def test_the_examples_of_the_page_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.delitem(OFFLINE, 'few', raising=False)
+    monkeypatch.delitem(PLANNERS, 'few', raising=False)
     text = (ROOT / 'docs' / 'tasks' / 'python.md').read_text()
     blocks = re.findall(r'^```python\n(.*?)^```', text, re.M | re.S)
     names = {'__name__': 'page'}
@@ -68,7 +68,7 @@ def test_the_examples_of_the_page_run(tmp_path, monkeypatch, capsys):
         for block in blocks:
             exec(block, names)
     finally:
-        OFFLINE.pop('few', None)
+        PLANNERS.pop('few', None)
     out = capsys.readouterr().out
     assert 'How to mount the cameras' in out and '(2, 6)' in out and out.endswith('few\n')
     assert 'placement: found an array of shape (3,)' in out and len(blocks) == 5
@@ -163,7 +163,7 @@ def test_a_planner_of_another_package_is_in_every_command(files, plugin):
     assert done.returncode == 0, done.stderr
     assert 'few' in done.stdout and done.stderr.count('planner lost') == 1
     code = ('from ocp_ros.compare.protocol import Protocol; '
-            'from ocp_ros.search.rig_methods import planner_names; '
+            'from ocp_ros.search.registry import planner_names; '
             'assert "few" in Protocol().planners and "few" in planner_names()')
     subprocess.run([sys.executable, '-c', code], env=plugin, check=True, capture_output=True)
 
@@ -174,10 +174,10 @@ def test_a_planner_of_another_package_is_in_every_command(files, plugin):
     ('a,b', Planner, 'expected letters'), ('mine', 3, 'found 3; expected a class'),
     ('mine', Planner, 'expected a class that is derived'), ('mine', dict, 'expected a class')])
 def test_what_is_no_planner_is_not_registered(name, planner, message):
-    known = dict(OFFLINE)
+    known = dict(PLANNERS)
     with pytest.raises(ocp_ros.UserError, match=message):
         register_planner(name, planner)
-    assert known == OFFLINE
+    assert known == PLANNERS
 
 
 def test_an_online_planner_of_ones_own_plays(room, monkeypatch):
@@ -186,8 +186,8 @@ def test_an_online_planner_of_ones_own_plays(room, monkeypatch):
         def move(self, cloud, positions, turn, turns):
             return np.zeros((len(positions), 2))
 
-    monkeypatch.setitem(ONLINE, 'still', None)
-    del ONLINE['still']
+    monkeypatch.setitem(PLANNERS, 'still', None)
+    del PLANNERS['still']
     register_planner('still', Still)
     plan = ocp_ros.plan(room, cameras=2, planner='still', evaluations=3)
     assert plan.planner == 'still' and plan.evaluations == 3 and '3 turns' in str(plan)

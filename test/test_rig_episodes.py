@@ -25,7 +25,7 @@ from ocp_ros.online.rollout import play
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.scene_files import save_scene
-from ocp_ros.search.registry import ONLINE
+from ocp_ros.search.registry import PLANNERS
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import make_problem
@@ -158,7 +158,7 @@ def test_a_rig_file_that_does_not_go_with_an_environment_is_refused(room, settin
 def test_online_planners_play_a_rig_under_its_constraints(room, settings, name):
     config = settings(ANCHORED)
     episode = Episode(make_problem(room, config), np.random.default_rng(2))
-    online = ONLINE[name](config.episode, config.placed_rig, np.random.default_rng(0))
+    online = PLANNERS[name].make(config.episode, config.placed_rig, np.random.default_rng(0))
     outcome = play(online, episode)
     assert outcome.trajectory.shape == (TURNS + 1, 3, 3)
     assert episode.problem.region.broken(poses_of(episode)) == []

@@ -24,7 +24,7 @@ from ocp_ros.rig.motion import towards
 from ocp_ros.scenes.scene import turned
 from ocp_ros.search.annealing import TransDimensionalAnnealing
 from ocp_ros.search.planner import Scores
-from ocp_ros.search.registry import OFFLINE
+from ocp_ros.search.registry import planner_names, PLANNERS, SCORES
 from ocp_ros.search.solve import solve
 import pytest
 from scipy import stats
@@ -96,7 +96,7 @@ def cover(placements):
     return Scores(np.array(errors), -np.array(errors))
 
 
-@pytest.mark.parametrize('name', OFFLINE)
+@pytest.mark.parametrize('name', planner_names(SCORES))
 def test_every_planner_stays_over_the_floor(space, name):
     asked = []
 
@@ -104,7 +104,7 @@ def test_every_planner_stays_over_the_floor(space, name):
         asked.extend(placements)
         return cover(placements)
 
-    solve(OFFLINE[name](space, np.random.default_rng(0), 300), score, 300)
+    solve(PLANNERS[name].make(space, np.random.default_rng(0), 300), score, 300)
     for placement in asked:
         assert space.contains(placement[:, :2]).all() and in_room(placement[:, :2]).all()
 

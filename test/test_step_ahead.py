@@ -17,12 +17,11 @@
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.online.lookahead import Lookahead
-from ocp_ros.online.online_planner import AHEAD
+from ocp_ros.online.online_planner import AHEAD, settings_of
 from ocp_ros.online.rig_state import Limits
 from ocp_ros.online.rollout import state_of
 from ocp_ros.online.step import OnlineStep
 from ocp_ros.rig.rig_file import rig_of
-from ocp_ros.search.registry import settings_of
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig

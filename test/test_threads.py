@@ -20,7 +20,7 @@ from conftest import HUNG
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.rig_config import RigConfig
-from ocp_ros.search.registry import ONLINE
+from ocp_ros.search.registry import PLANNERS
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.threads import mapped, set_threads
 import pytest
@@ -66,6 +66,6 @@ def test_planners_answer_alike_with_any_number_of_threads(threads, room, name):
     answers = []
     for count in (1, 3):
         threads(count)
-        online = ONLINE[name](config.episode, config.placed_rig, np.random.default_rng(0))
+        online = PLANNERS[name].make(config.episode, config.placed_rig, np.random.default_rng(0))
         answers.append([online.move(room.points, positions, turn, 30) for turn in (0, 1, 25)])
     np.testing.assert_array_equal(*answers)

@@ -94,7 +94,7 @@ def run(arguments: argparse.Namespace) -> Found:
 def protocol_of(arguments: argparse.Namespace) -> 'Protocol':
     """Return what a command line of ``ocp benchmark`` asks to compare."""
     from ocp_ros.compare.protocol import placing, PRESETS, rooms_in, rooms_of_s3dis
-    from ocp_ros.search.rig_methods import planner_names
+    from ocp_ros.search.registry import planner_names
     changes: dict[str, Any] = {
         name: value for name in ('planners', 'budgets', 'seeds', 'scale', 'up')
         if (value := getattr(arguments, name)) is not None}

@@ -23,7 +23,7 @@ what the engine promised.
 """
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import product
 from pathlib import Path
 import time
@@ -32,7 +32,6 @@ from typing import Any
 import numpy as np
 from ocp_ros.compare.judging import JUDGED_POINTS, judged_room, JudgedRoom, POINTS, worth_of
 from ocp_ros.geometry.engine_config import PROMISING
-from ocp_ros.online.rollout import play
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.rooms.splits import TEST
@@ -42,18 +41,15 @@ from ocp_ros.scenes.scene_files import READERS, scans_in
 from ocp_ros.scenes.up_axis import BY_FILE, UP_CHOICES
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import Pool, random_sites
-from ocp_ros.search.finishing import search_and_finish
 from ocp_ros.search.greedy import GreedySwap
+from ocp_ros.search.plan import plan
 from ocp_ros.search.pose_grid import PoseGrid
 from ocp_ros.search.proof.column_generation import ColumnGeneration
 from ocp_ros.search.proof.loss_trees import LossTrees
-from ocp_ros.search.registry import OFFLINE, ONLINE
-from ocp_ros.search.rig_methods import planner_names, RIG_SEARCH
-from ocp_ros.search.rig_plan import RigPlanner
+from ocp_ros.search.registry import OBSERVED, planner_names, RIG_SEARCH, SCORES
 from ocp_ros.search.scorer import Scorer
 from ocp_ros.search.solve import solve
-from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.problem import Problem, space_of
+from ocp_ros.simulation.problem import make_problem, Problem, space_of
 from ocp_ros.simulation.ray_visibility import with_rays
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
@@ -146,7 +142,7 @@ class Protocol:
 
     rooms: tuple[str, ...] = tuple(map(str, TEST))
     rotations: tuple[float, ...] = (0.0,)
-    planners: tuple[str, ...] = field(default_factory=lambda: (*OFFLINE, *ONLINE))
+    planners: tuple[str, ...] = field(default_factory=lambda: planner_names(SCORES, OBSERVED))
     budgets: tuple[int, ...] = (100, 1000, 10000)
     seeds: int = 3
     scale: float = 0.0
@@ -163,7 +159,7 @@ class Protocol:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be compared."""
-        known = planner_names() if self.simulation.rig_file else (*OFFLINE, *ONLINE)
+        known = planner_names(*() if self.simulation.rig_file else (SCORES, OBSERVED))
         for name in self.planners:
             if name not in known:
                 raise ConfigurationError(f'planners: found {name!r}; expected some of '
@@ -197,7 +193,7 @@ class Protocol:
             return [(max(int(RIG_SHARE * self.truth_budget), 1), 0)]
         if planner == TRUTH:
             return [(self.truth_budget, seed) for seed in range(self.truths)]
-        budgets = (TURNS,) if planner in ONLINE else self.budgets
+        budgets = (TURNS,) if planner in planner_names(OBSERVED) else self.budgets
         return list(product(budgets, range(self.seeds)))
 
     def room(self, name: str, rotation: float) -> JudgedRoom:
@@ -256,24 +252,46 @@ def _runs(protocol: Protocol, room: JudgedRoom, planner: str) -> Iterator[Row]:
     """Yield what a planner or yardstick finds in each of its runs."""
     if planner == CONTROL:
         return _random(room.problem)
-    if protocol.simulation.rig_file:
-        return _rig_plans(protocol, room, planner)
     if planner == PROVED:
         return _proofs(protocol, room.promising)
-    if planner in ONLINE:
-        return _episodes(protocol, room.promising, planner)
-    return _searches(protocol, room.truth() if planner == TRUTH else room.fine, planner)
+    if planner == TRUTH and room.promising.rig.free:
+        return _exchanged(protocol, room.truth())
+    if planner == TRUTH:
+        config = room.config
+        return _plans(protocol, make_problem(room.scene, replace(
+            config, engine=with_rays(config.engine, room.scene))), TRUTH)
+    return _plans(protocol, room.promising, planner)
 
 
-def _searches(protocol: Protocol, simulator: Simulator, name: str) -> Iterator[Row]:
-    """Search with every budget and seed, by a planner or, for the best known, with the truth."""
-    space = space_of(simulator)
-    make, search = (GreedySwap, solve) if name == TRUTH else (OFFLINE[name], search_and_finish)
+def _plans(protocol: Protocol, problem: Problem, name: str) -> Iterator[Row]:
+    """Plan with every budget and seed; the best known is searched by the default planner."""
+    planner, turns = RIG_SEARCH if name == TRUTH else name, problem.simulator.config.episode.turns
+    free, first = problem.rig.free, np.random.default_rng(0)
     # Kernels are read from disk before the clock runs.
-    Scorer(simulator)([space.placement(space.random(np.random.default_rng(0)))])
+    problem.judge(problem.look(problem.start(
+        first, problem.simulator.config.episode, protocol.cameras)))
     for budget, seed in protocol.runs(name):
-        planner = make(space, np.random.default_rng([seed, budget]), budget)
-        result = search(planner, Scorer(simulator), budget, clock=time.process_time)
+        began = time.process_time()
+        # A time step of an online planner is an evaluation: its budget is that of the episode.
+        answer = plan(problem, Budget(evaluations=budget or turns), planner, seed=seed,
+                      model=protocol.model, clock=time.process_time)
+        row = {'evaluations': answer.evaluations, 'seconds': time.process_time() - began,
+               'placement': answer.poses[:, :3] if free else answer.poses,
+               'trace': [] if answer.trace is None else answer.trace.tolist()}
+        if answer.outcome is not None:
+            times = answer.outcome.seconds
+            row |= {'seconds': float(times.sum()), 'seconds_per_turn': float(np.median(times)),
+                    'seconds_at_most': float(times.max()),
+                    'trajectory': answer.outcome.trajectory.tolist()}
+        yield row
+
+
+def _exchanged(protocol: Protocol, simulator: Simulator) -> Iterator[Row]:
+    """Search on the plane with the truth, for the best known."""
+    space = space_of(simulator)
+    for budget, seed in protocol.runs(TRUTH):
+        planner = GreedySwap(space, np.random.default_rng([seed, budget]), budget)
+        result = solve(planner, Scorer(simulator), budget, clock=time.process_time)
         yield {'evaluations': result.evaluations, 'seconds': result.seconds,
                'placement': result.placement, 'trace': result.trace.tolist()}
 
@@ -310,22 +328,6 @@ def _proofs(protocol: Protocol, problem: Problem) -> Iterator[Row]:
            'proved': bool(bound >= best.loss * (1.0 - EQUAL))}
 
 
-def _episodes(protocol: Protocol, problem: Problem, name: str) -> Iterator[Row]:
-    """Play an episode with every seed; the last placement is what counts."""
-    space = space_of(problem.simulator)
-    for _, seed in protocol.runs(name):
-        online = ONLINE[name](protocol.simulation.episode, problem.rig,
-                              np.random.default_rng([seed, 1]), protocol.model)
-        episode = Episode(problem, np.random.default_rng([seed, 0]))
-        outcome = play(online, episode, clock=time.process_time)
-        # Who ends where no camera may be is mounted at the nearest place where one may.
-        placement = space.placement(space.inside(outcome.trajectory[-1][:, :2]))
-        yield {'evaluations': 0, 'seconds': float(outcome.seconds.sum()),
-               'seconds_per_turn': float(np.median(outcome.seconds)),
-               'seconds_at_most': float(outcome.seconds.max()),
-               'placement': placement, 'trace': [], 'trajectory': outcome.trajectory.tolist()}
-
-
 def _random(problem: Problem) -> Iterator[Row]:
     """Draw feasible placements without end, and tell what all candidates together miss."""
     rng, rig = np.random.default_rng(0), problem.rig
@@ -342,20 +344,3 @@ def _random(problem: Problem) -> Iterator[Row]:
         if len(placement):
             yield {'lower_bound': least, 'evaluations': 1, 'seconds': 0.0, 'trace': [],
                    'placement': placement}
-
-
-def _rig_plans(protocol: Protocol, room: JudgedRoom, name: str) -> Iterator[Row]:
-    """Plan a rig file with every budget and seed; the best known is searched with the truth."""
-    rig = protocol.simulation.placed_rig
-    planner_name, engine = name, protocol.simulation.engine
-    if name == TRUTH:
-        planner_name, engine = RIG_SEARCH, with_rays(engine, room.scene)
-    for budget, seed in protocol.runs(name):
-        began = time.process_time()
-        # A time step of an online planner is an evaluation: its budget is that of the episode.
-        limit = Budget(evaluations=budget or protocol.simulation.episode.turns)
-        planner = RigPlanner(room.scene, rig, engine, limit, seed, planner=planner_name,
-                             model=protocol.model)
-        answer = planner.plan(rig).answer
-        yield {'evaluations': answer.evaluations, 'seconds': time.process_time() - began,
-               'placement': answer.poses, 'trace': []}

@@ -29,7 +29,9 @@ from ocp_ros.online.partial_map import LookHistory, PartialMap
 from ocp_ros.online.rig_state import clearance_of, remember, RigState
 from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
 from ocp_ros.rig.motion import bounded_moves, towards
+from ocp_ros.rig.rig_file import Rig
 from ocp_ros.scenes.scene import SceneError
+from ocp_ros.simulation.simulation_config import EpisodeConfig
 from scipy.optimize import linear_sum_assignment
 
 #: Metres: no way is worth that a camera takes the place of one of another kind.
@@ -63,6 +65,11 @@ def standing(positions: np.ndarray, sight: RigState | None) -> np.ndarray:
     if sight is None:
         return np.hstack([positions, np.zeros_like(positions)])
     return np.hstack([positions, sight.placement[:sight.movable, 3:]])
+
+
+def settings_of(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator) -> tuple:
+    """Return what every online planner gets of its rig and its time steps."""
+    return rng, episode.max_step, rig.farthest, episode.wall_margin, episode.clearance
 
 
 class KnownTurn(NamedTuple):

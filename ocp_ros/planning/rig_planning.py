@@ -27,7 +27,7 @@ from ocp_ros.rig.placement_file import created_by, data_of, Placement, placement
 from ocp_ros.rig.rig_file import Rig, with_count
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.search.budget import Budget
-from ocp_ros.search.rig_methods import check_planner, RIG_SEARCH
+from ocp_ros.search.registry import check_planner, RIG_SEARCH
 from ocp_ros.search.rig_plan import RigPlan, RigPlanner
 from ocp_ros.search.rig_search import Progress
 from ocp_ros.simulation.ray_visibility import with_rays
@@ -62,7 +62,7 @@ class PlanTask:
     """
     What is asked of a search.
 
-    :ivar planner: one of :func:`~ocp_ros.search.rig_methods.planner_names`.
+    :ivar planner: one of :func:`~ocp_ros.search.registry.planner_names`.
     :ivar seconds: of search for each number of cameras; 60, or 15 where cameras are counted,
         unless evaluations are given.
     :ivar evaluations: judge so many placements; the same seed finds the same answer.

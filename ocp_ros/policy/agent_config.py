@@ -60,8 +60,8 @@ class AgentConfig:
     channels: int = setting(32, 'output channels of the first two units', 1, 1024)
     pooled: int = setting(32, 'output channels of the last unit', 1, 4096)
     hidden: int = setting(256, 'width of the heads', 1, 4096)
-    blocks: int = setting(0, 'with inputs cloud: residual blocks of the heads; 0: two plain layers',
-                          0, 16)
+    blocks: int = setting(0, 'with inputs cloud: residual blocks of the heads; 0: two plain '
+                          'layers', 0, 16)
     length_scale: float = setting(4.0, 'length that the network reads as 1, metres', 0.01, 100.0)
 
     def __post_init__(self) -> None:

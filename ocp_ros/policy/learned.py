@@ -19,10 +19,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from ocp_ros.online.online_planner import Online
 from ocp_ros.online.rig_state import RigState
+from ocp_ros.policy.encoder import Encoder
+from ocp_ros.policy.map_actor import MapActor
 from ocp_ros.rig.motion import bounded_moves
 
 if TYPE_CHECKING:
-    from ocp_ros.policy.policy import Policy
+    from ocp_ros.policy.policy import Policy, ValuePolicy
 
 
 class Learned(Online):
@@ -53,3 +55,18 @@ class Learned(Online):
         flat = positions[:, :2]
         moves = bounded_moves(self.policy.act(cloud, positions, turn, turns), self.max_step)
         return self.space(cloud, positions).moved(flat, moves, self.max_step) - flat
+
+
+def planned_by(policy: 'Policy | ValuePolicy', settings: tuple) -> Learned | MapActor:
+    """
+    Return the planner that moves cameras as a policy says.
+
+    :param policy: from :func:`ocp_ros.policy.policy.make_policy`.
+    :param settings: of :class:`~ocp_ros.online.online_planner.Online`.
+    """
+    from ocp_ros.policy.policy import ValuePolicy
+    if isinstance(policy, ValuePolicy):
+        return MapActor(policy, *settings)
+    _, max_step, max_range, *margins = settings
+    policy.encoder = Encoder(policy.checkpoint.config, max_range, max_step, *margins)
+    return Learned(policy, *settings)

@@ -23,7 +23,7 @@ from ocp_ros.report.count_report import show_curve
 from ocp_ros.report.key_figures import expectation, percent
 from ocp_ros.report.room_facts import show_notes
 from ocp_ros.rig.placement_file import ANGLES, FIXED
-from ocp_ros.search.registry import ONLINE
+from ocp_ros.search.registry import OBSERVED, planner_names
 from rich.console import Console
 from rich.table import Table
 
@@ -123,7 +123,7 @@ def show_plan(console: Console, found: Mapping[str, Any]) -> None:
 def quality(search: dict[str, Any]) -> Iterator[str]:
     """Say how good an answer is, by what it was compared with, and what limits it."""
     loss, random, everywhere = search['loss'], search['random'], search['everywhere']['loss']
-    what = 'turns' if search['planner'] in ONLINE else 'placements'
+    what = 'turns' if search['planner'] in planner_names(OBSERVED) else 'placements'
     yield (f'{search["planner"]}: {search["evaluations"]:,} {what} in {search["seconds"]:.1f} s'
            + ('; stopped by Ctrl-C' if search['stopped'] else ''))
     yield f'objective value {loss:.4f}' + _others(search['searches'])

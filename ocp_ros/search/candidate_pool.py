@@ -17,6 +17,7 @@
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+import os
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +26,7 @@ from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.rig.feasible_region import apart, FeasibleRegion
 from ocp_ros.rig.placement_file import as_written
 from ocp_ros.rig.rig_file import Rig
+from ocp_ros.search.budget import Budget
 from ocp_ros.search.pose_grid import MOST, PoseGrid
 from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import Problem
@@ -32,6 +34,10 @@ from ocp_ros.simulation.simulator import Simulator, View
 from ocp_ros.util.settings import ConfigurationError
 from scipy.spatial import cKDTree
 
+#: Candidates, the fewest where evaluations are counted, and the share of the time that they get.
+CANDIDATES, FEWEST, LOOKING = 2000, 64, 0.2
+#: Poses of a dense grid, at least and for each evaluation where these are counted.
+DENSE, DENSE_EACH = 500, 10
 #: Poses that are looked from at a time, and those that are in any case.
 CHUNK, LEAST = 256, 256
 #: Metres that a turn by a radian counts as, where nearest poses are looked for.
@@ -202,6 +208,21 @@ class Pool:
         """Return a candidate of a model."""
         kind = self.kind(model)
         return Site(kind.poses[number], kind.views[number])
+
+
+def pool_of(problem: Problem, budget: Budget) -> Pool:
+    """
+    Lay out candidates for a search.
+
+    :param problem: the rig in the room.
+    :param budget: of the search, which pays for them.
+    """
+    most, dense = CANDIDATES, MOST
+    if budget.evaluations is not None:
+        most = int(np.clip(budget.evaluations // 2, FEWEST, CANDIDATES))
+        dense = int(np.clip(budget.evaluations * DENSE_EACH, DENSE, MOST))
+    return Pool(problem, most, CANDIDATES, os.cpu_count() or 1,
+                lambda: budget.share(0, None) >= LOOKING, dense)
 
 
 def quick_of(objective: Objective) -> Objective:

@@ -31,10 +31,10 @@ from ocp_ros.rig.feasible_region import DENSE
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import packed, Pool, Site
 from ocp_ros.search.pose_grid import PoseGrid
-from ocp_ros.search.proof.certificate import Certificate
+from ocp_ros.search.proof.certificate import Certificate, not_covered
 from ocp_ros.search.proof.column_generation import Choice, Column, ColumnGeneration
 from ocp_ros.search.proof.loss_trees import LossTrees
-from ocp_ros.search.rig_search import Answer, in_background, moved, Progress, views_of
+from ocp_ros.search.rig_search import anneal, Answer, in_background, moved, Progress, views_of
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.util.annealing import annealed, between
 from ocp_ros.util.threads import mapped
@@ -270,13 +270,17 @@ def search(problem: Problem, pool: Pool, budget: Budget, seed: int, start: Seque
     """
     Find the best placement of a rig's cameras, and prove how much better others may be.
 
-    :param problem: see :class:`PricedSearch`.
+    Where no bound is known there is nothing to price by, and the placement is annealed.
+
+    :param problem: the rig in the room.
     :param pool: candidates of all its models.
     :param budget: how long to go on.
     :param seed: random seed.
     :param start: a placement that the answer is to be no worse than, where there is one.
     :param progress: called several times a second.
     """
+    if not_covered(problem.objective):
+        return anneal(problem, pool, budget, seed, start, progress)
     one = PricedSearch(problem, pool, budget, seed, start)
     report = progress and (lambda: progress(one.used(), one.least))
     return in_background([one.run], budget, report)[0]

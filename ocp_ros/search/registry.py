@@ -13,12 +13,11 @@
 # limitations under the License.
 
 """
-All planners by their names.
+All planners by their names, and what each knows of a room.
 
-``OFFLINE`` ones are given a scan and a budget of evaluations, ``ONLINE`` ones a rig, turns and
-what the rig has seen. Those of other packages are in the same tables: a package names its classes
-as entry points of the group ``ocp_ros.planners``, which are loaded with this module, here and in
-each worker; a program adds its own by :func:`register_planner`.
+Those of other packages are in the same table: a package names its classes as entry points of the
+group ``ocp_ros.planners``, which are loaded with this module, here and in each worker; a program
+adds its own by :func:`register_planner`.
 """
 
 from collections.abc import Callable
@@ -26,16 +25,13 @@ from importlib.metadata import entry_points
 import logging
 import os
 import re
-from typing import TYPE_CHECKING
+from typing import Any, NamedTuple
 
 import numpy as np
 from ocp_ros.online.greedy_step import GreedyStep
 from ocp_ros.online.lookahead import Lookahead
-from ocp_ros.online.online_planner import Online
-from ocp_ros.policy.encoder import Encoder
-from ocp_ros.policy.learned import Learned
-from ocp_ros.policy.map_actor import MapActor
-from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.online.online_planner import Online, settings_of
+from ocp_ros.policy.learned import planned_by
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.search.annealing import FixedAnnealing, TransDimensionalAnnealing
 from ocp_ros.search.baselines import Random, RegularGrid
@@ -44,26 +40,41 @@ from ocp_ros.search.evolution import CmaEs, DifferentialEvolution
 from ocp_ros.search.greedy import GreedyCoverage, GreedyError, GreedySwap
 from ocp_ros.search.particle_swarm import BinaryParticleSwarm
 from ocp_ros.search.planner import Planner
+from ocp_ros.search.priced_search import search
 from ocp_ros.simulation.simulation_config import EpisodeConfig
 from ocp_ros.util.resources import DEFAULT_MODEL, find_model
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.shown_text import printable
+from ocp_ros.util.yaml_files import nearest
 
-if TYPE_CHECKING:
-    from ocp_ros.policy.policy import Policy, ValuePolicy
-
+#: The planner that is used unless another is named.
+RIG_SEARCH = 'rig_search'
+#: What planners know of a room: the scan itself, the scores of what they propose, or what the
+#: cameras have observed so far.
+SCAN, SCORES, OBSERVED = 'the scan', 'scores', 'observed points'
 #: Entry points of packages that bring planners, and names that mean something else.
 GROUP = 'ocp_ros.planners'
 #: Environment variable with the names of those that cannot be used, once somebody was told so.
 TOLD = 'OCP_ROS_BROKEN_PLANNERS'
-TAKEN = ('rig_search', 'random_placement', 'truth_search', 'priced_plane')
+TAKEN = ('random_placement', 'truth_search', 'priced_plane')
 
 _log = logging.getLogger(__name__)
 
 
-def settings_of(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator) -> tuple:
-    """Return what every online planner gets of its rig and its time steps."""
-    return rng, episode.max_step, rig.farthest, episode.wall_margin, episode.clearance
+class RegisteredPlanner(NamedTuple):
+    """
+    A planner of the table.
+
+    :ivar knows: ``SCAN``, ``SCORES`` or ``OBSERVED``.
+    :ivar make: for ``SCAN``, finds the answer itself, as
+        :func:`~ocp_ros.search.priced_search.search` does; for ``SCORES``, makes a
+        :class:`~ocp_ros.search.planner.Planner` of a space, a source of chance and a budget; for
+        ``OBSERVED``, makes an :class:`~ocp_ros.online.online_planner.Online` of time steps, a rig,
+        a source of chance and the weights of those that have learned, path or name.
+    """
+
+    knows: str
+    make: Callable[..., Any]
 
 
 def _without_weights(planner: type[Online]) -> Callable[..., Online]:
@@ -73,21 +84,6 @@ def _without_weights(planner: type[Online]) -> Callable[..., Online]:
         return planner(*settings_of(episode, rig, rng))
 
     return make
-
-
-def planned_by(policy: 'Policy | ValuePolicy', settings: tuple) -> Learned | MapActor:
-    """
-    Return the planner that moves cameras as a policy says.
-
-    :param policy: from :func:`ocp_ros.policy.policy.make_policy`.
-    :param settings: of :class:`~ocp_ros.online.online_planner.Online`.
-    """
-    from ocp_ros.policy.policy import ValuePolicy
-    if isinstance(policy, ValuePolicy):
-        return MapActor(policy, *settings)
-    _, max_step, max_range, *margins = settings
-    policy.encoder = Encoder(policy.checkpoint.config, max_range, max_step, *margins)
-    return Learned(policy, *settings)
 
 
 def _learned(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator,
@@ -106,28 +102,47 @@ def _learned_lookahead(episode: EpisodeConfig, rig: Rig, rng: np.random.Generato
     return Lookahead(*settings_of(episode, rig, rng), guide=_learned(episode, rig, rng, model))
 
 
-OFFLINE: dict[str, Callable[[FreePlane, np.random.Generator, int], Planner]] = {
-    'random': Random,
-    'regular_grid': RegularGrid,
-    'greedy_coverage': GreedyCoverage,
-    'greedy_error': GreedyError,
-    'greedy_swap': GreedySwap,
-    'tdsa': TransDimensionalAnnealing,
-    'annealing': FixedAnnealing,
-    'bpso': BinaryParticleSwarm,
-    'bee_colony': BeeColony,
-    'differential_evolution': DifferentialEvolution,
-    'cma_es': CmaEs,
-}
+PLANNERS = {name: RegisteredPlanner(*planner) for name, planner in {
+    RIG_SEARCH: (SCAN, search),
+    'random': (SCORES, Random),
+    'regular_grid': (SCORES, RegularGrid),
+    'greedy_coverage': (SCORES, GreedyCoverage),
+    'greedy_error': (SCORES, GreedyError),
+    'greedy_swap': (SCORES, GreedySwap),
+    'tdsa': (SCORES, TransDimensionalAnnealing),
+    'annealing': (SCORES, FixedAnnealing),
+    'bpso': (SCORES, BinaryParticleSwarm),
+    'bee_colony': (SCORES, BeeColony),
+    'differential_evolution': (SCORES, DifferentialEvolution),
+    'cma_es': (SCORES, CmaEs),
+    'greedy_step': (OBSERVED, _without_weights(GreedyStep)),
+    'learned': (OBSERVED, _learned),
+    'lookahead': (OBSERVED, _without_weights(Lookahead)),
+    'learned_lookahead': (OBSERVED, _learned_lookahead)}.items()}
 
-#: Time steps, a rig, the source of chance, and the weights of those that have learned: path or
-#: name.
-ONLINE: dict[str, Callable[..., Online]] = {
-    'greedy_step': _without_weights(GreedyStep),
-    'learned': _learned,
-    'lookahead': _without_weights(Lookahead),
-    'learned_lookahead': _learned_lookahead,
-}
+
+def planner_names(*knows: str) -> tuple[str, ...]:
+    """Return the names of planners that know one of these, of all unless something is said."""
+    return tuple(name for name, planner in PLANNERS.items() if planner.knows in (
+        knows or (SCAN, SCORES, OBSERVED)))
+
+
+def check_planner(name: str, counting: bool = False) -> None:
+    """
+    Refuse a planner that does not exist, or that cannot do what is asked.
+
+    :param counting: whether it is to find out how many cameras are needed.
+    :raises ConfigurationError: one sentence that begins with the option.
+    """
+    if name not in PLANNERS:
+        raise ConfigurationError(
+            f'--planner: found {name!r}; expected one of {", ".join(PLANNERS)}; '
+            f'{nearest(str(name), PLANNERS, "choose one of them")}')
+    if counting and PLANNERS[name].knows == OBSERVED:
+        raise ConfigurationError(
+            f'--count: found auto with --planner {name}, which moves the cameras there are and '
+            'compares no numbers of them; expected a number; name one, or a planner that '
+            f'searches a scan, such as {RIG_SEARCH}')
 
 
 def register_planner(name: str, planner: type[Planner] | type[Online]) -> None:
@@ -144,7 +159,7 @@ def register_planner(name: str, planner: type[Planner] | type[Online]) -> None:
     if not isinstance(name, str) or not re.fullmatch(r'[A-Za-z]\w*', name, re.ASCII):
         raise ConfigurationError(f'planner: found the name {name!r}; expected letters, digits and '
                                  '_, a letter first; choose another')
-    if name in (*OFFLINE, *ONLINE, *TAKEN):
+    if name in (*PLANNERS, *TAKEN):
         raise ConfigurationError(f'planner: found the name {name!r}, which another planner has; '
                                  'expected one of its own; choose another')
     kinds = [kind for kind in (Planner, Online)
@@ -153,10 +168,8 @@ def register_planner(name: str, planner: type[Planner] | type[Online]) -> None:
         raise ConfigurationError(
             f'planner {name}: found {printable(repr(planner))}; expected a class that is derived '
             'from Planner (offline) or Online and has all their methods; see docs/tasks/python.md')
-    if issubclass(planner, Planner):
-        OFFLINE[name] = planner
-    else:
-        ONLINE[name] = _without_weights(planner)
+    PLANNERS[name] = (RegisteredPlanner(SCORES, planner) if issubclass(planner, Planner)
+                      else RegisteredPlanner(OBSERVED, _without_weights(planner)))
 
 
 def _load_plugins() -> None:

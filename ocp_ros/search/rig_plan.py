@@ -16,19 +16,18 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-import os
 
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.search.budget import Budget
-from ocp_ros.search.candidate_pool import best_addition, Pool, random_sites
-from ocp_ros.search.pose_grid import MOST
+from ocp_ros.search.candidate_pool import best_addition, pool_of, random_sites
+from ocp_ros.search.plan import plan
 from ocp_ros.search.priced_search import certified, relaxation_of
 from ocp_ros.search.proof.certificate import Certificate, not_covered
 from ocp_ros.search.proof.column_generation import ColumnGeneration
-from ocp_ros.search.rig_methods import check_planner, find, RIG_SEARCH
+from ocp_ros.search.registry import check_planner, RIG_SEARCH
 from ocp_ros.search.rig_search import Answer, Progress
 from ocp_ros.simulation.objective import Objective, RigEvaluation
 from ocp_ros.simulation.problem import Problem
@@ -36,10 +35,6 @@ from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError
 
-#: Candidates, the fewest where evaluations are counted, and the share of the time that they get.
-CANDIDATES, FEWEST, LOOKING = 2000, 64, 0.2
-#: Poses of a dense grid, at least and for each evaluation where these are counted.
-DENSE, DENSE_EACH = 500, 10
 #: Share of the time of a proof for looking from the poses of the grid.
 LOOKED = 0.5
 #: Random placements that an answer is compared with.
@@ -111,7 +106,7 @@ class RigPlanner:
     :param budget: how long a search may take; that of the first plan pays for the candidates.
     :param seed: random seed.
     :param progress: called several times a second.
-    :param planner: one of :func:`~ocp_ros.search.rig_methods.planner_names`.
+    :param planner: one of :func:`~ocp_ros.search.registry.planner_names`.
     :param model: weights of planners that have learned: path or name.
     :raises ConfigurationError: if there is no place for a camera, or too little of a region can
         be seen, or there is no such planner.
@@ -125,11 +120,7 @@ class RigPlanner:
         self.scene, self.engine, self.budget, self.seed = scene, engine, budget, seed
         self._progress, self._problems = progress, {}
         problem = self.problem(rig)
-        most, dense = CANDIDATES, MOST
-        if budget.evaluations is not None:
-            most = int(np.clip(budget.evaluations // 2, FEWEST, CANDIDATES))
-            dense = int(np.clip(budget.evaluations * DENSE_EACH, DENSE, MOST))
-        self.pool = Pool(problem, most, CANDIDATES, os.cpu_count() or 1, self._looked, dense)
+        self.pool = pool_of(problem, budget)
         self._check_regions(problem.objective)
 
     def problem(self, rig: Rig) -> Problem:
@@ -139,10 +130,6 @@ class RigPlanner:
             config = SimulationConfig(engine=self.engine)
             self._problems = {rig: Problem.of(self.scene, rig, config)}
         return self._problems[rig]
-
-    def _looked(self) -> bool:
-        """Tell whether candidates have had their share of the time."""
-        return self.budget.share(0, None) >= LOOKING
 
     def _check_regions(self, objective: Objective) -> None:
         """Refuse a rig that asks for more of a region than all candidates see together."""
@@ -168,7 +155,7 @@ class RigPlanner:
             more = best_addition(problem.objective, self.pool, before.sites)
             # Where it finds no room, all begin anew.
             start = () if more is None else (*before.sites, more)
-        answer = find(self.planner, problem, self.pool, self.budget, self.seed, start,
+        answer = plan(problem, self.budget, self.planner, self.pool, self.seed, start,
                       self._progress, self.model)
         return self._compared(rig, answer)
 

@@ -28,6 +28,7 @@ from typing import TypeVar
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.online.rollout import Outcome
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import as_written
 from ocp_ros.search.budget import Budget
@@ -84,6 +85,8 @@ class Answer:
     :ivar evaluations: how many placements were judged, or refused for where a camera hung.
     :ivar certificate: how much better others may be, where that was proved on the way.
     :ivar uncertain: why it was not, where that was tried.
+    :ivar trace: of a search on a plane, see :class:`~ocp_ros.search.solve.Result`.
+    :ivar outcome: of an episode that was played.
     """
 
     sites: tuple[Site, ...]
@@ -92,6 +95,8 @@ class Answer:
     evaluations: int
     certificate: Certificate | None = None
     uncertain: str = ''
+    trace: np.ndarray | None = None
+    outcome: Outcome | None = None
 
     @property
     def poses(self) -> np.ndarray:

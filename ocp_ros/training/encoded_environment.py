@@ -20,6 +20,7 @@ import numpy as np
 from ocp_ros.online.heading_planner import HeadingPlanner
 from ocp_ros.online.observation_map import CELLS, NUMBERS, OF_ROOM
 from ocp_ros.online.observation_map import OF_OTHERS as MAPS_OF_OTHERS
+from ocp_ros.online.online_planner import settings_of
 from ocp_ros.online.rollout import state_of
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.encoder import EncodedTurn, Encoder
@@ -27,7 +28,6 @@ from ocp_ros.policy.map_actor import MapActor
 from ocp_ros.policy.map_turn import MapTurn
 from ocp_ros.policy.observation import encode, MARKS, OF_OTHERS, OF_TURN, OTHERS
 from ocp_ros.rig.motion import bounded_moves, order_of, way_between
-from ocp_ros.search.registry import settings_of
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.reward import NO_REWARD, RewardTerms

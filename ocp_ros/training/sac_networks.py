@@ -68,7 +68,7 @@ class CloudFeatures(BaseFeaturesExtractor):
 
     def once(self, batch: Any, extract: Callable[[], torch.Tensor]) -> torch.Tensor:
         """
-        Return the features (B, F) of a batch, which is read once for all losses of a gradient step.
+        Return the features (B, F) of a batch: it is read once for all losses of a gradient step.
 
         :param batch: the very same object in all of them.
         :param extract: reads it.
@@ -99,7 +99,7 @@ class LeadingCritic(ContinuousCritic):
 
     def __init__(self, *args, agent: AgentConfig, **kwargs) -> None:
         super().__init__(*args, **kwargs)
-        width = self.q_networks[0][0].in_features
+        width = self.features_extractor.features_dim + math.prod(self.action_space.shape)
         for number in range(len(self.q_networks)):
             network = torch.nn.Sequential(head(width, agent.hidden, agent.blocks),
                                           torch.nn.Linear(agent.hidden, 1))

@@ -19,12 +19,13 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from ocp_ros.online.online_planner import Online
+from ocp_ros.online.online_planner import Online, settings_of
 from ocp_ros.online.rollout import play
 from ocp_ros.policy.checkpoint import Checkpoint
+from ocp_ros.policy.learned import planned_by
 from ocp_ros.policy.policy import make_policy, Policy, ValuePolicy
 from ocp_ros.rig.motion import bounded_moves
-from ocp_ros.search.registry import ONLINE, planned_by, settings_of
+from ocp_ros.search.registry import PLANNERS
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import make_problem, Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
@@ -81,7 +82,7 @@ def play_trial(trial: ValidationTrial) -> tuple[float, float, float]:
     elif trial.planner == RANDOM_MOVES:
         online = RandomMoves(*settings)
     else:
-        online = ONLINE[trial.planner](*rig_and_turns)
+        online = PLANNERS[trial.planner].make(*rig_and_turns)
     episode = Episode(problem, np.random.default_rng([trial.seed, 0]))
     outcome = play(online, episode)
     return (float(outcome.depth_error[0]), float(outcome.depth_error[-1]),

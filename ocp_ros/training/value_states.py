@@ -44,6 +44,7 @@ from ocp_ros.online.observation_map import (
     told_of,
     yaws_of,
 )
+from ocp_ros.online.online_planner import settings_of
 from ocp_ros.online.partial_map import LookHistory, PartialMap
 from ocp_ros.online.rig_state import remember
 from ocp_ros.online.rollout import state_of
@@ -52,7 +53,6 @@ from ocp_ros.rig.motion import towards, turned_towards
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.scenes.scene import Scene, SceneError
-from ocp_ros.search.registry import settings_of
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem, Problem, space_of
 from ocp_ros.simulation.ray_visibility import with_rays

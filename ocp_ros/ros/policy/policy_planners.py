@@ -20,12 +20,11 @@ import numpy as np
 from ocp_ros.online.lookahead import Lookahead
 from ocp_ros.online.online_planner import Online
 from ocp_ros.policy.encoder import Encoder
-from ocp_ros.policy.learned import Learned
+from ocp_ros.policy.learned import Learned, planned_by
 from ocp_ros.policy.map_actor import MapActor
 from ocp_ros.policy.map_turn import MapTurn
 from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.ros.policy.policy_config import LEARNED, PolicyNodeConfig
-from ocp_ros.search.registry import planned_by
 
 if TYPE_CHECKING:
     from ocp_ros.policy.checkpoint import Checkpoint

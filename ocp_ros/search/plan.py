@@ -13,14 +13,14 @@
 # limitations under the License.
 
 """
-Every planner as a method that finds a placement of a rig under all its constraints.
+The one way to a placement: any planner, on a plane or for a rig under all its constraints.
 
-``rig_search`` chooses full poses itself. Offline planners know places on a plane:
-what they propose is decoded first, so they are told what cameras are worth where these may hang.
-Online planners know only what has been seen, and play an episode.
+A planner that knows the scan chooses full poses itself. One that knows the scores of positions
+proposes these: for a rig, cameras are hung up near them, so it is told what cameras are worth
+where they may hang. One that knows what was observed plays an episode.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 import sys
 import time
@@ -28,78 +28,56 @@ import time
 import numpy as np
 from ocp_ros.online.rollout import play
 from ocp_ros.search.budget import Budget
-from ocp_ros.search.candidate_pool import check_room, Pool, Site
+from ocp_ros.search.candidate_pool import check_room, Pool, pool_of, Site
+from ocp_ros.search.finishing import search_and_finish
 from ocp_ros.search.planner import Scores
 from ocp_ros.search.pose_decoder import Decoder
-from ocp_ros.search.priced_search import search
-from ocp_ros.search.proof.certificate import not_covered
-from ocp_ros.search.registry import OFFLINE, ONLINE
-from ocp_ros.search.rig_search import anneal, Answer, answered, Progress, views_of
+from ocp_ros.search.registry import OBSERVED, PLANNERS, RIG_SEARCH, SCAN
+from ocp_ros.search.rig_search import Answer, answered, Progress, views_of
+from ocp_ros.search.scorer import Scorer
 from ocp_ros.search.solve import solve
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.problem import Problem, space_of
 from ocp_ros.util.resources import DEFAULT_MODEL
-from ocp_ros.util.settings import ConfigurationError
-from ocp_ros.util.yaml_files import nearest
 
-#: The planner that is used unless another is named.
-RIG_SEARCH = 'rig_search'
 #: Placements by which it is found out how many there is time for, and the most that are planned
 #: for: some methods lay out a grid of as many places.
 PILOTS, MOST = 4, 100_000
 
 
-def planner_names() -> tuple[str, ...]:
-    """Return the names of all planners, those of plug-ins included."""
-    return (RIG_SEARCH, *OFFLINE, *ONLINE)
-
-
-def check_planner(name: str, counting: bool = False) -> None:
+def plan(problem: Problem, budget: Budget, planner: str = RIG_SEARCH, pool: Pool | None = None,
+         seed: int = 0, start: Sequence[Site] = (), progress: Progress | None = None,
+         model: str = DEFAULT_MODEL, clock: Callable[[], float] = time.perf_counter) -> Answer:
     """
-    Refuse a planner that does not exist, or that cannot do what is asked.
+    Find the best placement of the cameras of a problem.
 
-    :param counting: whether it is to find out how many cameras are needed.
-    :raises ConfigurationError: one sentence that begins with the option.
-    """
-    known = planner_names()
-    if name not in known:
-        raise ConfigurationError(
-            f'--planner: found {name!r}; expected one of {", ".join(known)}; '
-            f'{nearest(str(name), known, "choose one of them")}')
-    if counting and name in ONLINE:
-        raise ConfigurationError(
-            f'--count: found auto with --planner {name}, which moves the cameras there are and '
-            'compares no numbers of them; expected a number; name one, or a planner that '
-            f'searches a scan, such as {RIG_SEARCH}')
-
-
-def find(name: str, problem: Problem, pool: Pool, budget: Budget, seed: int,
-         start: Sequence[Site] = (), progress: Progress | None = None,
-         model: str = DEFAULT_MODEL) -> Answer:
-    """
-    Find the best placement of a rig's cameras by a planner.
-
-    :param name: one of :func:`planner_names`.
-    :param problem: the rig in the room.
-    :param pool: candidates of all its models.
-    :param budget: how long to go on. Where it counts no evaluations, an offline planner plans for
-        as many as there seems to be time for. Of an online planner a turn is an evaluation; it
-        plays no more turns than an episode has, and fewer only if the budget is stopped.
+    :param problem: the rig in the room; on a plane, planners that know the scan do not plan.
+    :param budget: how long to go on. Where it counts no evaluations, as it must on a plane, a
+        planner that knows scores plans for as many as there seems to be time for. Of an online
+        planner a turn is an evaluation; it plays no more turns than an episode has, and fewer only
+        if the budget is stopped.
+    :param planner: one of :func:`~ocp_ros.search.registry.planner_names`.
+    :param pool: candidates of all models of a rig; made unless given.
     :param seed: random seed.
     :param start: a placement that the answer is to be no worse than, where there is one.
     :param progress: called several times a second or after each placement or turn.
     :param model: weights of online planners that have learned: path or name.
+    :param clock: tells the seconds of traces and turns.
     :raises ConfigurationError: if there is no placement.
     """
+    knows, make = PLANNERS[planner]
+    if problem.rig.free:
+        if knows == OBSERVED:
+            return _played(make, problem, None, budget, seed, progress, model, clock)
+        return _searched_on_plane(make, problem, budget, seed, clock)
+    pool = pool_of(problem, budget) if pool is None else pool
     check_room(problem.objective, pool)
-    if name == RIG_SEARCH:
-        # Where no bound is known, there is nothing to price by.
-        method = anneal if not_covered(problem.objective) else search
-        return method(problem, pool, budget, seed, start, progress)
-    if name in ONLINE:
-        found = _played(name, problem, pool, budget, seed, progress, model)
+    if knows == SCAN:
+        return make(problem, pool, budget, seed, start, progress)
+    if knows == OBSERVED:
+        found = _played(make, problem, pool, budget, seed, progress, model, clock)
     else:
-        found = _searched(name, problem, pool, budget, seed, progress)
+        found = _searched(make, problem, pool, budget, seed, progress)
     if not start:
         return found
     before = answered(problem.objective, start, found.evaluations)
@@ -149,16 +127,25 @@ class RigScorer:
                       np.array([worth.space_coverage for worth in worths]))
 
 
-def _searched(name: str, problem: Problem, pool: Pool, budget: Budget, seed: int,
+def _searched(make: Callable, problem: Problem, pool: Pool, budget: Budget, seed: int,
               progress: Progress | None) -> Answer:
-    """Find a placement by an offline planner; see :func:`find`."""
+    """Find a placement of a rig by a planner that knows scores; see :func:`plan`."""
     decoder, space = Decoder(problem, pool), problem.region.space
     expected = budget.evaluations or _expected(decoder, budget, seed)
     scorer = RigScorer(decoder, budget, progress)
-    planner = OFFLINE[name](space, np.random.default_rng([seed, 0]), expected)
+    planner = make(space, np.random.default_rng([seed, 0]), expected)
     result = solve(planner, scorer, budget.evaluations or sys.maxsize)
     sites = decoder.completed(decoder(result.placement[:, :2]))
     return answered(problem.objective, sites, scorer.evaluations)
+
+
+def _searched_on_plane(make: Callable, problem: Problem, budget: Budget, seed: int,
+                       clock: Callable[[], float]) -> Answer:
+    """Find a placement on a plane by a planner that knows scores; see :func:`plan`."""
+    planner = make(space_of(problem.simulator), np.random.default_rng([seed, budget.evaluations]),
+                   budget.evaluations)
+    result = search_and_finish(planner, Scorer(problem.simulator), budget.evaluations, clock)
+    return replace(_on_plane(problem, result.placement, result.evaluations), trace=result.trace)
 
 
 def _expected(decoder: Decoder, budget: Budget, seed: int) -> int:
@@ -170,17 +157,17 @@ def _expected(decoder: Decoder, budget: Budget, seed: int) -> int:
     return int(np.clip((budget.seconds - budget.elapsed) / each, 1, MOST))
 
 
-def _played(name: str, problem: Problem, pool: Pool, budget: Budget, seed: int,
-            progress: Progress | None, model: str) -> Answer:
+def _played(make: Callable, problem: Problem, pool: Pool | None, budget: Budget, seed: int,
+            progress: Progress | None, model: str, clock: Callable[[], float]) -> Answer:
     """
-    Find a placement by an online planner; see :func:`find`.
+    Find a placement by an online planner; see :func:`plan`.
 
     The room is a simulation: a turn shows what the cameras see from where they are, and each
     target is held to the rig and each camera turned as ``policy_node`` does it. Where the cameras
-    end they are mounted.
+    end they are mounted, or at the nearest place where they may be.
     """
-    online = ONLINE[name](problem.simulator.config.episode, problem.rig,
-                          np.random.default_rng([seed, 1]), model)
+    online = make(problem.simulator.config.episode, problem.rig,
+                  np.random.default_rng([seed, 1]), model)
     episode = Episode(problem, np.random.default_rng([seed, 0]))
     turns = min(episode.config.turns, budget.evaluations or episode.config.turns)
     episode.config = replace(episode.config, turns=turns)
@@ -191,6 +178,18 @@ def _played(name: str, problem: Problem, pool: Pool, budget: Budget, seed: int,
         # The clock cuts no episode short: it takes seconds, where candidates may take longer.
         return budget.stopped
 
-    play(online, episode, over)
-    sites = Decoder(problem, pool)(episode.turn.positions, episode.turn.headings)
-    return answered(problem.objective, sites, episode.turn.step)
+    outcome, turn = play(online, episode, over, clock), episode.turn
+    if pool is None:
+        space = space_of(problem.simulator)
+        found = _on_plane(problem, space.placement(space.inside(turn.positions[:, :2])), turn.step)
+    else:
+        sites = Decoder(problem, pool)(turn.positions, turn.headings)
+        found = answered(problem.objective, sites, turn.step)
+    return replace(found, outcome=outcome)
+
+
+def _on_plane(problem: Problem, placement: np.ndarray, evaluations: int) -> Answer:
+    """Return a placement on a plane (K, 3), metres, as an answer."""
+    poses = np.hstack([placement, np.zeros_like(placement)])
+    sites = [Site(pose, view) for pose, view in zip(poses, problem.look(poses))]
+    return answered(problem.objective, sites, evaluations)
