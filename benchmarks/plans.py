@@ -41,8 +41,8 @@ from ocp_ros.rooms.splits import SETS
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_files import load_scene, READERS
 from ocp_ros.search.budget import Budget
+from ocp_ros.search.pose_annealing import moved, views_of
 from ocp_ros.search.rig_plan import RigPlanner
-from ocp_ros.search.rig_search import moved, views_of
 from ocp_ros.simulation.ray_visibility import with_rays
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator

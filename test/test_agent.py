@@ -19,9 +19,9 @@ from dataclasses import replace
 from conftest import assert_same, batch, made_room, observation, random_checkpoint, ROOT
 import numpy as np
 from ocp_ros.policy.agent_config import AgentConfig, CLOUD, MAP, PAPER
-from ocp_ros.policy.encoder import Encoder
+from ocp_ros.policy.cloud_encoder import Encoder
+from ocp_ros.policy.cloud_observation import encode, OTHERS
 from ocp_ros.policy.networks import Actor, ExtractionUnit, Extractor
-from ocp_ros.policy.observation import encode, OTHERS
 from ocp_ros.policy.policy import Policy
 from ocp_ros.policy.sampling import ball_query, farthest_points
 from ocp_ros.rooms.scene_source import make_room

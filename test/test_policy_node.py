@@ -25,7 +25,7 @@ from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.online.rollout import play
 from ocp_ros.policy.checkpoint import CheckpointError
-from ocp_ros.policy.encoder import Encoder
+from ocp_ros.policy.cloud_encoder import Encoder
 from ocp_ros.policy.policy import Policy
 from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.ros.interface import qos, topics

@@ -29,7 +29,7 @@ from benchmarks.drills.malformed import (
 from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.policy.encoder import Encoder
+from ocp_ros.policy.cloud_encoder import Encoder
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import (
     bytes_to_msg,

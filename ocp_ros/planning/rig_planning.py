@@ -27,9 +27,9 @@ from ocp_ros.rig.placement_file import created_by, data_of, Placement, placement
 from ocp_ros.rig.rig_file import Rig, with_count
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.search.budget import Budget
+from ocp_ros.search.pose_annealing import Progress
 from ocp_ros.search.registry import check_planner, RIG_SEARCH
 from ocp_ros.search.rig_plan import RigPlan, RigPlanner
-from ocp_ros.search.rig_search import Progress
 from ocp_ros.simulation.ray_visibility import with_rays
 
 #: Cameras where nobody says how many, and seconds of search for each number of cameras where one

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from ocp_ros.online.online_planner import Online
 from ocp_ros.online.rig_state import RigState
-from ocp_ros.policy.encoder import Encoder
+from ocp_ros.policy.cloud_encoder import Encoder
 from ocp_ros.policy.map_actor import MapActor
 from ocp_ros.rig.motion import bounded_moves
 

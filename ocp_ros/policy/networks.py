@@ -21,7 +21,7 @@ camera after the other; its weights serve any number of them.
 """
 
 from ocp_ros.policy.agent_config import AgentConfig, PAPER
-from ocp_ros.policy.observation import MARKS, OF_OTHERS, OF_TURN
+from ocp_ros.policy.cloud_observation import MARKS, OF_OTHERS, OF_TURN
 from ocp_ros.policy.value_network import ValueMapNetwork
 import torch
 from torch import nn, Tensor
@@ -115,7 +115,7 @@ class ExtractionUnit(nn.Module):
 
 class Extractor(nn.Module):
     """
-    Features of an encoded observation; see :mod:`ocp_ros.policy.observation`.
+    Features of an encoded observation; see :mod:`ocp_ros.policy.cloud_observation`.
 
     The single key point of the last unit is the mean of those before, or, in ``cloud``, the
     camera.

@@ -16,9 +16,9 @@
 
 import numpy as np
 from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.policy.encoder import Encoder
+from ocp_ros.policy.cloud_encoder import Encoder
+from ocp_ros.policy.cloud_observation import encode
 from ocp_ros.policy.networks import Actor
-from ocp_ros.policy.observation import encode
 from ocp_ros.policy.value_network import CellChoices, valued, ValueMap, ValueMapNetwork
 from ocp_ros.rig.motion import order_of
 import torch

@@ -31,9 +31,9 @@ from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import check_room, Pool, pool_of, Site
 from ocp_ros.search.finishing import search_and_finish
 from ocp_ros.search.planner import Scores
+from ocp_ros.search.pose_annealing import Answer, answered, Progress, views_of
 from ocp_ros.search.pose_decoder import Decoder
 from ocp_ros.search.registry import OBSERVED, PLANNERS, RIG_SEARCH, SCAN
-from ocp_ros.search.rig_search import Answer, answered, Progress, views_of
 from ocp_ros.search.scorer import Scorer
 from ocp_ros.search.solve import solve
 from ocp_ros.simulation.episode import Episode

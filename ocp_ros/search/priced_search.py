@@ -30,11 +30,11 @@ import numpy as np
 from ocp_ros.rig.feasible_region import DENSE
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import packed, Pool, Site
+from ocp_ros.search.pose_annealing import anneal, Answer, in_background, moved, Progress, views_of
 from ocp_ros.search.pose_grid import PoseGrid
 from ocp_ros.search.proof.certificate import Certificate, not_covered
 from ocp_ros.search.proof.column_generation import Choice, Column, ColumnGeneration
 from ocp_ros.search.proof.loss_trees import LossTrees
-from ocp_ros.search.rig_search import anneal, Answer, in_background, moved, Progress, views_of
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.util.annealing import annealed, between
 from ocp_ros.util.threads import mapped

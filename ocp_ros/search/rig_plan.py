@@ -24,11 +24,11 @@ from ocp_ros.scenes.scene import Scene
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import best_addition, pool_of, random_sites
 from ocp_ros.search.plan import plan
+from ocp_ros.search.pose_annealing import Answer, Progress
 from ocp_ros.search.priced_search import certified, relaxation_of
 from ocp_ros.search.proof.certificate import Certificate, not_covered
 from ocp_ros.search.proof.column_generation import ColumnGeneration
 from ocp_ros.search.registry import check_planner, RIG_SEARCH
-from ocp_ros.search.rig_search import Answer, Progress
 from ocp_ros.simulation.objective import Objective, RigEvaluation
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig

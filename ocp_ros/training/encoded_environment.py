@@ -23,10 +23,10 @@ from ocp_ros.online.observation_map import OF_OTHERS as MAPS_OF_OTHERS
 from ocp_ros.online.online_planner import settings_of
 from ocp_ros.online.rollout import state_of
 from ocp_ros.policy.agent_config import AgentConfig
-from ocp_ros.policy.encoder import EncodedTurn, Encoder
+from ocp_ros.policy.cloud_encoder import EncodedTurn, Encoder
+from ocp_ros.policy.cloud_observation import encode, MARKS, OF_OTHERS, OF_TURN, OTHERS
 from ocp_ros.policy.map_actor import MapActor
 from ocp_ros.policy.map_turn import MapTurn
-from ocp_ros.policy.observation import encode, MARKS, OF_OTHERS, OF_TURN, OTHERS
 from ocp_ros.rig.motion import bounded_moves, order_of, way_between
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode

@@ -42,7 +42,7 @@ class Choice(NamedTuple):
     """
     What the network read, and what it answered.
 
-    :ivar observation: encoded, see :class:`~ocp_ros.policy.encoder.Encoder`.
+    :ivar observation: encoded, see :class:`~ocp_ros.policy.cloud_encoder.Encoder`.
     :ivar actions: (C, 2) float32 in [-1, 1], of the cameras that chose together: one, or all. A
         move in units of the longest step, or, of the map actor, where on the map a camera goes.
     """

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from ocp_ros.online.lookahead import Lookahead
 from ocp_ros.online.online_planner import Online
-from ocp_ros.policy.encoder import Encoder
+from ocp_ros.policy.cloud_encoder import Encoder
 from ocp_ros.policy.learned import Learned, planned_by
 from ocp_ros.policy.map_actor import MapActor
 from ocp_ros.policy.map_turn import MapTurn
