@@ -37,7 +37,7 @@ from ocp_ros.compare.summary import budgets_of, last_runs, Rows
 from ocp_ros.report.drawing.figures import save_figure
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 from ocp_ros.report.installer import in_markdown
-from ocp_ros.search.registry import OBSERVED, planner_names, PLANNERS, SCORES
+from ocp_ros.search.registry import OBSERVED, planner_names, PLANNERS, planners_for, SCORES
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.shown_text import printable
@@ -225,7 +225,7 @@ def shown(number: float | None, digits: int) -> str:
 
 def knows(name: str) -> str:
     """Say what a planner knows of a room."""
-    return KNOWS.get(name, PLANNERS[name].knows)
+    return KNOWS.get(name, PLANNERS[name].knows if name in PLANNERS else SCORES)
 
 
 def page(summary: dict[str, Any]) -> str:
@@ -360,7 +360,7 @@ def _rooms(summary: dict[str, Any]) -> str:
 
 def compared(summary: dict[str, Any]) -> str:
     """Say how many of all planners are compared, and which are not."""
-    known = planner_names(*() if 'rig' in summary else (SCORES, OBSERVED))
+    known = planners_for('rig' in summary)
     left_out = [spaced(name) for name in known if name not in summary['planners']]
     text = f'The comparison has {len(summary["planners"])} of {len(known)} planners.'
     return text + (f' It leaves out: {"; ".join(left_out)}.' if left_out else '')

@@ -13,9 +13,14 @@
 # limitations under the License.
 
 """
-Which repairs make the paper's agent learn: a ladder of trainings, each with one repair more.
+Which repairs make the paper's agent learn: a ladder of trainings, each with more repairs.
 
-    python -m benchmarks.paper_agent --rungs literal,critics --out out/ladder
+All have the potential reward and the same rooms, engine and viewpoints. ``literal`` has the
+networks and the learning of the paper's run; ``critics`` the repaired network, whose extractor the
+critics train, and cameras that choose one after the other; ``updates`` more and larger gradient
+steps; ``blocks`` residual heads; ``augmented`` symmetries and jitter.
+
+    python -m benchmarks.paper_agent --rungs literal critics --out out/ladder
     python -m benchmarks.paper_agent --record
 
 A run that was interrupted goes on. ``--record`` writes what the runs of the folder have done.
@@ -47,12 +52,12 @@ RUNGS: dict[str, dict[str, Any]] = {
     'critics': {'agent': {'inputs': 'cloud', 'points': 256, 'keys_1': 32, 'group_1': 16,
                           'radius_1': 1.5, 'keys_2': 8, 'group_2': 8, 'radius_2': 3.0,
                           'pooled': 128},
-                'sac': {'augmented': False, 'bfloat16': True}},
+                'sac': {'augmentation': 'none', 'bfloat16': True}},
     'updates': {'updates_per_turn': 0.5,
                 'sac': {'batch_size': 256, 'gamma': 0.95, 'n_steps': 3, 'tau': 0.01,
                         'learning_rate': 5e-4}},
     'blocks': {'agent': {'blocks': 2, 'hidden': 128}},
-    'augmented': {'sac': {'augmented': True}}}
+    'augmented': {'sac': {'augmentation': 'jitter'}}}
 
 
 def merged(settings: dict[str, Any], more: dict[str, Any]) -> dict[str, Any]:
@@ -91,7 +96,7 @@ def row_of(folder: Path) -> dict[str, Any]:
 def main(argv: list[str] | None = None) -> None:
     """Run."""
     parser = argparse.ArgumentParser(prog='paper_agent', description=__doc__)
-    parser.add_argument('--rungs', default='', help=f'of {", ".join(RUNGS)}, with commas between')
+    parser.add_argument('--rungs', nargs='*', default=(), choices=tuple(RUNGS))
     parser.add_argument('--seed', type=int, default=0)
     parser.add_argument('--interactions', type=int, default=COMMON['interactions'])
     parser.add_argument('--out', type=Path, default=Path('out/ladder'))
@@ -99,13 +104,13 @@ def main(argv: list[str] | None = None) -> None:
     options = parser.parse_args(argv)
     logging.basicConfig(level=logging.INFO)
     command = results.command_of('paper_agent', argv)
-    for rung in filter(None, options.rungs.split(',')):
+    for rung in options.rungs:
         folder = options.out / f'{rung}_{options.interactions}_{options.seed}'
         train(config_of(rung, options.seed, options.interactions), folder, command)
         print(rung, row_of(folder), flush=True)
     if options.record:
         rows = {folder.name: row_of(folder) for folder in sorted(options.out.iterdir())
-                if (folder / 'progress.jsonl').exists()}
+                if any('ratio' in line for line in records(folder))}
         results.write('paper_agent', {'rows': rows}, command)
 
 

@@ -94,7 +94,7 @@ def run(arguments: argparse.Namespace) -> Found:
 def protocol_of(arguments: argparse.Namespace) -> 'Protocol':
     """Return what a command line of ``ocp benchmark`` asks to compare."""
     from ocp_ros.compare.protocol import placing, PRESETS, rooms_in, rooms_of_s3dis
-    from ocp_ros.search.registry import planner_names
+    from ocp_ros.search.registry import planners_for
     changes: dict[str, Any] = {
         name: value for name in ('planners', 'budgets', 'seeds', 'scale', 'up')
         if (value := getattr(arguments, name)) is not None}
@@ -102,7 +102,7 @@ def protocol_of(arguments: argparse.Namespace) -> 'Protocol':
         raise ConfigurationError('--scale and --up: found no --rooms; expected a folder of scans '
                                  'that they are about; generated rooms are in metres, z up')
     if arguments.rig is not None:
-        changes = {'planners': planner_names(), **changes}
+        changes = {'planners': planners_for(rig=True), **changes}
     protocol = replace(PRESETS[arguments.preset], **changes,
                        simulation=placing(arguments.cameras, arguments.rig))
     if arguments.rooms is not None:

@@ -46,7 +46,7 @@ from ocp_ros.search.plan import plan
 from ocp_ros.search.pose_grid import PoseGrid
 from ocp_ros.search.proof.column_generation import ColumnGeneration
 from ocp_ros.search.proof.loss_trees import LossTrees
-from ocp_ros.search.registry import OBSERVED, planner_names, RIG_SEARCH, SCORES
+from ocp_ros.search.registry import OBSERVED, planner_names, planners_for, RIG_SEARCH
 from ocp_ros.search.scorer import Scorer
 from ocp_ros.search.solve import solve
 from ocp_ros.simulation.problem import make_problem, Problem, space_of
@@ -142,7 +142,7 @@ class Protocol:
 
     rooms: tuple[str, ...] = tuple(map(str, TEST))
     rotations: tuple[float, ...] = (0.0,)
-    planners: tuple[str, ...] = field(default_factory=lambda: planner_names(SCORES, OBSERVED))
+    planners: tuple[str, ...] = field(default_factory=planners_for)
     budgets: tuple[int, ...] = (100, 1000, 10000)
     seeds: int = 3
     scale: float = 0.0
@@ -159,7 +159,7 @@ class Protocol:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be compared."""
-        known = planner_names(*() if self.simulation.rig_file else (SCORES, OBSERVED))
+        known = planners_for(bool(self.simulation.rig_file))
         for name in self.planners:
             if name not in known:
                 raise ConfigurationError(f'planners: found {name!r}; expected some of '
@@ -266,10 +266,11 @@ def _runs(protocol: Protocol, room: JudgedRoom, planner: str) -> Iterator[Row]:
 def _plans(protocol: Protocol, problem: Problem, name: str) -> Iterator[Row]:
     """Plan with every budget and seed; the best known is searched by the default planner."""
     planner, turns = RIG_SEARCH if name == TRUTH else name, problem.simulator.config.episode.turns
-    free, first = problem.rig.free, np.random.default_rng(0)
-    # Kernels are read from disk before the clock runs.
-    problem.judge(problem.look(problem.start(
-        first, problem.simulator.config.episode, protocol.cameras)))
+    free = problem.rig.free
+    if free:
+        # Kernels are read from disk before the clock runs.
+        problem.judge(problem.look(problem.start(
+            np.random.default_rng(0), problem.simulator.config.episode, protocol.cameras)))
     for budget, seed in protocol.runs(name):
         began = time.process_time()
         # A time step of an online planner is an evaluation: its budget is that of the episode.

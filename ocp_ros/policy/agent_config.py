@@ -75,6 +75,10 @@ class AgentConfig:
             raise ConfigurationError(f'agent.headings: found {self.headings} with agent.inputs '
                                      f'{self.inputs!r}; expected 0, or the inputs map')
 
+        if self.blocks and self.inputs != CLOUD:
+            raise ConfigurationError(f'agent.blocks: found {self.blocks} with agent.inputs '
+                                     f'{self.inputs!r}; expected 0, or the inputs cloud')
+
     @property
     def map(self) -> bool:  # noqa: A003
         """Return whether the network reads a map of what was observed."""

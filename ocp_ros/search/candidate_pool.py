@@ -305,6 +305,22 @@ def check_room(objective: Objective, pool: Pool) -> None:
             'a distance at which all do', 'lower it or use fewer cameras')
 
 
+def check_regions(objective: Objective, pool: Pool) -> None:
+    """
+    Refuse a rig that asks for more of a region than all candidates see together.
+
+    :raises ConfigurationError: if it does, and all candidates were looked from.
+    """
+    rig = objective.rig
+    shares = objective.judge(pool.everywhere(rig)).regions
+    for k, (region, share) in enumerate(zip(rig.regions, shares)):
+        if pool.complete and share < region.must_see:
+            raise rig.document.error(
+                ('regions', k, 'must_see'), f'{100.0 * region.must_see:.1f} % of {region.name}, '
+                f'of which all {len(pool)} candidates together see {100.0 * share:.1f} %',
+                'a share that can be seen', 'lower it, or change the mount or the pitch')
+
+
 def random_site(rig: Rig, pool: Pool, sites: Sequence[Site], rng: np.random.Generator
                 ) -> Site | None:
     """Draw a candidate for the next camera of a rig; None where it finds no room."""

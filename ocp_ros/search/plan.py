@@ -13,11 +13,12 @@
 # limitations under the License.
 
 """
-The one way to a placement: any planner, on a plane or for a rig under all its constraints.
+The one way to a placement: a planner by its name, for a rig under all its constraints.
 
 A planner that knows the scan chooses full poses itself. One that knows the scores of positions
 proposes these: for a rig, cameras are hung up near them, so it is told what cameras are worth
-where they may hang. One that knows what was observed plays an episode.
+where they may hang. One that knows what was observed plays an episode. On a plane, where cameras
+may be anywhere, positions are a placement, and no planner knows the scan.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,7 +29,7 @@ import time
 import numpy as np
 from ocp_ros.online.rollout import play
 from ocp_ros.search.budget import Budget
-from ocp_ros.search.candidate_pool import check_room, Pool, pool_of, Site
+from ocp_ros.search.candidate_pool import check_regions, check_room, Pool, pool_of, Site
 from ocp_ros.search.finishing import search_and_finish
 from ocp_ros.search.planner import Scores
 from ocp_ros.search.pose_annealing import Answer, answered, Progress, views_of
@@ -39,6 +40,7 @@ from ocp_ros.search.solve import solve
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import Problem, space_of
 from ocp_ros.util.resources import DEFAULT_MODEL
+from ocp_ros.util.settings import ConfigurationError
 
 #: Placements by which it is found out how many there is time for, and the most that are planned
 #: for: some methods lay out a grid of as many places.
@@ -51,26 +53,33 @@ def plan(problem: Problem, budget: Budget, planner: str = RIG_SEARCH, pool: Pool
     """
     Find the best placement of the cameras of a problem.
 
-    :param problem: the rig in the room; on a plane, planners that know the scan do not plan.
-    :param budget: how long to go on. Where it counts no evaluations, as it must on a plane, a
+    :param problem: the rig in the room.
+    :param budget: how long to go on; on a plane it counts evaluations. Where it counts none, a
         planner that knows scores plans for as many as there seems to be time for. Of an online
         planner a turn is an evaluation; it plays no more turns than an episode has, and fewer only
         if the budget is stopped.
     :param planner: one of :func:`~ocp_ros.search.registry.planner_names`.
     :param pool: candidates of all models of a rig; made unless given.
     :param seed: random seed.
-    :param start: a placement that the answer is to be no worse than, where there is one.
-    :param progress: called several times a second or after each placement or turn.
+    :param start: a placement of a rig that the answer is to be no worse than, if there is one.
+    :param progress: called several times a second or after each placement or turn; on a plane,
+        after each turn alone.
     :param model: weights of online planners that have learned: path or name.
     :param clock: tells the seconds of traces and turns.
-    :raises ConfigurationError: if there is no placement.
+    :raises ConfigurationError: if there is no placement, or the planner cannot plan on a plane.
     """
     knows, make = PLANNERS[planner]
     if problem.rig.free:
+        if knows == SCAN or budget.evaluations is None or start:
+            raise ConfigurationError(
+                f'--planner {planner}: found it for cameras on a plane; expected a planner that '
+                'is not for rigs, evaluations and no placement to begin with; use a rig file')
         if knows == OBSERVED:
             return _played(make, problem, None, budget, seed, progress, model, clock)
         return _searched_on_plane(make, problem, budget, seed, clock)
-    pool = pool_of(problem, budget) if pool is None else pool
+    if pool is None:
+        pool = pool_of(problem, budget)
+        check_regions(problem.objective, pool)
     check_room(problem.objective, pool)
     if knows == SCAN:
         return make(problem, pool, budget, seed, start, progress)

@@ -127,6 +127,11 @@ def planner_names(*knows: str) -> tuple[str, ...]:
         knows or (SCAN, SCORES, OBSERVED)))
 
 
+def planners_for(rig: bool = False) -> tuple[str, ...]:
+    """Return the names of those that plan for rigs, or for cameras on a plane."""
+    return planner_names() if rig else planner_names(SCORES, OBSERVED)
+
+
 def check_planner(name: str, counting: bool = False) -> None:
     """
     Refuse a planner that does not exist, or that cannot do what is asked.
@@ -134,7 +139,7 @@ def check_planner(name: str, counting: bool = False) -> None:
     :param counting: whether it is to find out how many cameras are needed.
     :raises ConfigurationError: one sentence that begins with the option.
     """
-    if name not in PLANNERS:
+    if name not in tuple(PLANNERS):
         raise ConfigurationError(
             f'--planner: found {name!r}; expected one of {", ".join(PLANNERS)}; '
             f'{nearest(str(name), PLANNERS, "choose one of them")}')

@@ -22,14 +22,14 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.search.budget import Budget
-from ocp_ros.search.candidate_pool import best_addition, pool_of, random_sites
+from ocp_ros.search.candidate_pool import best_addition, check_regions, pool_of, random_sites
 from ocp_ros.search.plan import plan
 from ocp_ros.search.pose_annealing import Answer, Progress
 from ocp_ros.search.priced_search import certified, relaxation_of
 from ocp_ros.search.proof.certificate import Certificate, not_covered
 from ocp_ros.search.proof.column_generation import ColumnGeneration
 from ocp_ros.search.registry import check_planner, RIG_SEARCH
-from ocp_ros.simulation.objective import Objective, RigEvaluation
+from ocp_ros.simulation.objective import RigEvaluation
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.resources import DEFAULT_MODEL
@@ -121,7 +121,7 @@ class RigPlanner:
         self._progress, self._problems = progress, {}
         problem = self.problem(rig)
         self.pool = pool_of(problem, budget)
-        self._check_regions(problem.objective)
+        check_regions(problem.objective, self.pool)
 
     def problem(self, rig: Rig) -> Problem:
         """Put a rig into the room."""
@@ -130,18 +130,6 @@ class RigPlanner:
             config = SimulationConfig(engine=self.engine)
             self._problems = {rig: Problem.of(self.scene, rig, config)}
         return self._problems[rig]
-
-    def _check_regions(self, objective: Objective) -> None:
-        """Refuse a rig that asks for more of a region than all candidates see together."""
-        rig = objective.rig
-        shares = objective.judge(self.pool.everywhere(rig)).regions
-        for k, (region, share) in enumerate(zip(rig.regions, shares)):
-            if self.pool.complete and share < region.must_see:
-                raise rig.document.error(
-                    ('regions', k, 'must_see'), f'{100.0 * region.must_see:.1f} % of '
-                    f'{region.name}, of which all {len(self.pool)} candidates together see '
-                    f'{100.0 * share:.1f} %', 'a share that can be seen',
-                    'lower it, or change the mount or the pitch')
 
     def plan(self, rig: Rig, before: Answer | None = None) -> RigPlan:
         """

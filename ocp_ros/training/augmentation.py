@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Symmetries of the task: a room turned by quarter turns or mirrored is as good a room.
+What is done to samples: a room turned by quarter turns or mirrored is as good a room.
 
 Observations are centred on the observed bounding box, so these eight maps of the plane apply to
 them exactly; what indices point to does not change, nor does the reward.
@@ -137,27 +137,32 @@ class CloudReplayBuffer(DictReplayBuffer):
     """
     A replay buffer of clouds.
 
+    The sums of rewards leave out the entropy of the steps between, as the buffer of
+    stable-baselines3 without names does.
+
     :param n_steps: rewards that are summed up before the critics value what follows.
     :param gamma: their discount.
-    :param augmented: whether each sample is turned or mirrored, and its cloud jittered.
+    :param augmentation: what is done to each sample: ``none``, ``symmetries`` or ``jitter``.
     """
 
-    def __init__(self, *args, n_steps: int = 1, gamma: float = 0.99, augmented: bool = True,
-                 **kwargs) -> None:
+    def __init__(self, *args, n_steps: int = 1, gamma: float = 0.99,
+                 augmentation: str = 'symmetries', **kwargs) -> None:
         super().__init__(*args, **kwargs)
-        self.n_steps, self.gamma, self.augmented = n_steps, gamma, augmented
+        self.n_steps, self.gamma, self.augmentation = n_steps, gamma, augmentation
 
     def sample(self, batch_size: int, env=None) -> DictReplayBufferSamples:
         """Draw a batch and, where asked for, one symmetry per transition."""
         batch = super().sample(batch_size, env)
-        if not self.augmented:
+        if self.augmentation == 'none':
             return batch
         numbers = np.random.randint(len(SYMMETRIES), size=len(batch.actions))
         maps = SYMMETRIES[torch.from_numpy(numbers)].to(batch.actions.device)
-        return batch._replace(
-            observations=jittered(turn_observation(batch.observations, maps)),
-            next_observations=jittered(turn_observation(batch.next_observations, maps)),
-            actions=turn(batch.actions, maps))
+        before, after = (turn_observation(one, maps)
+                         for one in (batch.observations, batch.next_observations))
+        if self.augmentation == 'jitter':
+            before, after = jittered(before), jittered(after)
+        return batch._replace(observations=before, next_observations=after,
+                              actions=turn(batch.actions, maps))
 
     def _get_samples(self, batch_inds: np.ndarray, env=None) -> DictReplayBufferSamples:
         """Return transitions over some steps, of any environment each."""

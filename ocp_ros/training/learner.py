@@ -30,7 +30,7 @@ from ocp_ros.training.sac_state import load_replay, load_state, new_run, save_re
 from ocp_ros.training.training_config import SacConfig
 from ocp_ros.training.transitions import Transition
 from ocp_ros.util.files import remove_unfinished
-from ocp_ros.util.settings import LARGEST_SEED, setting
+from ocp_ros.util.settings import ConfigurationError, LARGEST_SEED, setting
 from stable_baselines3.common.logger import configure
 
 #: Gradient steps between two looks at the world: short enough to stop at once.
@@ -70,10 +70,15 @@ class Learner:
     :param start: weights to start from, or None.
     :ivar dropped: transitions that came when there was no room for them.
     :ivar losses: of the critics, in the latest bursts of gradient steps.
+    :raises ConfigurationError: if rewards of several steps are to be summed up.
     """
 
     def __init__(self, config: LearnerConfig, agent: AgentConfig, sac: SacConfig,
                  start: Checkpoint | None = None) -> None:
+        if sac.n_steps > 1:
+            raise ConfigurationError(
+                f'sac.n_steps: found {sac.n_steps}; expected 1: turns may be missing between the '
+                'transitions that arrive, so their rewards cannot be summed up; set it to 1')
         self.config, self.agent, self.sac = config, agent, sac
         self.folder = Path(config.folder)
         self.model = make_sac(sac, agent, seed=config.seed)

@@ -79,6 +79,10 @@ class CloudFeatures(BaseFeaturesExtractor):
             self._batch, self._features = batch, extract()
         return self._features
 
+    def forget(self) -> None:
+        """Keep no batch: the gradient step is over."""
+        self._batch = self._features = None
+
 
 class FollowingActor(Actor):
     """An actor that reads features as they are: its loss does not train them."""
@@ -101,7 +105,7 @@ class LeadingCritic(ContinuousCritic):
         super().__init__(*args, **kwargs)
         width = self.features_extractor.features_dim + math.prod(self.action_space.shape)
         for number in range(len(self.q_networks)):
-            network = torch.nn.Sequential(head(width, agent.hidden, agent.blocks),
+            network = torch.nn.Sequential(*head(width, agent.hidden, agent.blocks),
                                           torch.nn.Linear(agent.hidden, 1))
             self.q_networks[number] = network
             setattr(self, f'qf{number}', network)
@@ -111,8 +115,10 @@ class LeadingCritic(ContinuousCritic):
         features = self.features_extractor.once(
             obs, lambda: self.extract_features(obs, self.features_extractor))
         if actions.requires_grad:
-            # What the actor does for more reward shall not change what is read.
+            # What the actor does for more reward shall not change what is read. This is the last
+            # of the losses of a gradient step.
             features = features.detach()
+            self.features_extractor.forget()
         read = torch.cat([features, actions], dim=1)
         return tuple(network(read) for network in self.q_networks)
 
@@ -275,12 +281,13 @@ def policy_of(agent: AgentConfig, bfloat16: bool) -> tuple[type[MultiInputPolicy
     """
     Return SAC's policy and its arguments; for ``paper`` it is stable-baselines3's own.
 
-    :param bfloat16: whether gradient steps read clouds in half of the bits.
+    :param bfloat16: whether the network ``cloud`` reads clouds in half of the bits.
     """
     if agent.map:
         return MapPolicy, {'agent': agent}
     arguments = {'features_extractor_class': CloudFeatures,
-                 'features_extractor_kwargs': {'agent': agent, 'bfloat16': bfloat16},
+                 'features_extractor_kwargs': {
+                     'agent': agent, 'bfloat16': bfloat16 and agent.one_by_one},
                  'net_arch': [agent.hidden, agent.hidden],
                  'share_features_extractor': agent.one_by_one}
     if agent.one_by_one:

@@ -205,6 +205,10 @@ def load_replay(buffer: DictReplayBuffer, path: Path) -> None:
     for name, values in arrays.items():
         rows[name][:len(values)] = values
     buffer.pos, buffer.full = position, bool(full)
+    # What comes next is another episode's.
+    newest = position - 1
+    buffer.timeouts[newest] = np.maximum(buffer.timeouts[newest], 1.0 - buffer.dones[newest])
+    buffer.dones[newest] = 1.0
 
 
 def _rows(buffer: DictReplayBuffer) -> dict[str, np.ndarray]:

@@ -24,8 +24,6 @@ to resume from, and TensorBoard's files.
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
-import ctypes
 from dataclasses import replace
 from functools import lru_cache, partial
 import logging
@@ -62,8 +60,6 @@ _log = logging.getLogger(__name__)
 SAC = 'sac'
 #: Terms of the reward that are logged one by one.
 TERMS = ('delta_space_coverage', 'delta_depth_error', 'penalty')
-#: Options of glibc's ``mallopt``: freed memory stays with the process, however much it is.
-KEEP_MEMORY = {-1: (1 << 31) - 1, -2: 1 << 28, -3: 1 << 25}
 
 
 class Run(TrainingRun):
@@ -243,16 +239,8 @@ def environments(config: TrainingConfig, rooms: Sequence[str]) -> VecMonitor:
     return VecMonitor(SideBySide([partial(playable, env, config.agent) for env in made]))
 
 
-def keep_memory() -> None:
-    """Keep freed memory: gradient steps ask for the same again, which the system clears first."""
-    with suppress(AttributeError, OSError):
-        for option, value in KEEP_MEMORY.items():
-            ctypes.CDLL(None).mallopt(option, value)
-
-
 def learn(run: Run) -> None:
     """Let SAC play and learn."""
-    keep_memory()
     config, model, last = run.config, run.model, run.config.interactions
     if model.num_timesteps >= last:
         return

@@ -35,12 +35,17 @@ class SacConfig:
     entropy: float = setting(0.1, 'first entropy coefficient; it is then learned', 1e-6, 100.0)
     target_entropy: float = setting(
         -1.5, 'target entropy per component of the action', -10.0, 1.0)
-    n_steps: int = setting(1, 'with agent.inputs cloud: rewards that are summed up before the '
-                              'critics value what follows', 1, 100)
-    augmented: bool = setting(True, 'with agent.inputs cloud: turn, mirror and jitter the clouds '
-                                    'of each batch at random')
-    bfloat16: bool = setting(False, 'with agent.inputs cloud: gradient steps read clouds in half '
-                                    'of the bits, faster where the processor has them')
+    n_steps: int = setting(
+        1, 'with agent.inputs cloud: rewards of so many interactions are summed up before the '
+           'critics value what follows; trainer_node knows 1 alone', 1, 100)
+    augmentation: str = setting(
+        'symmetries', 'with agent.inputs cloud: what is done to each sample: nothing (none), a '
+        'rotation by quarter turns or a reflection (symmetries), or these and a small movement '
+        'of its points, some of which are left out (jitter)',
+        choices=('none', 'symmetries', 'jitter'))
+    bfloat16: bool = setting(
+        False, 'with agent.inputs cloud: the network that is trained computes with 16 bits in '
+               'place of 32, which is faster on processors that can')
     burn_in: int = setting(
         0, 'gradient steps of the critics alone before the actor learns', 0, 1 << 31)
     imitation: float = setting(
