@@ -40,7 +40,7 @@ from ocp_ros.report.installer import in_markdown
 from ocp_ros.search.registry import OBSERVED, planner_names, PLANNERS, planners_for, SCORES
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.files import write_atomically
-from ocp_ros.util.shown_text import printable
+from ocp_ros.util.terminal_text import printable
 
 #: Told apart with any kind of colour vision, repeated with another line where there are more.
 COLOURS = ('#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '#d55e00', '#8c6d31')

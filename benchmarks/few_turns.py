@@ -79,7 +79,7 @@ class RoomTask(NamedTuple):
             f', half {self.half}' if self.half else '')
 
     def lacks(self, protocol: Protocol, lengths: Sequence[tuple[int, float]]) -> bool:
-        """Tell whether anything is left to be played."""
+        """Return whether anything is left to be played."""
         errors = self.known.get('errors', {})
         return bool(protocol.truths and 'truth' not in self.known) or (
             'start' not in self.known and not protocol.simulation.rig_file) or any(

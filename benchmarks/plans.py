@@ -80,7 +80,7 @@ def planned(scene: Scene, rig_name: str) -> dict:
     # Where nearly all can be seen, no bound is above 0.
     proof = {'gap': 1.0, 'moved': 0.0, 'priced': 0} if known is None else {
         'gap': known.gap, 'moved': known.moved, 'priced': known.candidates}
-    return {'poses': plan.answer.poses.tolist(), 'promised': plan.worth.depth_error,
+    return {'poses': plan.answer.poses.tolist(), 'promised': plan.evaluation.depth_error,
             'worst': plan.worst, 'seconds': seconds, **proof,
             'climbed': 1.0 - problem.objective.loss(views_of(climbed)) / plan.answer.loss,
             'online': online.answer.poses.tolist()}
@@ -108,9 +108,10 @@ def halved(scene: Scene, rig_name: str, seed: int) -> dict:
     plan = RigPlanner(here, rig, PROMISING, Budget(evaluations=HALVED)).plan(rig)
     judge = Simulator(there, SimulationConfig(engine=PROMISING), rig.models)
     poses = plan.answer.poses
-    return {'promised': plan.worth.depth_error, 'worst': plan.worst, 'delivered': float(np.mean([
-        judge.evaluate(np.hstack([places, poses[:, 3:]])).depth_error
-        for places in mounted(poses[:, :3], OFF, HUNG, 0)]))}
+    delivered = np.mean([judge.evaluate(np.hstack([places, poses[:, 3:]])).depth_error
+                         for places in mounted(poses[:, :3], OFF, HUNG, 0)])
+    return {'promised': plan.evaluation.depth_error, 'worst': plan.worst,
+            'delivered': float(delivered)}
 
 
 def scans_of(folder: Path) -> dict:

@@ -98,7 +98,7 @@ def planned(scene: Scene, case: Case) -> dict:
     rig, budget = rig_named(case.rig), Budget(evaluations=EVALUATIONS)
     planner = RigPlanner(scene, rig, PROMISING, budget)
     plan = planner.plan(rig)
-    return {'poses': plan.answer.poses.tolist(), 'promised': plan.worth.depth_error,
+    return {'poses': plan.answer.poses.tolist(), 'promised': plan.evaluation.depth_error,
             'worst': plan.worst}
 
 

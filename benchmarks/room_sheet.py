@@ -28,7 +28,7 @@ from ocp_ros.report.drawing.room_pictures import draw_rooms, titled
 from ocp_ros.rooms.furniture import KINDS
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_cache import load_cached
-from ocp_ros.util.shown_text import printable
+from ocp_ros.util.terminal_text import printable
 from rich.console import Console
 from rich.table import Table
 

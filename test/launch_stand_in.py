@@ -65,7 +65,7 @@ class IfCondition:
         self.substitution = substitution
 
     def evaluate(self, context):
-        """Tell whether it is."""
+        """Return whether it is."""
         text = self.substitution.perform(context).lower()
         assert text in ('true', 'false', '1', '0')
         return text in ('true', '1')

@@ -127,8 +127,8 @@ class Played:
             errors.append(found.depth_error)
             if turn < self.turns and aim is not None:
                 cloud = self.episode.scene.points[seen.mask]
-                sight = RigState(placement, self.models, self.movable, PITCH)
-                self.headings = aim(cloud, sight, self.positions, max_turn, turn, self.turns)
+                rig_state = RigState(placement, self.models, self.movable, PITCH)
+                self.headings = aim(cloud, rig_state, self.positions, max_turn, turn, self.turns)
                 self.trail.append(self.headings.copy())
         return errors
 
@@ -185,8 +185,8 @@ def test_a_goal_is_nearly_the_best_beside_what_a_camera_in_place_sees():
     for movable in (1, 2):
         aim = HeadingPlanner(models[:movable], 1, PITCH, MARGIN)
         placement = np.hstack([at, [np.zeros(3), fixed]])[:movable]
-        sight = RigState(placement, models[:movable], 1, PITCH)
-        (yaw, *rest), *_ = aim(room.points, sight, at[:movable], 3.2, 11, 12)
+        rig_state = RigState(placement, models[:movable], 1, PITCH)
+        (yaw, *rest), *_ = aim(room.points, rig_state, at[:movable], 3.2, 11, 12)
         found[movable] = model.error([
             known, model.look(np.array([*at[0], yaw, *rest]), MODEL.lens)])
     assert found[2] <= min(errors) + 0.1 * np.ptp(errors)
@@ -201,8 +201,8 @@ def test_goals_are_within_reach_before_the_turns_are_used_up(turn, max_turn, hea
     room, now = box_room(), heading * [1.0, 1.0, 1.0]
     now[1] = np.clip(now[1], *PITCH)
     aim, at = HeadingPlanner((MODEL,), 1, PITCH, MARGIN), np.array([[3.0, 2.0, 1.9]])
-    sight = RigState(np.hstack([at, now[None]]), (MODEL,), 1, PITCH)
-    found = aim(room.points, sight, at, max_turn, turn, 11)
+    rig_state = RigState(np.hstack([at, now[None]]), (MODEL,), 1, PITCH)
+    found = aim(room.points, rig_state, at, max_turn, turn, 11)
     assert np.linalg.norm(way_between(now, found[0])) <= max_turn + 1e-9
     assert PITCH[0] - 1e-9 <= found[0, 1] <= PITCH[1] + 1e-9
     assert np.linalg.norm(way_between(now, aim._headings[0])) <= (11 - turn) * max_turn + 1e-9

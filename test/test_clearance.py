@@ -252,11 +252,11 @@ def test_lookahead_keeps_it_from_what_it_has_seen(validation):
     episode, seen = Episode(problem, np.random.default_rng(0)), []
     online = Lookahead(*settings_of(config.episode, problem.rig, np.random.default_rng(1)))
 
-    def remember(turn):
+    def record_views(turn):
         seen.append(episode.observed_cloud)
         return False
 
-    outcome = play(online, episode, remember)
+    outcome = play(online, episode, record_views)
     for cloud, placement in zip(seen, outcome.trajectory[1:]):
         assert cKDTree(cloud).query(placement)[0].min() >= CLEARANCE - ROUNDING
     assert np.linalg.norm(outcome.trajectory[-1] - outcome.trajectory[0], axis=1).max() > 0.5
@@ -305,6 +305,6 @@ def test_starts_are_out_of_furniture():
 def test_a_rig_file_says_how_far_its_cameras_stay(mount, expected):
     rig = rig_of(3, 'omnidirectional', mount=mount, keep_clear=0.35)
     assert rig.clearance == expected
-    sight = RigState(np.zeros((3, 6)), rig.models, 3, clearance=rig.clearance)
-    assert clearance_of(sight, 0.15) == expected and clearance_of(sight, 0.0) == 0.0
-    assert clearance_of(None, 0.2) == clearance_of(sight._replace(clearance=None), 0.2) == 0.2
+    rig_state = RigState(np.zeros((3, 6)), rig.models, 3, clearance=rig.clearance)
+    assert clearance_of(rig_state, 0.15) == expected and clearance_of(rig_state, 0.0) == 0.0
+    assert clearance_of(None, 0.2) == clearance_of(rig_state._replace(clearance=None), 0.2) == 0.2

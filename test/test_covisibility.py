@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 import numpy as np
 from ocp_ros.api import plan, score
 from ocp_ros.geometry.packed_bits import no_bits, pack
-from ocp_ros.planning.findings import verdict
+from ocp_ros.planning.findings import evaluate_placement
 from ocp_ros.rig.rig_file import Calibratable, rig_of
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.search.budget import Budget
@@ -97,13 +97,13 @@ def test_a_plan_connects_its_cameras_and_says_so(room):
     for rig in (free, linked):
         plan = RigPlanner(room, rig, engine, Budget(None, 1200)).plan(rig)
         problem = Problem.of(room, linked)
-        found[rig] = verdict(problem, plan.answer.poses), plan
+        found[rig] = evaluate_placement(problem, plan.answer.poses), plan
     spread, near = found[free], found[linked]
     assert len(spread[0]['scores']['calibratable']['groups']) > 1
     sentence, = [line for line in spread[0]['broken'] if line.startswith('calibratable')]
     assert 'groups of cameras' in sentence and 'expected 50 %' in sentence
-    assert near[0]['broken'] == [] and near[1].worth.connected
-    assert spread[1].worth.depth_error <= near[1].worth.depth_error + 1e-3
+    assert near[0]['broken'] == [] and near[1].evaluation.connected
+    assert spread[1].evaluation.depth_error <= near[1].evaluation.depth_error + 1e-3
     links = near[0]['scores']['calibratable']
     assert len(links['groups']) == 1 and sum(pair['linked'] for pair in links['pairs']) >= 2
     assert all(pair['overlap'] >= 0.5 for pair in links['pairs'] if pair['linked'])

@@ -70,7 +70,7 @@ def test_where_the_error_is_agrees_with_its_twin(small):
     seen = np.random.default_rng(1).random(len(scene)) < 0.4
     expected = twins.depth_error_by_point(scene.points, half_sides(scene), error.viewpoints,
                                           error.far, 24, seen)
-    found = error.by_point(pack(seen))
+    found = error.error_by_point(pack(seen))
     assert np.abs(found - expected).sum() <= 2e-3 * expected.sum()
 
 
@@ -79,7 +79,7 @@ def test_where_the_error_is_agrees_with_its_twin(small):
 def test_all_of_the_error_is_somewhere_and_none_where_points_are_seen(small, seed, share):
     scene, error = small
     seen = np.random.default_rng(seed).random(len(scene)) < share
-    found = error.by_point(pack(seen))
+    found = error.error_by_point(pack(seen))
     assert found.sum() == pytest.approx(error(pack(seen)), rel=1e-4, abs=ROUNDING)
     assert (found >= 0.0).all() and not found[seen].any()
 

@@ -276,7 +276,7 @@ def added(drawn):
 
 
 def leads_to(drawn, target):
-    """Tell whether the arrows of the last of some marker messages end at targets (K, 3)."""
+    """Return whether the arrows of the last of some marker messages end at targets (K, 3)."""
     arrows = added(drawn)
     return bool(arrows) and np.allclose(
         [(arrow.points[1].x, arrow.points[1].y) for arrow in arrows],

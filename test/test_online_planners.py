@@ -24,7 +24,7 @@ from ocp_ros.geometry.visibility import FINE
 from ocp_ros.online.greedy_step import GreedyStep
 from ocp_ros.online.lookahead import Lookahead
 from ocp_ros.online.observation_map import CELLS
-from ocp_ros.online.online_planner import AHEAD, Online, ThinksAhead
+from ocp_ros.online.online_planner import AHEAD, Online, PipelinedPlanner
 from ocp_ros.online.partial_map import cells_of_the_air, LookHistory, NO_CELL, PartialMap, thinned
 from ocp_ros.online.rig_state import Limits, RigState
 from ocp_ros.online.rollout import play
@@ -53,7 +53,7 @@ class Wanderer(Online):
 
     def move(self, cloud, positions, turn, turns):
         """Move at random."""
-        return self.wander(cloud, positions)
+        return self.random_walk(cloud, positions)
 
 
 def settings(seed=0):
@@ -134,7 +134,7 @@ def thinking(planner, episode, turns, reflects):
         yield moves, made[0]
         episode.move(moves)
         if reflects:
-            planner.reflect()
+            planner.plan_ahead()
 
 
 class Middle:
@@ -174,7 +174,7 @@ def test_in_few_turns_plans_are_made_of_the_newest_cloud(name, engine):
     assert CONFIG.episode.turns < AHEAD
 
 
-class Sent(ThinksAhead):
+class Sent(PipelinedPlanner):
     """A plan for one camera that never changes."""
 
     def __init__(self, target):

@@ -35,7 +35,7 @@ from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.rig_file import load_rig, rig_of, with_count
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.search.budget import Budget
-from ocp_ros.search.candidate_pool import best_addition, clear, packed, Pool, random_sites
+from ocp_ros.search.candidate_pool import best_addition, keeps_spacing, packed, Pool, random_sites
 from ocp_ros.search.plan import plan as plan_problem
 from ocp_ros.search.rig_plan import RigPlanner
 from ocp_ros.simulation.problem import Problem
@@ -143,7 +143,7 @@ def test_a_search_beats_what_it_begins_with_and_chance(furnished, mount):
         sites = (*sites, best_addition(objective, pool, sites))
     greedy = objective.loss([site.view for site in sites])
     assert answer.loss <= greedy and answer.loss < min(chance)
-    everywhere = objective.loss(pool.everywhere(rig))
+    everywhere = objective.loss(pool.union_views(rig))
     assert everywhere <= min(chance) and everywhere <= greedy
 
 
@@ -193,7 +193,7 @@ def test_one_more_camera_is_the_best_of_all_candidates(furnished):
     first = pool.site(rig.models[0], 7)
     more = best_addition(objective, pool, [first])
     losses = np.array([objective.loss([first.view, view]) for view in kind.views])
-    far = clear(kind.poses, [first], 1.0)
+    far = keeps_spacing(kind.poses, [first], 1.0)
     assert 0 < far.sum() < len(far)
     assert objective.loss([first.view, more.view]) == losses[far].min()
 
@@ -239,7 +239,7 @@ def test_a_budget_runs_out_by_what_comes_first():
     assert budget.share(50, 100) == 0.5
     now[0] = 8.0
     assert budget.share(50, 100) == 0.8 and budget.share(50, None) == 0.8
-    other = budget.again()
+    other = budget.restarted()
     assert other.share(0, 100) == 0.0 and other.elapsed == 0.0
     other.stop()
     assert budget.stopped and budget.share(0, None) == 1.0
@@ -252,10 +252,10 @@ def test_more_cameras_are_worth_no_less(furnished):
     planner = RigPlanner(furnished, rig, FAST, Budget(evaluations=60))
     plans = list(planner.count_up(lambda count: with_count(rig, count), 1, 4))
     assert [len(plan.answer.sites) for plan in plans] == [1, 2, 3, 4]
-    assert (np.diff([plan.worth.loss for plan in plans]) <= 0.0).all()
+    assert (np.diff([plan.evaluation.loss for plan in plans]) <= 0.0).all()
     for plan in plans:
         assert 0.0 < min(plan.shares.values()) <= max(plan.shares.values()) <= 1.0
-        assert plan.everywhere.loss <= plan.worth.loss
+        assert plan.union_bound.loss <= plan.evaluation.loss
 
 
 @pytest.mark.system
@@ -443,7 +443,7 @@ def test_ctrl_c_while_drawing_leaves_the_placement(files, capsys, monkeypatch):
     def stop(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr('ocp_ros.planning.rig_planning.verdict', stop)
+    monkeypatch.setattr('ocp_ros.planning.rig_planning.evaluate_placement', stop)
     assert main(['plan', 'room.ply', '--cameras', '2', '--evaluations', '20']) == 130
     assert capsys.readouterr().err == (
         'ocp: stopped; the placement is in out/plan/placement.yaml\n')

@@ -118,8 +118,8 @@ def test_every_constraint_holds_and_a_file_scores_the_same(planned, files, capsy
     found = json.loads(capsys.readouterr().out)
     assert found['broken'] == []
     for key in ('loss', 'depth_error', 'space_coverage'):
-        assert found['scores'][key] == pytest.approx(getattr(plan.worth, key), abs=1e-6)
-    assert plan.planner == name and plan.worth.loss == plan.answer.loss
+        assert found['scores'][key] == pytest.approx(getattr(plan.evaluation, key), abs=1e-6)
+    assert plan.planner == name and plan.evaluation.loss == plan.answer.loss
 
 
 @pytest.mark.system
@@ -313,7 +313,7 @@ def test_more_cameras_are_worth_no_less_by_any_planner(furnished):
     planner = RigPlanner(furnished, rig, FAST, Budget(evaluations=10), planner='random')
     plans = list(planner.count_up(lambda count: with_count(rig, count), 1, 4))
     assert [len(plan.answer.sites) for plan in plans] == [1, 2, 3, 4]
-    assert (np.diff([plan.worth.loss for plan in plans]) <= 0.0).all()
+    assert (np.diff([plan.evaluation.loss for plan in plans]) <= 0.0).all()
 
 
 @pytest.mark.system

@@ -61,7 +61,7 @@ def played(online, sight_at):
     online.reset()
     trail = [START]
     for turn in range(TURNS):
-        online.know(sight_at(trail[-1]))
+        online.set_rig_state(sight_at(trail[-1]))
         move = online.move(CLOUD, trail[-1][None], turn, TURNS)[0]
         assert np.linalg.norm(move) <= MAX_STEP + 1e-9
         trail.append(trail[-1] + [*move, 0.0])
@@ -92,9 +92,9 @@ def test_a_rig_that_sees_all_around_is_moved_as_if_nothing_were_known_of_it(name
 def test_a_camera_that_looks_one_way_and_is_not_turned_stands_where_that_helps():
     """It looks along the room, so it goes back to where it sees most of it."""
     def towards(yaw):
-        def sight(position):
+        def rig_state(position):
             return RigState(np.array([[*position, yaw, 0.2, 0.0]]), (D455,), 1, turns=False)
-        return sight
+        return rig_state
 
     ends = [played(made('lookahead'), towards(yaw))[-1, 0] for yaw in (0.0, np.pi)]
     assert ends[0] < START[0] - 0.5 and ends[1] > START[0] + 0.5
@@ -113,12 +113,12 @@ def test_moves_are_judged_by_what_a_camera_sees_as_it_is_turned():
                       (D455, D455), 1)
     model = PartialMap(CLOUD, START[None], MAX_RANGE, POINTS, ROWS)
     views = [model.look(row, D455.lens) for row in turned.placement]
-    for sight, expected in (
+    for rig_state, expected in (
             (turned, model.error(views)), (None, model.error([model.look(START)])),
             (turned._replace(placement=turned.placement[:1], models=(D455,)),
              model.error(views[:1]))):
         turns = ObservedTurns(MAX_RANGE, MARGIN, points=POINTS, rows=ROWS)
-        turns.sight = sight
+        turns.rig_state = rig_state
         assert turns(CLOUD, START[None], 0, 30).error == pytest.approx(expected)
 
 
@@ -142,13 +142,13 @@ def test_a_camera_keeps_its_roll_and_its_kind_with_it():
 def test_cameras_take_places_of_their_kind_only():
     np.testing.assert_array_equal(kinds_of(rig())[0], [0, 1, 0])
     np.testing.assert_array_equal(kinds_of(rig(turns=False))[0], [0, 1, 2])
-    sight, rng = rig(), np.random.default_rng(0)
-    model = PartialMap(CLOUD, sight.placement[:, :3], 4.0, 2000, 16)
+    rig_state, rng = rig(), np.random.default_rng(0)
+    model = PartialMap(CLOUD, rig_state.placement[:, :3], 4.0, 2000, 16)
     space = FreePlane.of(CLOUD, 1.9, 3, MARGIN)
     places = space.placement(space.grid(12))
-    sites = Sites(model, places, [sight.placement], sight, np.zeros_like(
+    sites = Sites(model, places, [rig_state.placement], rig_state, np.zeros_like(
         model.look(START).covered), 0.0)
-    assert len(sites.sites) == 3 + len(places) * (len(directions(sight.pitch, 8, 2)) + 1)
+    assert len(sites.sites) == 3 + len(places) * (len(directions(rig_state.pitch, 8, 2)) + 1)
     own = sites.sites[3:]
     aimed = {tuple(row[3:]) for row in own[:-len(places)]}
     assert len(aimed) == 16 and not own[-len(places):, 4:].any()
@@ -164,14 +164,14 @@ def test_cameras_take_places_of_their_kind_only():
 @pytest.mark.parametrize('weight', [0.0, 0.01])
 @pytest.mark.parametrize('kinds', [1, 2])
 def test_annealing_agrees_with_its_twin(kinds, weight):
-    sight = rig()
-    model = PartialMap(CLOUD, sight.placement[:, :3], 4.0, 2000, 16)
+    rig_state = rig()
+    model = PartialMap(CLOUD, rig_state.placement[:, :3], 4.0, 2000, 16)
     space = FreePlane.of(CLOUD, 1.9, 3, MARGIN)
     places, unseen = space.grid(20), pack(model.cells % 3 > 0)
     if kinds == 1:
         found = Candidates(model, places, space, 3, unseen, weight)
     else:
-        found = Sites(model, space.placement(places), [], sight, unseen, weight)
+        found = Sites(model, space.placement(places), [], rig_state, unseen, weight)
     kind_of = [0, kinds - 1, 0]
 
     def annealed(state, rng):

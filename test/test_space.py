@@ -34,7 +34,7 @@ CORNER = 2.0 * EDGE
 
 
 def in_room(positions, margin=-CORNER):
-    """Tell whether positions (..., 2) are in the room of l_shaped, or nearly."""
+    """Return whether positions (..., 2) are in the room of l_shaped, or nearly."""
     x, y = positions[..., 0], positions[..., 1]
     return ((x > margin) & (y > margin)
             & (((x < 3.0 - margin) & (y < 4.0 - margin))

@@ -59,7 +59,7 @@ def steps(room, turns, reflects, monkeypatch):
         answering = False
         commands.append(command.placement)
         if reflects:
-            step.reflect()
+            step.plan_ahead()
         episode.move((command.placement - state.placement)[:, :3], command.placement[:, 3:])
     return np.array(commands), waited
 
@@ -90,7 +90,7 @@ def test_a_new_episode_knows_nothing_of_the_last_one(room, monkeypatch):
     episode = Episode(Problem.of(room, RIG, config), np.random.default_rng(3))
     state = state_of(episode)
     step(episode.observed_cloud, state, 0, AHEAD)
-    step.reflect()
+    step.plan_ahead()
     step.reset()
     looked = []
     monkeypatch.setattr(step.constraints.filter, '_look', lambda *given: looked.append(given))
@@ -115,7 +115,7 @@ def test_a_planner_that_says_no_targets_is_thought_about_too(room, max_turn):
         def move(self, cloud, positions, turn, turns):
             return np.zeros((len(positions), 2))
 
-        def reflect(self):
+        def plan_ahead(self):
             pass
 
     config = SimulationConfig(engine=EngineConfig('fast', 32, 0.5))
@@ -125,7 +125,7 @@ def test_a_planner_that_says_no_targets_is_thought_about_too(room, max_turn):
     state = state_of(episode)
     for turn in range(3):
         command = step(episode.observed_cloud, state, turn, AHEAD)
-        step.reflect()
+        step.plan_ahead()
         assert np.array_equal(command.placement[:, :3], state.placement[:, :3])
         assert bool(command.rotated) == bool(max_turn)
 
@@ -149,7 +149,7 @@ def test_thinking_ends_when_the_next_step_has_waited(room):
         state = state_of(episode)
         for turn in (30, 31):
             command = step(episode.observed_cloud, state, turn, 40)
-            step.reflect(interrupted)
+            step.plan_ahead(interrupted)
         return command.placement, len(asked)
 
     patient, questions = played(10 ** 6)

@@ -144,7 +144,7 @@ def test_seeing_nothing_costs_the_same_and_seeing_all_nothing_whatever_the_folds
     points, error = error_of(folds)
     assert error(pack(np.ones(len(points), dtype=bool))) == 0.0
     assert error(no_bits(len(points))) == pytest.approx(error_of(1)[1].worst, rel=1e-5)
-    assert error.by_point(no_bits(len(points))).sum() == pytest.approx(error.worst, rel=1e-5)
+    assert error.error_by_point(no_bits(len(points))).sum() == pytest.approx(error.worst, rel=1e-5)
     np.testing.assert_array_equal(error.depth_map(0), error_of(1)[1].depth_map(0))
 
 

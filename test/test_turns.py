@@ -455,7 +455,7 @@ def test_whatever_happened_a_rig_that_works_gets_its_turn(seed):
         elif what == 4 and turns.due():
             turns.sent(THERE)
         elif what == 5:
-            turns.again()
+            turns.restarted()
     # From now on everything is as it should be, for the time of one turn.
     for tick in range(40):
         clock.now += 0.1

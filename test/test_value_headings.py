@@ -22,11 +22,11 @@ from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.online.observation_map import (
     at_yaws,
     CELLS,
+    lens_features,
     NUMBERS,
     OF_LENS,
     OF_OTHERS,
     OF_ROOM,
-    told_of,
     yaws_of,
 )
 from ocp_ros.online.rig_state import RigState
@@ -75,10 +75,10 @@ def drawn(agent, seed=0):
 
 
 def test_a_lens_is_told_by_its_angles():
-    assert told_of(None).tolist() == told_of(CameraModel().lens).tolist() == [1.0, 1.0]
-    assert told_of(D455.lens) == pytest.approx([87.0 / 360.0, 58.0 / 180.0], abs=1e-6)
+    assert lens_features(None).tolist() == lens_features(CameraModel().lens).tolist() == [1.0, 1.0]
+    assert lens_features(D455.lens) == pytest.approx([87.0 / 360.0, 58.0 / 180.0], abs=1e-6)
     lidar = SENSORS['velodyne_vlp16'].model.lens
-    assert told_of(lidar) == pytest.approx([1.0, 30.0 / 180.0], abs=1e-6)
+    assert lens_features(lidar) == pytest.approx([1.0, 30.0 / 180.0], abs=1e-6)
 
 
 def test_values_between_headings_are_between_them():
@@ -135,14 +135,14 @@ def test_each_camera_is_valued_by_the_map_of_its_kind():
     network = drawn(AIMED)
     policy = ValuePolicy(Checkpoint(AIMED, network.state_dict()))
     seen = {name: value[0].numpy() for name, value in observation(count=1).items()}
-    aimed = policy.values(**seen | {'lens': told_of(D455.lens)})
-    whole = policy.values(**seen | {'lens': told_of(None)})
+    aimed = policy.values(**seen | {'lens': lens_features(D455.lens)})
+    whole = policy.values(**seen | {'lens': lens_features(None)})
     assert aimed.shape == (8, CELLS, CELLS) and whole.shape == (1, CELLS, CELLS)
     plain = ValuePolicy(Checkpoint(ROUND, {
         name: value for name, value in network.state_dict().items()
         if not name.startswith('aimed.')}))
     for lens in (D455.lens, None):
-        assert np.array_equal(plain.values(**seen | {'lens': told_of(lens)}), whole)
+        assert np.array_equal(plain.values(**seen | {'lens': lens_features(lens)}), whole)
 
 
 @pytest.fixture(scope='module')
@@ -229,13 +229,13 @@ def test_the_actor_turns_cameras_as_the_map_says(room):
     placement = np.array([[middle[0] - 0.5, middle[1], 1.9, 0.0, 0.2, 0.0],
                           [middle[0] + 0.5, middle[1], 1.9, 3.0, 0.2, 0.0]])
     actor = MapActor(Looking(), np.random.default_rng(0), 0.5, 4.0, 0.1)
-    actor.know(RigState(placement, models, 2))
+    actor.set_rig_state(RigState(placement, models, 2))
     actor.move(room.points, placement[:, :3], 0, MANY - 1)
     # In few turns headings are not valued.
     assert (np.stack(asked) == 1.0).all()
     asked.clear()
     actor.reset()
     actor.move(room.points, placement[:, :3], 0, MANY)
-    assert np.allclose(np.stack(asked), told_of(models[0].lens))
+    assert np.allclose(np.stack(asked), lens_features(models[0].lens))
     away = (actor.headings[:, 0] - yaws_of(8)[best] + np.pi) % (2.0 * np.pi) - np.pi
     assert np.abs(away).max() < 0.5 * np.pi

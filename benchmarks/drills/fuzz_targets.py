@@ -281,7 +281,7 @@ class LiveTarget:
 
 
 def _readable(poses: PoseArray) -> bool:
-    """Tell whether poses say where cameras are, be it wrongly."""
+    """Return whether poses say where cameras are, be it wrongly."""
     try:
         msg_to_positions(poses)
     except MessageError:
@@ -290,7 +290,7 @@ def _readable(poses: PoseArray) -> bool:
 
 
 def _within(cloud: PointCloud2) -> bool:
-    """Tell whether a cloud has no points that would make the room another one."""
+    """Return whether a cloud has no points that would make the room another one."""
     try:
         return len(msg_to_cloud(cloud)) == 0
     except MessageError:

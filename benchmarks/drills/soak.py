@@ -118,7 +118,7 @@ class Soak:
 
     def ready(self, process: NodeProcess) -> bool:
         """
-        Tell whether a node has done all that it does, and so has the memory that it needs.
+        Return whether a node has done all that it does, and so has the memory that it needs.
 
         A policy has played as many turns as an episode has, a trainer has learned.
         """
@@ -163,7 +163,7 @@ class Soak:
         self.watch.until(looked, self.options.patience, what, self.processes, 0.02)
 
     def recovered(self, name: str) -> Callable[[], bool]:
-        """Return what tells whether the loop goes on without, or with, a node of this name."""
+        """Return what returns whether the loop goes on without, or with, a node of this name."""
         if name == 'trainer_node':
             return lambda: int((self.says(name) or {'turns': 0})['turns']) >= RECOVERED
         return lambda: self.latency[KILLED].recovered >= RECOVERED

@@ -23,7 +23,7 @@ from ocp_ros.cli.arguments import add_overwrite, add_reading, frame_prefix, room
 from ocp_ros.cli.common import claim_folder, command_of, Commands, document, Found, JUDGE
 from ocp_ros.util.resources import find_config
 from ocp_ros.util.settings import check_known, ConfigurationError
-from ocp_ros.util.shown_text import printable
+from ocp_ros.util.terminal_text import printable
 
 if TYPE_CHECKING:
     import numpy as np

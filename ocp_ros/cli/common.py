@@ -32,7 +32,7 @@ from ocp_ros.cli.arguments import joined
 from ocp_ros.cli.start import STOPPED
 from ocp_ros.util.files import complete_set, file_to_write
 from ocp_ros.util.settings import ConfigurationError, UserError
-from ocp_ros.util.shown_text import printable
+from ocp_ros.util.terminal_text import printable
 
 #: What one may want, as ``ocp --help`` lists it.
 PLAN, JUDGE, LOOK, LEARN, COMPARE, REPLAY = TITLES = (

@@ -27,7 +27,7 @@ from ocp_ros.rig.placement_file import load_placement, Placement
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.files import FileSet
-from ocp_ros.util.shown_text import printable
+from ocp_ros.util.terminal_text import printable
 from ocp_ros.util.yaml_files import written
 
 #: All that is written of a placement, the part of it that counting cameras adds, and the part

@@ -42,7 +42,7 @@ from ocp_ros.cli.arguments import (
 from ocp_ros.cli.common import claim_folder, command_of, Commands, Found, PLAN
 from ocp_ros.util.resources import find_config
 from ocp_ros.util.settings import ConfigurationError
-from ocp_ros.util.shown_text import printable
+from ocp_ros.util.terminal_text import printable
 
 if TYPE_CHECKING:
     from ocp_ros.planning.rig_planning import PlanTask

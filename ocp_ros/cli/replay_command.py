@@ -21,7 +21,7 @@ from pathlib import Path
 from ocp_ros.cli.arguments import number
 from ocp_ros.cli.common import Commands, Found, REPLAY
 from ocp_ros.util.settings import ConfigurationError
-from ocp_ros.util.shown_text import printable
+from ocp_ros.util.terminal_text import printable
 
 
 def run(arguments: argparse.Namespace) -> Found:

@@ -20,7 +20,7 @@ from pathlib import Path
 from ocp_ros.cli.arguments import add_overwrite, add_reading, at_least
 from ocp_ros.cli.common import claim_file, Commands, Found, LOOK, show_written
 from ocp_ros.util.files import folder_to_write
-from ocp_ros.util.shown_text import printable
+from ocp_ros.util.terminal_text import printable
 
 
 def _list_rooms(arguments: argparse.Namespace) -> Found:

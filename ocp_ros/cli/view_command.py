@@ -23,7 +23,7 @@ from ocp_ros.cli.arguments import add_overwrite, add_points, add_reading, room_a
 from ocp_ros.cli.common import claim_file, command_of, Commands, Found, LOOK, show_written
 from ocp_ros.util.resources import find_config
 from ocp_ros.util.settings import ConfigurationError
-from ocp_ros.util.shown_text import printable
+from ocp_ros.util.terminal_text import printable
 
 
 def add_arguments(commands: Commands) -> None:

@@ -39,7 +39,7 @@ from ocp_ros.compare.summary import pairs, Rows, summarise
 from ocp_ros.util.files import read_regular, sha256_of_file, write_atomically
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import ConfigurationError
-from ocp_ros.util.shown_text import printable
+from ocp_ros.util.terminal_text import printable
 from ocp_ros.util.worker_pool import WorkerPool
 from ocp_ros.util.yaml_files import timestamp
 from rich.console import Console

@@ -337,7 +337,7 @@ def _random(problem: Problem) -> Iterator[Row]:
         views = problem.simulator.look_many(space.placement(space.grid(POOL)))
     else:
         pool = Pool(problem, POOL)
-        views = pool.everywhere(rig)
+        views = pool.union_views(rig)
     least = problem.error(problem.judge(views))
     while True:
         placement = space.placement(space.random(rng)) if rig.free else np.array(

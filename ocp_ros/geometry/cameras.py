@@ -179,7 +179,7 @@ LEVEL = np.eye(3)
 
 @njit(cache=True, nogil=True, inline='always')
 def in_view(x: float, y: float, z: float, lens: Frustum) -> bool:
-    """Tell whether a direction in the camera's body frame lies in the viewing cone."""
+    """Return whether a direction in the camera's body frame lies in the viewing cone."""
     if lens.kind == OMNIDIRECTIONAL:
         return True
     if lens.kind == PINHOLE:
@@ -192,7 +192,7 @@ def in_view(x: float, y: float, z: float, lens: Frustum) -> bool:
 
 @njit(cache=True, nogil=True, inline='always')
 def in_cone(dx: float, dy: float, dz: float, pose: Pose, lens: Frustum) -> bool:
-    """Tell whether a way from a camera, metres, map frame, leads into its viewing cone."""
+    """Return whether a way from a camera, metres, map frame, leads into its viewing cone."""
     rotation = pose.rotation
     x = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
     y = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz

@@ -23,7 +23,7 @@ Neighbouring pixels begin with the same points, so the lists are kept as trees: 
 visible, all pixels below it are settled at once.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -301,6 +301,17 @@ class DepthError:
         """
         return lost_depth(self.trees, seen, most * self.pixels) / self.pixels
 
+    def given(self, seen: np.ndarray) -> Callable[..., float]:
+        """
+        Return what tells the error of some points and one view besides, which is asked often.
+
+        :param seen: (W,) uint64, packed bits of the points.
+        :returns: of a view, the same, and of ``most``, as :meth:`__call__` has it: metres.
+        """
+        trees, settled = unsettled(self.trees, seen)
+        return lambda view, most=np.inf: (
+            settled + lost_depth(trees, view, most * self.pixels - settled)) / self.pixels
+
     def beyond(self, seen: np.ndarray, views: Sequence[np.ndarray]) -> np.ndarray:
         """
         Return the error for some points and each of many views besides.
@@ -309,8 +320,8 @@ class DepthError:
         :param views: M of the same.
         :returns: (M,) metres.
         """
-        trees, settled = unsettled(self.trees, seen)
-        return np.array([settled + lost_depth(trees, view) for view in views]) / self.pixels
+        error = self.given(seen)
+        return np.array([error(view) for view in views])
 
     def changes(self, beside: Sequence[np.ndarray], views: Sequence[np.ndarray], floor: float
                 ) -> np.ndarray:
@@ -326,7 +337,7 @@ class DepthError:
         added = floor * self.worst
         return np.log((self.beyond(seen, views) + added) / (self(seen) + added))
 
-    def by_point(self, seen: np.ndarray) -> np.ndarray:
+    def error_by_point(self, seen: np.ndarray) -> np.ndarray:
         """
         Say where the error comes from: each pixel's loss goes to the point that it should show.
 

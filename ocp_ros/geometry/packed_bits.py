@@ -199,5 +199,5 @@ class Subset:
         return Subset(self.bits | other.bits, self.order)
 
     def __ge__(self, other: 'Subset') -> bool:
-        """Tell whether every point of another subset is in this one."""
+        """Return whether every point of another subset is in this one."""
         return not (other.bits & ~self.bits).any()

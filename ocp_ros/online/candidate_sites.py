@@ -178,31 +178,31 @@ class Sites(Candidates):
     :param model: the engine on what has been seen.
     :param places: (M, 3) metres, M >= 1.
     :param plans: placements (K, 6), whose sites are the first.
-    :param sight: the rig.
+    :param rig_state: the rig.
     :param unseen: packed bits of the model's cells that count as unseen.
     :param weight: what covering one of them is worth, metres of depth error.
     :ivar sites: (S, 6) x, y, z in metres, yaw, pitch, roll in radians.
     """
 
     def __init__(self, model: PartialMap, places: np.ndarray, plans: Sequence[np.ndarray],
-                 sight: RigState, unseen: np.ndarray, weight: float) -> None:
+                 rig_state: RigState, unseen: np.ndarray, weight: float) -> None:
         self.model, self.weight = model, weight
-        self.kind_of, firsts = kinds_of(sight)
+        self.kind_of, firsts = kinds_of(rig_state)
         sites, of_kind, views = [], [], []
         for plan in plans:
-            views += [model.look(row, camera.lens) for row, camera in zip(plan, sight.models)]
+            views += [model.look(row, camera.lens) for row, camera in zip(plan, rig_state.models)]
             sites += list(plan)
             of_kind += self.kind_of.tolist()
         for kind, camera in enumerate(firsts):
-            headings = sight.headings(camera, YAWS, PITCHES)
-            look = partial(model.look_many, headings=headings, lens=sight.models[camera].lens)
+            headings = rig_state.headings(camera, YAWS, PITCHES)
+            look = partial(model.look_many, headings=headings, lens=rig_state.models[camera].lens)
             for place, some in zip(places, mapped(look, places)):
                 views += some
                 sites += [np.concatenate([place, heading]) for heading in headings]
                 of_kind += [kind] * len(headings)
         self.sites, self.places = np.array(sites), np.array(sites)[:, :2]
         self._of_kind = [np.flatnonzero(np.array(of_kind) == kind) for kind in range(len(firsts))]
-        self._see(views, fixed_views(model, sight), unseen)
+        self._see(views, fixed_views(model, rig_state), unseen)
         self._near = np.zeros((len(sites), NEIGHBOURS + 1), dtype=np.int64)
         for own in self._of_kind:
             near = self._neighbours(own)
@@ -220,19 +220,21 @@ class Sites(Candidates):
         return self.sites[chosen, 3:]
 
 
-def kinds_of(sight: RigState) -> tuple[np.ndarray, list[int]]:
+def kinds_of(rig_state: RigState) -> tuple[np.ndarray, list[int]]:
     """
     Tell which cameras of a rig may take each other's place.
 
     :returns: (K,) the kind of each camera, and the first camera of each kind.
     """
-    keys = [(model, () if model.omnidirectional else tuple(row[5:] if sight.turns else row[3:]))
-            for model, row in zip(sight.models[:sight.movable], sight.placement)]
+    free = 5 if rig_state.turns else 3
+    keys = [(model, () if model.omnidirectional else tuple(row[free:]))
+            for model, row in zip(rig_state.models[:rig_state.movable], rig_state.placement)]
     kinds = list(dict.fromkeys(keys))
     return np.array([kinds.index(key) for key in keys]), [keys.index(kind) for kind in kinds]
 
 
-def most_places(sight: RigState) -> int:
+def most_places(rig_state: RigState) -> int:
     """Return how many places a rig may be tried in at most: each has some directions."""
-    _, firsts = kinds_of(sight)
-    return max(SITES // sum(len(sight.headings(camera, YAWS, PITCHES)) for camera in firsts), 1)
+    _, firsts = kinds_of(rig_state)
+    headings = sum(len(rig_state.headings(camera, YAWS, PITCHES)) for camera in firsts)
+    return max(SITES // headings, 1)

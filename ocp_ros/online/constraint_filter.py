@@ -27,7 +27,7 @@ from ocp_ros.geometry.cameras import Pose
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.geometry.shadow_maps import in_reach
 from ocp_ros.online.rig_state import clearance_of, Limits, RigState
-from ocp_ros.rig.feasible_region import apart, FeasibleRegion
+from ocp_ros.rig.feasible_region import FeasibleRegion, satisfies_spacing
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.motion import kept_inside, nearest_place, ROUNDING, towards
 from ocp_ros.rig.rig_file import Rig
@@ -267,7 +267,7 @@ class ConstraintFilter:
             newest = newest[(away <= reach).all(axis=1)]
 
         def allowed(places: np.ndarray) -> np.ndarray:
-            good = apart(places, others, self.rig.spacing)
+            good = satisfies_spacing(places, others, self.rig.spacing)
             good &= self._inside(places, bounds) if free is None else free.clear(
                 places, self.rig.keep_clear)
             good[good] = self._allowed.allowed(

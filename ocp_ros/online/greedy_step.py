@@ -50,11 +50,11 @@ class GreedyStep(Online):
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`~ocp_ros.online.online_planner.Online.move`."""
-        self._turns.sight = self.sight
+        self._turns.rig_state = self.rig_state
         try:
             known = self._turns(cloud, positions, turn, turns)
         except SceneError:
-            return self.wander(cloud, positions)
+            return self.random_walk(cloud, positions)
         for camera in order_of(turn, len(positions)):
             best = MOVES[int(np.argmin(_values(known, camera, turn / turns)))]
             here = known.positions[camera]

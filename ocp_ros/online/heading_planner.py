@@ -97,13 +97,14 @@ class HeadingPlanner:
         #: The turn that was thought about before it came.
         self._ahead: int | None = None
 
-    def __call__(self, cloud: np.ndarray, sight: RigState, targets: np.ndarray, max_turn: float,
-                 turn: int, turns: int, hint: np.ndarray | None = None) -> np.ndarray:
+    def __call__(self, cloud: np.ndarray, rig_state: RigState, targets: np.ndarray,
+                 max_turn: float, turn: int, turns: int, hint: np.ndarray | None = None
+                 ) -> np.ndarray:
         """
         Choose how the cameras are turned where they go.
 
         :param cloud: (N, 3) float32, metres, map frame: the points seen so far.
-        :param sight: the cameras as they are.
+        :param rig_state: the cameras as they are.
         :param targets: (K + F, 3) metres: where they go.
         :param max_turn: the most that a camera is turned in a turn, radians.
         :param turn: turns played so far.
@@ -113,28 +114,30 @@ class HeadingPlanner:
         :returns: (K + F, 3) yaw, pitch, roll in radians. The pitch of a camera that was outside
             the limits may still be on its way.
         """
-        self._memory.visit(sight.placement, sight.lenses)
+        self._memory.visit(rig_state.placement, rig_state.lenses)
         if self._ahead != turn:
-            self.think(cloud, sight, targets, max_turn, turn, turns, hint)
+            self.think(cloud, rig_state, targets, max_turn, turn, turns, hint)
         self._ahead = None
-        return turned_towards(sight.placement[:, 3:], self._headings, max_turn)
+        return turned_towards(rig_state.placement[:, 3:], self._headings, max_turn)
 
-    def think(self, cloud: np.ndarray, sight: RigState, targets: np.ndarray, max_turn: float,
+    def think(self, cloud: np.ndarray, rig_state: RigState, targets: np.ndarray, max_turn: float,
               turn: int, turns: int, hint: np.ndarray | None = None,
               interrupted: Callable[[], bool] = never) -> None:
         """
         Choose where the cameras will look; if that is done before the turn has come, it holds.
 
-        :param sight: the cameras as they will be; see :meth:`__call__` for all else.
-        :param interrupted: tells whether what was found so far has to do.
+        :param rig_state: the cameras as they will be; see :meth:`__call__` for all else.
+        :param interrupted: returns whether what was found so far has to do.
         """
-        now = sight.placement[:, 3:]
+        now = rig_state.placement[:, 3:]
         try:
-            model, _ = self._kept(cloud, sight.placement[:sight.movable, :3], FAST, clearance=0.0)
+            model, _ = self._kept(cloud, rig_state.placement[:rig_state.movable, :3], FAST,
+                                  clearance=0.0)
         except SceneError:
             goals = self._swept(now, max_turn)
         else:
-            goals = self._goals(model, sight, targets, max_turn, turn, turns, hint, interrupted)
+            goals = self._goals(model, rig_state, targets, max_turn, turn, turns, hint,
+                                interrupted)
         self._headings, self._ahead = goals, turn
 
     def _swept(self, now: np.ndarray, max_turn: float) -> np.ndarray:
@@ -144,12 +147,12 @@ class HeadingPlanner:
         goals[self.aimed, 1] = np.clip(goals[self.aimed, 1], *self._pitch)
         return goals
 
-    def _goals(self, model: PartialMap, sight: RigState, targets: np.ndarray, max_turn: float,
+    def _goals(self, model: PartialMap, rig_state: RigState, targets: np.ndarray, max_turn: float,
                turn: int, turns: int, hint: np.ndarray | None,
                interrupted: Callable[[], bool]) -> np.ndarray:
         """Choose where the cameras will look before the episode ends."""
-        now, reach = sight.placement[:, 3:], max_turn * max(turns - turn, 1)
-        sought = _Search(model, self._memory.unseen(model), targets, sight.lenses,
+        now, reach = rig_state.placement[:, 3:], max_turn * max(turns - turn, 1)
+        sought = _Search(model, self._memory.unseen(model), targets, rig_state.lenses,
                          self._begun(now, self._headings, reach))
         sought.price(curiosity(turn / turns), self.aimed, self._directions)
         if hint is not None:

@@ -24,7 +24,7 @@ then in small steps, on a model at full resolution and among places that the cam
 reach: a model of thinned points promises what the room does not keep.
 
 In an episode of many turns plans are made while the cameras move; see
-:class:`~ocp_ros.online.online_planner.ThinksAhead`.
+:class:`~ocp_ros.online.online_planner.PipelinedPlanner`.
 """
 
 import numpy as np
@@ -34,8 +34,8 @@ from ocp_ros.online.online_planner import (
     KnownTurn,
     matched,
     Online,
+    PipelinedPlanner,
     REFINING,
-    ThinksAhead,
 )
 from ocp_ros.online.partial_map import cell_weight, KeptModel, PartialMap
 from ocp_ros.online.rig_state import AROUND, clearance_of, fixed_views, RigState, view_from
@@ -52,8 +52,9 @@ QUICK_POINTS, QUICK_ROWS = 6000, 32
 KEPT = 2
 #: Points and rows of depth maps of the model to refine on, and turns that it is kept for at least.
 REFINING_POINTS, REFINING_ROWS, REFINING_KEPT = 60000, 128, 4
-#: Proposals of a turn of refinement, and of one that makes a model as well.
-STEPS, FEWER_STEPS = 240, 16
+#: Proposals of a turn of refinement, of one of many turns, and of one that makes a model as well;
+#: those that a camera is asked in a row: what the others settle is looked at once.
+STEPS, STEPS_OF_MANY, FEWER_STEPS, IN_A_ROW = 240, 112, 16, 16
 #: First and last temperature of the refinement, in multiples of the best plan's error, and the
 #: error from which these are taken at least, metres.
 WARM, COOL, LEAST = 0.1, 0.003, 1e-3
@@ -65,7 +66,7 @@ WIDE, NARROW = 0.5, 0.05
 TOGETHER = 4
 
 
-class Lookahead(ThinksAhead):
+class Lookahead(PipelinedPlanner):
     """
     Explore, plan on what has been seen, and refine the plan while walking to it.
 
@@ -78,11 +79,11 @@ class Lookahead(ThinksAhead):
         self.guide = guide
         self.reset()
 
-    def know(self, sight: RigState | None) -> None:
-        """Tell the guide as well; see :meth:`Online.know`."""
-        super().know(sight)
+    def set_rig_state(self, rig_state: RigState | None) -> None:
+        """Tell the guide as well; see :meth:`Online.set_rig_state`."""
+        super().set_rig_state(rig_state)
         if self.guide is not None:
-            self.guide.know(sight)
+            self.guide.set_rig_state(rig_state)
 
     def reset(self) -> None:
         """Forget the last episode."""
@@ -97,7 +98,7 @@ class Lookahead(ThinksAhead):
         self._made = 0
 
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
-        """Plan for a turn; see :meth:`ThinksAhead._think`."""
+        """Plan for a turn; see :meth:`PipelinedPlanner._think`."""
         if turn >= REFINING * turns:
             self._refine(cloud, positions, turn, turns)
             return
@@ -131,12 +132,12 @@ class Lookahead(ThinksAhead):
         plans = [np.hstack([space.placement(space.inside(plan[:, :2])), plan[:, 3:]])
                  for plan in plans]
         if self.directional:
-            places = space.placement(space.grid(min(count, most_places(self.sight))))
-            self._candidates = Sites(model, places, plans, self.sight, unseen, weight)
+            places = space.placement(space.grid(min(count, most_places(self.rig_state))))
+            self._candidates = Sites(model, places, plans, self.rig_state, unseen, weight)
         else:
             places = np.vstack([*(plan[:, :2] for plan in plans), space.grid(count)])
             self._candidates = Candidates(model, places, space, cameras, unseen, weight,
-                                          fixed_views(model, self.sight))
+                                          fixed_views(model, self.rig_state))
         begun = np.arange(len(plans) * cameras).reshape(-1, cameras).tolist()
         if not self._planned(cameras):
             begun.append(self._candidates.fill())
@@ -157,11 +158,11 @@ class Lookahead(ThinksAhead):
 
     def _refine(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Anneal the plan in small steps, among what can be reached."""
-        steps = STEPS
+        steps = STEPS_OF_MANY if self._ahead(turns) else STEPS
         first_time = self._kept.made is None
         if first_time or (turn - self._made >= REFINING_KEPT
                           and not self._kept.lasts(cloud, positions)):
-            self._kept.make(cloud, positions, FINE, clearance_of(self.sight, self.clearance))
+            self._kept.make(cloud, positions, FINE, clearance_of(self.rig_state, self.clearance))
             self._made, steps = turn, FEWER_STEPS
         if first_time:
             self._survey(positions)
@@ -171,26 +172,31 @@ class Lookahead(ThinksAhead):
         placed = best = np.array([
             area.inside(place) for area, place in zip(reached, self.targets, strict=True)])
         headings = best_headings = self._planned_headings()
-        views = [view_from(model, self.sight, camera, position,
+        views = [view_from(model, self.rig_state, camera, position,
                            None if headings is None else headings[camera])
                  for camera, position in enumerate(self._space.placement(placed))]
-        fixed = fixed_views(model, self.sight)
+        fixed = fixed_views(model, self.rig_state)
         error = best_error = model.error(views + fixed)
         for step in range(0, steps, TOGETHER):
             if self.interrupted():
                 break
+            if step % IN_A_ROW == 0:
+                camera = int(self.rng.integers(len(placed)))
+                others = model.together([*views[:camera], *views[camera + 1:], *fixed])
+                error_with = model.depth_error.given(others.seen)
             share = (turn - first + step / steps) / (turns - first)
             temperature = max(best_error, LEAST) * between(WARM, COOL, share)
-            trials = [self._trial(placed, headings, reached, share) for _ in range(TOGETHER)]
-            looks = mapped(lambda trial, model=model: view_from(model, self.sight, *trial), trials)
-            for (camera, position, heading), view in zip(trials, looks):
-                trial_views = [*views[:camera], view, *views[camera + 1:]]
+            trials = [self._trial(camera, placed, headings, reached[camera], share)
+                      for _ in range(TOGETHER)]
+            looks = mapped(lambda trial, model=model, camera=camera: view_from(
+                model, self.rig_state, camera, *trial), trials)
+            for (position, heading), view in zip(trials, looks):
                 most = error + temperature * self.rng.exponential()
-                trial_error = model.error(trial_views + fixed, most)
+                trial_error = error_with(view.seen, most)
                 if trial_error > most:
                     continue
-                placed, views, error = placed.copy(), trial_views, trial_error
-                placed[camera] = position[:2]
+                placed, error = placed.copy(), trial_error
+                placed[camera], views[camera] = position[:2], view
                 if headings is not None:
                     headings = headings.copy()
                     headings[camera] = heading
@@ -206,35 +212,33 @@ class Lookahead(ThinksAhead):
         self._chosen = self._candidates.anneal(self._chosen, self.rng)
         self._settle(positions)
 
-    def _trial(self, placed: np.ndarray, headings: np.ndarray | None, reached: list[FreePlane],
-               share: float) -> tuple[int, np.ndarray, np.ndarray | None]:
+    def _trial(self, camera: int, placed: np.ndarray, headings: np.ndarray | None,
+               space: FreePlane, share: float) -> tuple[np.ndarray, np.ndarray | None]:
         """
-        Draw a place near that of any camera, of those that it can reach.
+        Draw a place near that of a camera, of those that it can reach.
 
-        :returns: the camera, its position (3,) in metres, and its heading (3,) in radians; None
-            where all are omnidirectional.
+        :returns: its position (3,) in metres, and its heading (3,) in radians; None where all are
+            omnidirectional.
         """
-        camera = int(self.rng.integers(len(placed)))
-        space = reached[camera]
         place = space.reflected(
             placed[camera] + self.rng.normal(0.0, between(FAR, NEAR, share), 2))
         heading = None if headings is None else self._wiggled(
             headings[camera], camera, between(WIDE, NARROW, share))
-        return camera, space.placement(place[None])[0], heading
+        return space.placement(place[None])[0], heading
 
     def _planned_headings(self) -> np.ndarray | None:
         """Return how the cameras are turned in the plan; None where all are omnidirectional."""
         if not self.directional:
             return None
-        if self.headings is not None and self.sight.turns:
+        if self.headings is not None and self.rig_state.turns:
             return self.headings
-        return self.sight.placement[:self.sight.movable, 3:].copy()
+        return self.rig_state.placement[:self.rig_state.movable, 3:].copy()
 
     def _wiggled(self, heading: np.ndarray, camera: int, most: float) -> np.ndarray:
         """Turn a camera that is not omnidirectional a little, within its limits: (3,)."""
-        if not self.sight.turns or camera not in self.sight.aimed:
+        if not self.rig_state.turns or camera not in self.rig_state.aimed:
             return heading
         turned = heading.copy()
         turned[:2] += self.rng.normal(0.0, most, 2)
-        turned[1] = np.clip(turned[1], *self.sight.pitch)
+        turned[1] = np.clip(turned[1], *self.rig_state.pitch)
         return turned

@@ -73,7 +73,7 @@ def used_part(room: np.ndarray) -> tuple[slice, slice]:
     return slice(firsts[0], CELLS - firsts[0]), slice(firsts[1], CELLS - firsts[1])
 
 
-def told_of(lens: Frustum | None) -> np.ndarray:
+def lens_features(lens: Frustum | None) -> np.ndarray:
     """
     Tell of a lens.
 
@@ -178,7 +178,7 @@ class ObservationMap:
         self._halves = np.where(cells >= 0, cells + (above > SPLIT) * CELLS * CELLS, -1)
         self._air = _AirColumns(model, self.window, floor)
         slices = np.where(cells >= 0, cells + np.searchsorted(SLICES, above) * CELLS * CELLS, -1)
-        worth = model.depth_error.by_point(no_bits(len(model.points)))
+        worth = model.depth_error.error_by_point(no_bits(len(model.points)))
         self.room = np.concatenate([
             _density(_summed(slices, len(SLICES) + 1)),
             _share(_summed(self._halves, 2, worth) / model.depth_error.worst),
@@ -197,7 +197,7 @@ class ObservationMap:
         """
         model, together = self._model, self._model.together(views)
         unseen = ~unpack(together.seen, len(model.points))
-        lost = model.depth_error.by_point(together.seen)
+        lost = model.depth_error.error_by_point(together.seen)
         error, worst = float(lost.sum()), model.depth_error.worst
         channels = np.concatenate([
             _density(_summed(np.where(unseen, self._halves, -1), 2)),

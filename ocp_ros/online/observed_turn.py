@@ -18,7 +18,7 @@ import numpy as np
 from ocp_ros.geometry.packed_bits import count_bits, unpack
 from ocp_ros.geometry.visibility import FAST, FINE
 from ocp_ros.online.partial_map import KeptModel, LookHistory, PartialMap
-from ocp_ros.online.rig_state import clearance_of, fixed_views, remember, RigState, view_from
+from ocp_ros.online.rig_state import clearance_of, fixed_views, record_views, RigState, view_from
 from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
 from ocp_ros.simulation.simulator import View
 
@@ -37,15 +37,15 @@ class ObservedTurn:
     :param unseen: packed bits of the model's cells that no camera has covered.
     :param space: where the cameras may be.
     :param positions: (K, 3) metres: where they are, or will be after the turn.
-    :param sight: what cameras see and how they are turned; None if all are omnidirectional.
+    :param rig_state: what cameras see and how they are turned; None if all are omnidirectional.
     """
 
     def __init__(self, model: PartialMap, unseen: np.ndarray, space: FreePlane,
-                 positions: np.ndarray, sight: RigState | None = None) -> None:
+                 positions: np.ndarray, rig_state: RigState | None = None) -> None:
         self.model, self.unseen, self.space = model, unseen, space
-        self.positions, self._sight = positions.copy(), sight
+        self.positions, self._sight = positions.copy(), rig_state
         self._views = [self.look(camera, position) for camera, position in enumerate(positions)]
-        self._fixed = fixed_views(model, sight)
+        self._fixed = fixed_views(model, rig_state)
 
     def look(self, camera: int, position: np.ndarray) -> View:
         """Compute what a camera would see at a position (3,)."""
@@ -106,7 +106,7 @@ class ObservedTurns:
                  points: int, rows: int) -> None:
         self._settings, self._clearance = (max_range, wall_margin, points, rows), clearance
         #: What cameras see and how they are turned; None if all are omnidirectional.
-        self.sight: RigState | None = None
+        self.rig_state: RigState | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -125,7 +125,7 @@ class ObservedTurns:
         :param turns: turns of the whole episode.
         :raises SceneError: if the points are too few or too flat to be a room.
         """
-        remember(self._history, positions, self.sight)
+        record_views(self._history, positions, self.rig_state)
         model, space = self._kept(cloud, positions, FINE if turn >= LATE * turns else FAST,
-                                  clearance_of(self.sight, self._clearance))
-        return ObservedTurn(model, self._history.unseen(model), space, positions, self.sight)
+                                  clearance_of(self.rig_state, self._clearance))
+        return ObservedTurn(model, self._history.unseen(model), space, positions, self.rig_state)

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.online.heading_planner import never
 from ocp_ros.online.partial_map import LookHistory, PartialMap
-from ocp_ros.online.rig_state import clearance_of, remember, RigState
+from ocp_ros.online.rig_state import clearance_of, record_views, RigState
 from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
 from ocp_ros.rig.motion import bounded_moves, towards
 from ocp_ros.rig.rig_file import Rig
@@ -60,11 +60,11 @@ def matched(positions: np.ndarray, targets: np.ndarray, kinds: np.ndarray | None
     return linear_sum_assignment(way)[1]
 
 
-def standing(positions: np.ndarray, sight: RigState | None) -> np.ndarray:
+def standing(positions: np.ndarray, rig_state: RigState | None) -> np.ndarray:
     """Return how cameras at positions (K, 3) stand: (K, 6) metres and radians."""
-    if sight is None:
+    if rig_state is None:
         return np.hstack([positions, np.zeros_like(positions)])
-    return np.hstack([positions, sight.placement[:sight.movable, 3:]])
+    return np.hstack([positions, rig_state.placement[:rig_state.movable, 3:]])
 
 
 def settings_of(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator) -> tuple:
@@ -118,16 +118,16 @@ class Online(ABC):
                  wall_margin: float, clearance: float = CLEARANCE) -> None:
         self.rng, self.max_step, self.max_range = rng, max_step, max_range
         self.wall_margin, self.clearance = wall_margin, clearance
-        self.sight: RigState | None = None
+        self.rig_state: RigState | None = None
 
-    def know(self, sight: RigState | None) -> None:
+    def set_rig_state(self, rig_state: RigState | None) -> None:
         """Learn before a turn how the cameras stand and what each sees; None for all around."""
-        self.sight = sight
+        self.rig_state = rig_state
 
     @property
     def directional(self) -> bool:
         """Return whether a camera is known not to be omnidirectional."""
-        return self.sight is not None and bool(self.sight.aimed)
+        return self.rig_state is not None and bool(self.rig_state.aimed)
 
     def reset(self) -> None:  # noqa: B027
         """Forget the last episode; most planners remember nothing."""
@@ -153,11 +153,11 @@ class Online(ABC):
         :returns: (K, 6) metres, map frame, and radians.
         """
         positions = known.positions
-        placed = standing(positions, self.sight)
+        placed = standing(positions, self.rig_state)
         placed[:, :2] += self.move(known.cloud, positions, known.turn, known.turns)
         return placed
 
-    def reflect(self) -> None:  # noqa: B027
+    def plan_ahead(self) -> None:  # noqa: B027
         """
         Think about the next turn while the cameras move; most planners only answer.
 
@@ -167,7 +167,7 @@ class Online(ABC):
     def space(self, cloud: np.ndarray, positions: np.ndarray) -> FreePlane:
         """Return where the cameras may be as far as is known; the cloud is not empty."""
         return FreePlane.around(cloud, positions, self.wall_margin,
-                                clearance_of(self.sight, self.clearance))
+                                clearance_of(self.rig_state, self.clearance))
 
     def towards(self, positions: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """
@@ -185,7 +185,7 @@ class Online(ABC):
             return positions[:, :2]
         return self.towards(positions, self.targets)
 
-    def wander(self, cloud: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    def random_walk(self, cloud: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """Move at random, for want of anything to plan with: (K, 2) metres."""
         moves = bounded_moves(self.rng.uniform(-1.0, 1.0, (len(positions), 2)), self.max_step)
         if len(cloud) == 0:
@@ -201,17 +201,17 @@ class PlannedTurn(NamedTuple):
     :ivar cloud: (M, 3) float32, metres: the points seen so far.
     :ivar positions: (K, 3) metres, where the cameras will be.
     :ivar turn: turns played by then, of so many ``turns``.
-    :ivar sight: how the cameras stood when the cloud was seen.
+    :ivar rig_state: how the cameras stood when the cloud was seen.
     """
 
     cloud: np.ndarray
     positions: np.ndarray
     turn: int
     turns: int
-    sight: RigState | None
+    rig_state: RigState | None
 
 
-class ThinksAhead(Online):
+class PipelinedPlanner(Online):
     """
     A planner that in an episode of many turns plans while the cameras move.
 
@@ -244,46 +244,46 @@ class ThinksAhead(Online):
         return self._space.on_way(positions[:, :2], self.targets, self.max_step)
 
     def _ahead(self, turns: int) -> bool:
-        """Tell whether plans are made while the cameras move, in an episode of so many turns."""
+        """Return whether plans are made while the cameras move, in an episode of so many turns."""
         return turns >= AHEAD
 
     def _waited_for(self, turn: int, turns: int, cameras: int) -> bool:
-        """Tell whether a turn is planned for when its cloud is there."""
+        """Return whether a turn is planned for when its cloud is there."""
         return not (self._ahead(turns) and self._planned(cameras))
 
     def _planned(self, cameras: int) -> bool:
-        """Tell whether there is a plan for so many cameras."""
+        """Return whether there is a plan for so many cameras."""
         return self.targets is not None and len(self.targets) == cameras
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`Online.move`."""
-        self.reflect()
-        remember(self.memory, positions, self.sight)
+        self.plan_ahead()
+        record_views(self.memory, positions, self.rig_state)
         try:
             if self._waited_for(turn, turns, len(positions)):
                 self._think(cloud, positions, turn, turns)
         except SceneError:
-            return self.wander(cloud, positions)
+            return self.random_walk(cloud, positions)
         goals = self.goals(positions)
         if turn + 1 < turns and not self._waited_for(turn + 1, turns, len(positions)):
-            self.think_of(PlannedTurn(cloud.copy(), np.column_stack([goals, positions[:, 2]]),
-                                      turn + 1, turns, self.sight))
+            self.plan_later(PlannedTurn(cloud.copy(), np.column_stack([goals, positions[:, 2]]),
+                                        turn + 1, turns, self.rig_state))
         return goals - positions[:, :2]
 
-    def think_of(self, turn: PlannedTurn) -> None:
+    def plan_later(self, turn: PlannedTurn) -> None:
         """Leave a turn to be planned for while the cameras move."""
         self._next = turn
 
-    def reflect(self) -> None:
-        """Make the next plan, where a turn has been left to it; see :meth:`Online.reflect`."""
+    def plan_ahead(self) -> None:
+        """Make the next plan, where a turn has been left to it; see :meth:`Online.plan_ahead`."""
         if self._next is None:
             return
-        (cloud, positions, turn, turns, sight), now = self._next, self.sight
-        self._next, self.sight = None, sight
+        (cloud, positions, turn, turns, rig_state), now = self._next, self.rig_state
+        self._next, self.rig_state = None, rig_state
         try:
             self._think(cloud, positions, turn, turns)
         except SceneError:
             # The plan so far holds; a cloud that is no room yet will grow.
             pass
         finally:
-            self.sight = now
+            self.rig_state = now

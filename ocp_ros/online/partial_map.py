@@ -238,7 +238,7 @@ class KeptModel:
         self._of = len(cloud), len(positions), height
 
     def lasts(self, cloud: np.ndarray, positions: np.ndarray) -> bool:
-        """Tell whether the model does for a cloud and cameras; see :meth:`make`."""
+        """Return whether the model does for a cloud and cameras; see :meth:`make`."""
         points, cameras, height = self._of
         return (points <= len(cloud) <= (1.0 + GROWTH) * points and cameras == len(positions)
                 and height == float(np.median(positions[:, 2])))

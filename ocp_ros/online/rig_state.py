@@ -113,42 +113,42 @@ class Command(NamedTuple):
     held: list[str]
 
 
-def clearance_of(sight: RigState | None, otherwise: float) -> float:
+def clearance_of(rig_state: RigState | None, otherwise: float) -> float:
     """Return how far a plane keeps from surfaces, metres: a setting, or a rig's own if not 0."""
-    if not otherwise or sight is None or sight.clearance is None:
+    if not otherwise or rig_state is None or rig_state.clearance is None:
         return otherwise
-    return sight.clearance
+    return rig_state.clearance
 
 
-def fixed_views(model: PartialMap, sight: RigState | None) -> list[View]:
+def fixed_views(model: PartialMap, rig_state: RigState | None) -> list[View]:
     """Return what the cameras in place see of what is known, as far as there are any."""
-    if sight is None:
+    if rig_state is None:
         return []
-    first = sight.movable
-    return [model.look(camera, lens)
-            for camera, lens in zip(sight.placement[first:], sight.lenses[first:], strict=True)]
+    first = rig_state.movable
+    fixed = zip(rig_state.placement[first:], rig_state.lenses[first:], strict=True)
+    return [model.look(camera, lens) for camera, lens in fixed]
 
 
-def view_from(model: PartialMap, sight: RigState | None, camera: int,
+def view_from(model: PartialMap, rig_state: RigState | None, camera: int,
               position: np.ndarray, heading: np.ndarray | None = None) -> View:
     """Compute what a camera would see at a position (3,), turned by a heading (3,) or as it is."""
-    lens = None if sight is None else sight.lenses[camera]
+    lens = None if rig_state is None else rig_state.lenses[camera]
     if lens is None:
         return model.look(position)
-    turned = sight.placement[camera, 3:] if heading is None else heading
+    turned = rig_state.placement[camera, 3:] if heading is None else heading
     return model.look(np.concatenate([position, turned]), lens)
 
 
-def remember(memory: LookHistory, positions: np.ndarray, sight: RigState | None) -> None:
+def record_views(memory: LookHistory, positions: np.ndarray, rig_state: RigState | None) -> None:
     """
     Take note of where cameras have looked at a turn, those in place included.
 
     :param positions: (K, 3) metres, of those that may be moved.
     """
-    if sight is None:
+    if rig_state is None:
         memory.visit(positions)
     else:
-        memory.visit(sight.placement, sight.lenses)
+        memory.visit(rig_state.placement, rig_state.lenses)
 
 
 def directions(pitch: tuple[float, float], yaws: int, pitches: int) -> np.ndarray:

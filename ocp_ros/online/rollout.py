@@ -54,7 +54,7 @@ def play(online: Online, episode: Episode, over: Callable[[int], bool] = lambda 
 
     :param online: moves the cameras; it is reset first.
     :param episode: a new one.
-    :param over: gets the turns played so far and tells whether to end before all are.
+    :param over: gets the turns played so far and returns whether to end before all are.
     :param clock: tells the seconds.
     """
     config, rig = episode.config, episode.problem.rig

@@ -73,7 +73,7 @@ class OnlineStep:
         :param turn: time steps taken so far.
         :param turns: time steps of the whole episode.
         """
-        self.reflect()
+        self.plan_ahead()
         moves = self.plan(cloud, state, turn, turns)
         placement = state.placement.copy()
         targets, held = self.constraints(cloud, state, moves)
@@ -89,7 +89,7 @@ class OnlineStep:
     def plan(self, cloud: np.ndarray, state: RigState, turn: int, turns: int) -> np.ndarray:
         """Show the planner what is; return its moves (K, 2), metres, none where it fails."""
         positions = state.placement[:state.movable, :3]
-        self.planner.know(state)
+        self.planner.set_rig_state(state)
         # Planners know what to do without a room. What else may happen, a node goes on.
         with self._reported('planner', 'where they are'):
             moves = self.planner.move(cloud, positions, turn, turns)
@@ -98,18 +98,18 @@ class OnlineStep:
             return moves
         return np.zeros((state.movable, 2))
 
-    def reflect(self, interrupted: Callable[[], bool] = never) -> None:
+    def plan_ahead(self, interrupted: Callable[[], bool] = never) -> None:
         """
         Think about the next turn while the cameras move: its plan, where they may be, how to aim.
 
         Who does not call it gets the same answers: the next step makes up for it.
 
-        :param interrupted: tells whether the next turn has waited for too long; then what was
+        :param interrupted: returns whether the next turn has waited for too long; then what was
             found so far has to do.
         """
         self.planner.interrupted = interrupted
         with self._reported('planner', 'where they are'):
-            self.planner.reflect()
+            self.planner.plan_ahead()
         self.planner.interrupted = never
         if self._next is None:
             return

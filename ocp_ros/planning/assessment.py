@@ -24,7 +24,7 @@ from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.geometry.visibility import MESH
 from ocp_ros.planning.camera_words import aim_of, Words, words_for
-from ocp_ros.planning.findings import scores_of, verdict
+from ocp_ros.planning.findings import evaluate_placement, scores_of
 from ocp_ros.planning.wall_references import Corner, nearest_corner, ReferenceWall, WallReferences
 from ocp_ros.rig.placement_file import created_by, data_of, Placement
 from ocp_ros.rig.structure import floor_height
@@ -94,7 +94,7 @@ class Assessment:
         """Return where the depth error is: (N,) metres, whose sum is the error."""
         simulator, lost = self.objective.simulator, np.empty(len(self.scene))
         seen = self.objective.evaluate(self.placement.poses).seen
-        lost[seen.order] = simulator.depth_error.by_point(seen.bits)
+        lost[seen.order] = simulator.depth_error.error_by_point(seen.bits)
         return lost
 
     @cached_property
@@ -165,7 +165,7 @@ def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str
                  f'the scores are those of the preset {engine.preset}']
     problem = Problem.of(scene, rig, SimulationConfig(engine=engine))
     found = {'room': room, 'cameras': data_of(placement)['cameras'],
-             **verdict(problem, placement.poses)}
+             **evaluate_placement(problem, placement.poses)}
     scores = found['scores']
     if (planned := placement.planned_poses) is not None:
         found['planned'] = scores_of(problem.objective, problem.look(planned))

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.planning.promise import expected, notes_on
-from ocp_ros.rig.feasible_region import apart, FeasibleRegion
+from ocp_ros.rig.feasible_region import FeasibleRegion, satisfies_spacing
 from ocp_ros.rig.plausibility import missing_surfaces, room_notes
 from ocp_ros.rig.rig_file import Camera
 from ocp_ros.simulation.objective import Objective
@@ -36,7 +36,7 @@ CELL, NAMED = 1.0, 3
 HOPELESS, MISSED = 0.3, 0.9
 
 
-def verdict(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
+def evaluate_placement(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
     """
     Return all there is to say about a placement as plain data.
 
@@ -161,7 +161,7 @@ def improvements(problem: Problem, poses: np.ndarray, views: Sequence[View]) -> 
             offered = problem.region.candidates(rig.models[camera], CANDIDATES // len(models))
         except ConfigurationError:
             continue
-        offered = offered[apart(offered[:, :3], poses[:, :3], rig.spacing)]
+        offered = offered[satisfies_spacing(offered[:, :3], poses[:, :3], rig.spacing)]
         more = simulator.look_many(offered, camera)
         for view in more:
             reachable |= view.seen

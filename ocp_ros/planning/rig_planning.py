@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.planning.assessment import Assessment, COLUMNS
-from ocp_ros.planning.findings import verdict
+from ocp_ros.planning.findings import evaluate_placement
 from ocp_ros.rig.placement_file import created_by, data_of, Placement, placement_of
 from ocp_ros.rig.rig_file import Rig, with_count
 from ocp_ros.scenes.scene import Scene
@@ -117,7 +117,7 @@ class PlannedRig:
                                   task.planner)
         self.plans = list(self._counted(rig, task.counting) if task.counting
                           else [self.planner.plan(rig)])
-        self.plans[-1] = self.planner.certified(self.plans[-1], budget.again(proving))
+        self.plans[-1] = self.planner.certified(self.plans[-1], budget.restarted(proving))
 
     @property
     def best(self) -> RigPlan:
@@ -152,7 +152,7 @@ class PlannedRig:
         """
         problem = self.planner.problem(self.best.rig)
         found = {'room': placement.room, 'cameras': data_of(placement)['cameras'],
-                 **verdict(problem, placement.poses), 'search': self._search()}
+                 **evaluate_placement(problem, placement.poses), 'search': self._search()}
         if self.task.counting is not None:
             found |= {'curve': rows_of_curve(self.plans), 'count': self._count()}
         judged = Assessment(problem.objective, replace(placement, scores=found['scores']), found,
@@ -172,14 +172,14 @@ class PlannedRig:
         """Return how the answer was found and what it compares with, as plain data."""
         plan, answer, random = self.best, self.best.answer, self.best.random
         return {'planner': plan.planner, 'seed': self.task.seed,
-                'loss': plan.worth.loss, 'searches': sorted(answer.losses),
+                'loss': plan.evaluation.loss, 'searches': sorted(answer.losses),
                 'evaluations': answer.evaluations, 'seconds': round(plan.seconds, 2),
                 'stopped': self.budget.stopped, 'candidates': plan.candidates,
                 'random': {'placements': len(random),
                            'median': float(np.median(random)) if len(random) else None,
                            'best': float(random.min()) if len(random) else None},
-                'everywhere': {'loss': plan.everywhere.loss,
-                               'depth_error': plan.everywhere.depth_error},
+                'everywhere': {'loss': plan.union_bound.loss,
+                               'depth_error': plan.union_bound.depth_error},
                 'certificate': certificate_data(plan)}
 
 
@@ -204,8 +204,9 @@ def certificate_data(plan: RigPlan) -> dict[str, Any]:
 
 def rows_of_curve(plans: Sequence[RigPlan]) -> list[dict[str, Any]]:
     """Return what each number of cameras is worth, as plain data."""
-    return [{'cameras': len(plan.rig.cameras), 'loss': plan.worth.loss,
-             'depth_error': plan.worth.depth_error, 'space_coverage': plan.worth.space_coverage,
+    return [{'cameras': len(plan.rig.cameras), 'loss': plan.evaluation.loss,
+             'depth_error': plan.evaluation.depth_error,
+             'space_coverage': plan.evaluation.space_coverage,
              **{f'share_{name}': share for name, share in plan.shares.items()},
              'seconds': round(plan.seconds, 2)} for plan in plans]
 

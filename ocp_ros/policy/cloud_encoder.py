@@ -19,7 +19,7 @@ from contextlib import suppress
 import numpy as np
 from ocp_ros.online.observed_turn import ObservedTurn, ObservedTurns
 from ocp_ros.policy.agent_config import AgentConfig
-from ocp_ros.policy.cloud_observation import chosen, encode, MARKS, told_of_others
+from ocp_ros.policy.cloud_observation import chosen, encode, features_of_others, MARKS
 from ocp_ros.rig.free_plane import CLEARANCE
 from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.scenes.scene import SceneError
@@ -56,7 +56,7 @@ class EncodedTurn:
         if known is not None:
             marks = chosen(np.stack(known.seen_now(camera), axis=1).astype(np.uint8), config)
         return {**self._cloud, 'cameras': self._cloud['cameras'][camera:camera + 1],
-                'others': told_of_others(camera, self.positions, self._has_chosen, config),
+                'others': features_of_others(camera, self.positions, self._has_chosen, config),
                 'turn': np.array([self._time, len(self.positions) / 4.0, unseen], np.float32),
                 'marks': marks}
 

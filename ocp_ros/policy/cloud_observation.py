@@ -75,8 +75,8 @@ def chosen(rows: np.ndarray, config: AgentConfig) -> np.ndarray:
     return rows[np.arange(config.points) * len(rows) // config.points]
 
 
-def told_of_others(camera: int, positions: np.ndarray, has_chosen: np.ndarray,
-                   config: AgentConfig) -> np.ndarray:
+def features_of_others(camera: int, positions: np.ndarray, has_chosen: np.ndarray,
+                       config: AgentConfig) -> np.ndarray:
     """
     Tell a camera of the others, the nearest first.
 

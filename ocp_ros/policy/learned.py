@@ -39,10 +39,10 @@ class Learned(Online):
         super().__init__(*settings)
         self.policy = policy
 
-    def know(self, sight: RigState | None) -> None:
-        """Tell what the policy reads; see :meth:`Online.know`."""
-        super().know(sight)
-        self.policy.encoder.turns.sight = sight
+    def set_rig_state(self, rig_state: RigState | None) -> None:
+        """Tell what the policy reads; see :meth:`Online.set_rig_state`."""
+        super().set_rig_state(rig_state)
+        self.policy.encoder.turns.rig_state = rig_state
 
     def reset(self) -> None:
         """Forget the last episode."""
@@ -51,7 +51,7 @@ class Learned(Online):
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`Online.move`."""
         if len(cloud) == 0:
-            return self.wander(cloud, positions)
+            return self.random_walk(cloud, positions)
         flat = positions[:, :2]
         moves = bounded_moves(self.policy.act(cloud, positions, turn, turns), self.max_step)
         return self.space(cloud, positions).moved(flat, moves, self.max_step) - flat

@@ -30,9 +30,9 @@ from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.geometry.visibility import FAST
 from ocp_ros.online.candidate_sites import kinds_of, PITCHES, YAWS
 from ocp_ros.online.observation_map import at_yaws, CELLS, FLOOR, Window
-from ocp_ros.online.online_planner import KnownTurn, matched, standing, ThinksAhead
+from ocp_ros.online.online_planner import KnownTurn, matched, PipelinedPlanner, standing
 from ocp_ros.online.partial_map import KeptModel, NO_CELL, PartialMap
-from ocp_ros.online.rig_state import clearance_of, remember
+from ocp_ros.online.rig_state import clearance_of, record_views
 from ocp_ros.policy.map_turn import MapTurn
 from ocp_ros.rig.motion import order_of
 from ocp_ros.scenes.scene import SceneError
@@ -61,7 +61,7 @@ PER_METRE, GAIN = 0.01, 0.02
 CURIOSITY, EXPLORING, AROUND = 1.5, 0.5, 1.5
 
 
-class MapActor(ThinksAhead):
+class MapActor(PipelinedPlanner):
     """
     Go where a trained network says.
 
@@ -96,7 +96,7 @@ class MapActor(ThinksAhead):
     def begin(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int
               ) -> MapTurn | None:
         """Take note of a turn, see :meth:`move`; None where nothing is known of the room."""
-        remember(self.memory, positions, self.sight)
+        record_views(self.memory, positions, self.rig_state)
         try:
             return self._read(cloud, positions, turn, turns)
         except SceneError:
@@ -105,7 +105,7 @@ class MapActor(ThinksAhead):
     def _read(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> MapTurn:
         """Read what is known at a turn; see :meth:`_think`."""
         model, self._space = self._kept(cloud, positions, FAST,
-                                        clearance_of(self.sight, self.clearance))
+                                        clearance_of(self.rig_state, self.clearance))
         return self._map_of(KnownTurn(cloud, positions, turn, turns, model, self._space,
                                       self.memory.unseen(model)))
 
@@ -113,15 +113,15 @@ class MapActor(ThinksAhead):
         """Return the map of what is known, with where cameras go so far."""
         positions = known.positions
         if not self._planned(len(positions)):
-            self._plan, self._turns = standing(positions, self.sight), 0
+            self._plan, self._turns = standing(positions, self.rig_state), 0
         plan = self._plan.copy()
         plan[:, :2], plan[:, 2] = known.space.inside(plan[:, :2]), positions[:, 2]
-        return MapTurn(known.model, known.space, known.unseen, plan, positions, self.sight,
+        return MapTurn(known.model, known.space, known.unseen, plan, positions, self.rig_state,
                        self.max_range, (known.turns - known.turn) * self.max_step,
                        known.turns >= MANY)
 
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
-        """Let cameras choose again; see :meth:`ThinksAhead._think`."""
+        """Let cameras choose again; see :meth:`PipelinedPlanner._think`."""
         self._choose(self._read(cloud, positions, turn, turns), turn, turns)
 
     def propose(self, known: KnownTurn) -> np.ndarray:
@@ -186,13 +186,13 @@ class MapActor(ThinksAhead):
         """Turn a camera all ways at places (M, 3): rows (M * H, 6), and the place of each."""
         headings = np.zeros((1, 3))
         if self.directional:
-            headings = self.sight.headings(camera, YAWS, PITCHES)
+            headings = self.rig_state.headings(camera, YAWS, PITCHES)
         of_places = np.repeat(np.arange(len(places)), len(headings))
         return np.hstack([places[of_places], np.tile(headings, (len(places), 1))]), of_places
 
     def _kinds(self) -> np.ndarray | None:
         """Tell which cameras may take each other's places: (K,); None for all."""
-        return None if self.sight is None else kinds_of(self.sight)[0]
+        return None if self.rig_state is None else kinds_of(self.rig_state)[0]
 
 
 def _share(model: PartialMap, unseen: np.ndarray) -> float:

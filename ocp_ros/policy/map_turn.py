@@ -16,7 +16,7 @@
 
 import numpy as np
 from ocp_ros.geometry.cameras import Frustum
-from ocp_ros.online.observation_map import CELLS, ObservationMap, told_of
+from ocp_ros.online.observation_map import CELLS, lens_features, ObservationMap
 from ocp_ros.online.partial_map import PartialMap
 from ocp_ros.online.rig_state import fixed_views, RigState
 from ocp_ros.rig.free_plane import FreePlane
@@ -32,7 +32,7 @@ class MapTurn:
     :param unseen: packed bits of the model's cells of the air that no camera has covered yet.
     :param plan: (K, 6) metres and radians: where each camera goes, and how it is turned there.
     :param positions: (K, 3) metres: where the cameras are.
-    :param sight: how they stand and what each sees; None for 360-degree cameras.
+    :param rig_state: how they stand and what each sees; None for 360-degree cameras.
     :param max_range: of the cameras, metres.
     :param reach: how far a camera may still go, metres.
     :param aimed: whether cameras that do not see all around are valued by heading.
@@ -41,15 +41,15 @@ class MapTurn:
     """
 
     def __init__(self, model: PartialMap, space: FreePlane, unseen: np.ndarray, plan: np.ndarray,
-                 positions: np.ndarray, sight: RigState | None, max_range: float, reach: float,
+                 positions: np.ndarray, rig_state: RigState | None, max_range: float, reach: float,
                  aimed: bool = True) -> None:
         self.model, self.unseen, self.plan, self.positions = model, unseen, plan, positions
-        self._sight, self._reach, self._aimed = sight, reach, aimed
+        self._sight, self._reach, self._aimed = rig_state, reach, aimed
         self.room = ObservationMap(model, unseen, len(plan), max_range,
                                    float(np.median(positions[:, 2])))
         self.cells = self.room.window.middles.reshape(-1, 2)
         self._free = space.contains(self.cells)
-        self._fixed = fixed_views(model, sight)
+        self._fixed = fixed_views(model, rig_state)
         self._views = [self.look(camera, row[None])[0] for camera, row in enumerate(plan)]
 
     def beside(self, camera: int) -> list[View]:
@@ -65,7 +65,7 @@ class MapTurn:
         """
         others, numbers = self.room.others(self.beside(camera), np.delete(self.plan, camera, 0))
         return {'room': self.room.room, 'others': others, 'numbers': numbers,
-                'lens': told_of(self._lens(camera) if self._aimed else None)}
+                'lens': lens_features(self._lens(camera) if self._aimed else None)}
 
     def experience(self, camera: int) -> dict[str, np.ndarray]:
         """

@@ -108,7 +108,7 @@ class ValuePolicy:
         :param room: of :class:`~ocp_ros.online.observation_map.ObservationMap`.
         :param others: of its :meth:`~ocp_ros.online.observation_map.ObservationMap.others`.
         :param numbers: of the same.
-        :param lens: of the camera; see :func:`~ocp_ros.online.observation_map.told_of`.
+        :param lens: of the camera; see :func:`~ocp_ros.online.observation_map.lens_features`.
         :returns: (D, 64, 64) float32: ln((E with the camera + e) / (E of the others + e)) of the
             depth error E, for each heading of
             :func:`~ocp_ros.online.observation_map.yaws_of`; inf beyond what was seen.

@@ -194,7 +194,7 @@ def _score(scan: ScanSurfaces, view: LiveView, pose: Pose) -> float:
 
 
 def _are_apart(one: Pose, other: Pose, apart: tuple[float, float] = APART) -> bool:
-    """Tell whether two poses are not the same one, to some metres and radians."""
+    """Return whether two poses are not the same one, to some metres and radians."""
     metres, radians = one.away_from(other)
     return metres > apart[0] or radians > apart[1]
 

@@ -21,7 +21,7 @@ import numpy as np
 from ocp_ros.planning.assessment import Assessment, COLUMNS
 from ocp_ros.planning.camera_words import lens_of
 from ocp_ros.report.key_figures import expectation
-from ocp_ros.util.shown_text import printable
+from ocp_ros.util.terminal_text import printable
 
 #: How a camera is rolled, unless its row says otherwise.
 LEVEL = 'Unless the table gives a roll, keep the long side of the camera level, top side up. '

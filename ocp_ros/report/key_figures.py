@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 from ocp_ros.planning.assessment import Assessment
 from ocp_ros.planning.rig_planning import gap_percent
-from ocp_ros.util.shown_text import printable
+from ocp_ros.util.terminal_text import printable
 
 DISTANCES = 'distances are perpendicular to the walls, to the centre of the front of a camera'
 #: Folders before the name of a file, in a word of a command line.

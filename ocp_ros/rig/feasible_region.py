@@ -452,7 +452,7 @@ def _checked(poses: np.ndarray) -> np.ndarray:
     return poses
 
 
-def apart(places: np.ndarray, others: np.ndarray, spacing: float) -> np.ndarray:
+def satisfies_spacing(places: np.ndarray, others: np.ndarray, spacing: float) -> np.ndarray:
     """
     Tell which places are far enough from all cameras.
 

@@ -389,7 +389,7 @@ class FreePlane:
         return self.moved(positions, towards(positions, targets, step) - positions, step)
 
     def _arrives(self, position: np.ndarray, target: np.ndarray, step: float, off: float) -> bool:
-        """Tell whether a camera gets straight on, in as few turns as can be, next to a target."""
+        """Return whether a straight way, in as few turns as can be, ends next to a target."""
         turns = int(np.ceil(np.linalg.norm(target - position) / step))
         place, goal = position[None], target[None]
         for _ in range(turns):

@@ -276,7 +276,7 @@ def _check_fixed(document: Document, rig: Rig, ways: Sequence[Way]) -> None:
 
 
 def _sees_as(document: Document, way: Way, model: CameraModel) -> bool:
-    """Tell whether a camera of a file has the numbers of a model; files round angles."""
+    """Return whether a camera of a file has the numbers of a model; files round angles."""
     found = model_of(document, way)
     return found.resolution == model.resolution and all(
         math.isclose(getattr(found, key), getattr(model, key))
@@ -284,7 +284,7 @@ def _sees_as(document: Document, way: Way, model: CameraModel) -> bool:
 
 
 def _alike(pose: np.ndarray, other: np.ndarray) -> bool:
-    """Tell whether two poses are the same, whatever their angles are called."""
+    """Return whether two poses are the same, whatever their angles are called."""
     turns = rotation_matrix(*pose[3:]) - rotation_matrix(*other[3:])
     return max(np.abs(pose[:3] - other[:3]).max(), np.abs(turns).max()) <= SAME
 

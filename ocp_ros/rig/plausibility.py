@@ -205,7 +205,7 @@ def _storeys(layers: _Layers) -> list[str]:
 
 def _overturned(scene: Scene, floor: float, heights: np.ndarray) -> bool:
     """
-    Tell whether a room lies upside down.
+    Return whether a room lies upside down.
 
     Furniture stands low and hides the foot of walls, which have doors there: there is more surface
     low than high, and more of a wall high than low. Only clear evidence counts: of 60 generated

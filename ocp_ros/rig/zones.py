@@ -136,7 +136,7 @@ def _in_polygon(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def _crosses_itself(corners: np.ndarray) -> bool:
-    """Tell whether two edges of a polygon (P, 2) cross; that they touch does not matter."""
+    """Return whether two edges of a polygon (P, 2) cross; that they touch does not matter."""
     along = np.roll(corners, -1, axis=0) - corners
     away = corners[None] - corners[:, None]
     # Of each edge: on which side of its line each corner is.

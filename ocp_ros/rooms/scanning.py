@@ -232,7 +232,7 @@ def exposed(points, owner, size, centre, half, turn, gap):
 
 @njit(cache=True, nogil=True)
 def free(at, air, centre, half, turn):
-    """Tell whether a place (3,) has some air around it, metres."""
+    """Return whether a place (3,) has some air around it, metres."""
     for k in range(len(centre)):
         dx, dy = at[0] - centre[k, 0], at[1] - centre[k, 1]
         along = abs(dx * turn[k, 0] + dy * turn[k, 1]) - half[k, 0]

@@ -157,7 +157,7 @@ class PolicyNode(ManagedNode):
     def _reflect(self) -> None:
         """Let the planner think about the next turn, in the end until a message waits."""
         alone = time.monotonic() + UNDISTURBED
-        self._decider.reflect(lambda: time.monotonic() > alone and has_news(self))
+        self._decider.plan_ahead(lambda: time.monotonic() > alone and has_news(self))
 
     @property
     def planner(self) -> Online:
@@ -229,7 +229,7 @@ class PolicyNode(ManagedNode):
         return response
 
     def _waits(self) -> bool:
-        """Tell whether others command, or have to catch up, before this turn is answered."""
+        """Return whether others command, or have to catch up, before this turn is answered."""
         return bool(not self.active or self._paused or self._commands.waits or (
             self._experiences and self._experiences.held))
 
@@ -350,7 +350,7 @@ if __name__ == '__main__':
 
 
 def has_news(node: Node) -> bool:
-    """Tell whether a message waits on a subscription of a node; it is not taken."""
+    """Return whether a message waits on a subscription of a node; it is not taken."""
     subscriptions = list(node.subscriptions)
     with node.context.handle:
         waiting = rclpy_implementation.WaitSet(len(subscriptions), 0, 0, 0, 0, 0,

@@ -25,7 +25,7 @@ from ocp_ros.scenes.pcd_files import read_pcd_fields
 from ocp_ros.scenes.ply_files import has_faces, read_ply_fields
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.text_tables import read_points, read_ptx_points
-from ocp_ros.util.shown_text import printable
+from ocp_ros.util.terminal_text import printable
 
 #: The largest step between two float32 coordinates, as a share of the extent of a scan: 2 mm in
 #: 10 m.

@@ -22,7 +22,7 @@ import struct
 
 import numpy as np
 from ocp_ros.scenes.guarded_reading import read_guarded
-from ocp_ros.util.shown_text import printable
+from ocp_ros.util.terminal_text import printable
 
 _log = logging.getLogger(__name__)
 

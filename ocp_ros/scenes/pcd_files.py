@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 from ocp_ros.scenes.text_tables import read_table, TableForm
-from ocp_ros.util.shown_text import printable
+from ocp_ros.util.terminal_text import printable
 from scipy.spatial.transform import Rotation
 
 #: Bytes of a line of the header, and lines of a header.

@@ -85,7 +85,7 @@ def chosen_rooms(folder: Path, area: int) -> list[Path]:
 
 
 def is_closed(scene: Scene) -> bool:
-    """Tell whether a room has a ceiling above nearly all of its floor."""
+    """Return whether a room has a ceiling above nearly all of its floor."""
     points, (low, high) = scene.points, scene.bounds
     cells = np.floor((points[:, :2] - low[:2]) / CELL).astype(np.int64)
     below = {tuple(cell) for cell in cells[points[:, 2] < low[2] + 0.3]}

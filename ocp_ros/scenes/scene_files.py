@@ -52,7 +52,7 @@ from ocp_ros.scenes.up_axis import (
 )
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.settings import UserError
-from ocp_ros.util.shown_text import printable
+from ocp_ros.util.terminal_text import printable
 from plyfile import PlyData, PlyElement
 
 FAR = 1000.0
@@ -406,7 +406,7 @@ def _without_strays(rows: np.ndarray, name: str) -> tuple[np.ndarray, tuple[str,
 
 
 def _is_room(points: np.ndarray, name: str) -> bool:
-    """Tell whether points alone would be taken for a room."""
+    """Return whether points alone would be taken for a room."""
     try:
         check_points(points, name)
     except SceneError:

@@ -36,7 +36,7 @@ class SourceFrame:
 
     @property
     def is_map(self) -> bool:
-        """Tell whether the file has the coordinates of the map."""
+        """Return whether the file has the coordinates of the map."""
         return bool(self.scale == 1.0 and np.array_equal(self.rotation, np.eye(3))
                     and not np.any(self.shift))
 

@@ -150,7 +150,7 @@ def _check_lines(path: Path) -> None:
 
 
 def _has_windows(path: Path) -> bool:
-    """Tell whether a text has numbers that are none as Windows writes them."""
+    """Return whether a text has numbers that are none as Windows writes them."""
     with path.open(encoding='latin-1') as file:
         return any(NONFINITE.search(line) for line in file)
 
@@ -213,7 +213,7 @@ def _columns(names: Sequence[str]) -> list[int] | None:
 
 
 def _decimal_comma(separator: str | None, line: str) -> bool:
-    """Tell whether a line between whose numbers are semicolons has commas within them."""
+    """Return whether a line between whose numbers are semicolons has commas within them."""
     return separator == ';' and bool(re.search(r'\d,\d', line))
 
 

@@ -43,7 +43,7 @@ class Budget:
         self._clock, self._began = clock, clock()
         self._stopped = Event()
 
-    def again(self, seconds: float | None = None) -> 'Budget':
+    def restarted(self, seconds: float | None = None) -> 'Budget':
         """
         Return a budget of the same limits that begins now; who stops one stops the other.
 
@@ -55,7 +55,7 @@ class Budget:
 
     @property
     def stopped(self) -> bool:
-        """Tell whether somebody has had enough."""
+        """Return whether somebody has had enough."""
         return self._stopped.is_set()
 
     def stop(self) -> None:

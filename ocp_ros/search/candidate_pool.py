@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.clouds import corners_of
-from ocp_ros.rig.feasible_region import apart, FeasibleRegion
+from ocp_ros.rig.feasible_region import FeasibleRegion, satisfies_spacing
 from ocp_ros.rig.placement_file import as_written
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.search.budget import Budget
@@ -48,7 +48,7 @@ STARTS = 48
 QUICK_ROWS = 32
 
 
-class Site(NamedTuple):
+class MountedCamera(NamedTuple):
     """
     A camera where it may hang.
 
@@ -60,7 +60,7 @@ class Site(NamedTuple):
     view: View
 
 
-class PoseSet(NamedTuple):
+class CandidateSet(NamedTuple):
     """
     Where cameras of one model may hang.
 
@@ -126,7 +126,7 @@ class Pool:
     :param most: how many poses to look from, those of all models together.
     :param among: of how many, spread over the room, they are drawn.
     :param threads: how many to use.
-    :param over: tells whether to stop looking; the first poses of each model are looked from
+    :param over: returns whether to stop looking; the first poses of each model are looked from
         in any case.
     :param dense: how many poses :meth:`grid` has at most.
     :raises ConfigurationError: if a camera may hang nowhere, or sees nothing from anywhere.
@@ -159,13 +159,13 @@ class Pool:
             poses, views = poses[order[known]], [views[k] for k in known]
             if not any(view.seen.any() for view in views):
                 raise _sees_nothing(problem, camera, len(views))
-            self._kinds[model] = PoseSet(poses, views, cKDTree(features_of(poses)))
+            self._kinds[model] = CandidateSet(poses, views, cKDTree(features_of(poses)))
 
     def __len__(self) -> int:
         """Return the number of poses, those of all models together."""
         return sum(len(kind.poses) for kind in self._kinds.values())
 
-    def kind(self, model: CameraModel) -> PoseSet:
+    def kind(self, model: CameraModel) -> CandidateSet:
         """Return the candidates of a model."""
         return self._kinds[model]
 
@@ -176,21 +176,21 @@ class Pool:
                                              problem.rig.models.index(model), self._dense, over)
         return self._grids[model]
 
-    def left(self, rig: Rig, sites: Sequence[Site]) -> np.ndarray:
+    def left(self, rig: Rig, sites: Sequence[MountedCamera]) -> np.ndarray:
         """
         Return the numbers of the candidates that are left for the next camera of a rig.
 
         :param sites: of the cameras before it, from which it has to be far enough.
         """
         poses = self.kind(rig.cameras[len(sites)].model).poses
-        return np.flatnonzero(clear(poses, sites, rig.spacing))
+        return np.flatnonzero(keeps_spacing(poses, sites, rig.spacing))
 
-    def add(self, rig: Rig, sites: Sequence[Site]) -> None:
-        """Let :meth:`everywhere` know of a placement of a rig that was found beside these."""
+    def add(self, rig: Rig, sites: Sequence[MountedCamera]) -> None:
+        """Let :meth:`union_views` know of a placement of a rig that was found beside these."""
         for camera, site in zip(rig.cameras, sites):
             self._found[camera.model].append(site.view)
 
-    def everywhere(self, rig: Rig) -> list[View]:
+    def union_views(self, rig: Rig) -> list[View]:
         """
         Return what the cameras of a rig would see if each was everywhere at once.
 
@@ -204,10 +204,10 @@ class Pool:
                               np.bitwise_or.reduce([view.covered for view in views])))
         return found
 
-    def site(self, model: CameraModel, number: int) -> Site:
+    def site(self, model: CameraModel, number: int) -> MountedCamera:
         """Return a candidate of a model."""
         kind = self.kind(model)
-        return Site(kind.poses[number], kind.views[number])
+        return MountedCamera(kind.poses[number], kind.views[number])
 
 
 def pool_of(problem: Problem, budget: Budget) -> Pool:
@@ -233,7 +233,7 @@ def quick_of(objective: Objective) -> Objective:
     return Objective(Simulator(simulator.scene, quick, simulator.models), objective.rig)
 
 
-def clear(poses: np.ndarray, sites: Sequence[Site], spacing: float) -> np.ndarray:
+def keeps_spacing(poses: np.ndarray, sites: Sequence[MountedCamera], spacing: float) -> np.ndarray:
     """
     Tell which poses are far enough from all cameras.
 
@@ -242,11 +242,11 @@ def clear(poses: np.ndarray, sites: Sequence[Site], spacing: float) -> np.ndarra
     :returns: (M,) bool.
     """
     others = np.array([site.pose[:3] for site in sites]).reshape(-1, 3)
-    return apart(poses[:, :3], others, spacing)
+    return satisfies_spacing(poses[:, :3], others, spacing)
 
 
-def best_addition(objective: Objective, pool: Pool, sites: Sequence[Site],
-                  among: np.ndarray | None = None) -> Site | None:
+def best_addition(objective: Objective, pool: Pool, sites: Sequence[MountedCamera],
+                  among: np.ndarray | None = None) -> MountedCamera | None:
     """
     Choose the candidate for the next camera of a rig that helps most.
 
@@ -260,20 +260,20 @@ def best_addition(objective: Objective, pool: Pool, sites: Sequence[Site],
     if among is None:
         among = pool.left(rig, sites)
     else:
-        among = among[clear(kind.poses[among], sites, rig.spacing)]
+        among = among[keeps_spacing(kind.poses[among], sites, rig.spacing)]
     if len(among) == 0:
         return None
     worth = [objective.promise([*views, kind.views[number]]) for number in among]
     return pool.site(model, among[int(np.argmin(worth))])
 
 
-def packed(rig: Rig, pool: Pool) -> list[Site]:
+def packed(rig: Rig, pool: Pool) -> list[MountedCamera]:
     """
     Hang the cameras of a rig as close together as they may be, to find out whether all fit.
 
     :returns: sites of the first cameras of the rig, of all of them where they fit.
     """
-    best: list[Site] = []
+    best: list[MountedCamera] = []
     first = pool.kind(rig.cameras[0].model)
     for start in np.unique(np.linspace(0, len(first.poses) - 1, STARTS).astype(int)):
         sites = [pool.site(rig.cameras[0].model, start)]
@@ -312,7 +312,7 @@ def check_regions(objective: Objective, pool: Pool) -> None:
     :raises ConfigurationError: if it does, and all candidates were looked from.
     """
     rig = objective.rig
-    shares = objective.judge(pool.everywhere(rig)).regions
+    shares = objective.judge(pool.union_views(rig)).regions
     for k, (region, share) in enumerate(zip(rig.regions, shares)):
         if pool.complete and share < region.must_see:
             raise rig.document.error(
@@ -321,16 +321,16 @@ def check_regions(objective: Objective, pool: Pool) -> None:
                 'a share that can be seen', 'lower it, or change the mount or the pitch')
 
 
-def random_site(rig: Rig, pool: Pool, sites: Sequence[Site], rng: np.random.Generator
-                ) -> Site | None:
+def random_site(rig: Rig, pool: Pool, sites: Sequence[MountedCamera], rng: np.random.Generator
+                ) -> MountedCamera | None:
     """Draw a candidate for the next camera of a rig; None where it finds no room."""
     left = pool.left(rig, sites)
     return pool.site(rig.cameras[len(sites)].model, rng.choice(left)) if len(left) else None
 
 
-def random_sites(rig: Rig, pool: Pool, rng: np.random.Generator) -> tuple[Site, ...]:
+def random_sites(rig: Rig, pool: Pool, rng: np.random.Generator) -> tuple[MountedCamera, ...]:
     """Draw a placement of a rig among the candidates; () where the last camera finds no room."""
-    sites: list[Site] = []
+    sites: list[MountedCamera] = []
     while len(sites) < len(rig.cameras):
         site = random_site(rig, pool, sites, rng)
         if site is None:

@@ -34,7 +34,7 @@ FEWEST, SHARE, MOST = 20, 16, 150
 REBUILT = 48
 NOBODY = np.empty((0, 2))
 #: Yields placements, gets scores, and ends with positions and their depth error.
-Answer = Generator[Sequence[np.ndarray], Scores, tuple[np.ndarray, float]]
+SearchResult = Generator[Sequence[np.ndarray], Scores, tuple[np.ndarray, float]]
 
 
 class GreedyError(Planner):
@@ -84,7 +84,7 @@ class GreedySwap(Planner):
 
 
 def fill(cameras: int, candidates: np.ndarray, energy: Callable[[Scores], np.ndarray],
-         placed: np.ndarray = NOBODY) -> Answer:
+         placed: np.ndarray = NOBODY) -> SearchResult:
     """
     Place cameras one by one.
 
@@ -101,7 +101,7 @@ def fill(cameras: int, candidates: np.ndarray, energy: Callable[[Scores], np.nda
     return placed, error
 
 
-def best_place(placed: np.ndarray, camera: int, places: np.ndarray) -> Answer:
+def best_place(placed: np.ndarray, camera: int, places: np.ndarray) -> SearchResult:
     """Put one camera to the best of some places (M, 2), even if it stood better before."""
     trials = np.repeat(placed[None], len(places), axis=0)
     trials[:, camera] = places
@@ -110,7 +110,7 @@ def best_place(placed: np.ndarray, camera: int, places: np.ndarray) -> Answer:
     return trials[choice], scores.error[choice]
 
 
-def exchange(placed: np.ndarray, candidates: np.ndarray) -> Answer:
+def exchange(placed: np.ndarray, candidates: np.ndarray) -> SearchResult:
     """Exchange one camera for the best candidate until no exchange helps any more."""
     scores = yield [placed]
     error, unchanged, camera = scores.error[0], 0, 0
@@ -123,7 +123,7 @@ def exchange(placed: np.ndarray, candidates: np.ndarray) -> Answer:
     return placed, error
 
 
-def descend(planner: Planner, placed: np.ndarray, error: float) -> Answer:
+def descend(planner: Planner, placed: np.ndarray, error: float) -> SearchResult:
     """Move one camera at a time to the best of a ring of places, with ever smaller steps."""
     step, unchanged, camera = FIRST_STEP, 0, 0
     while step >= LAST_STEP:

@@ -29,10 +29,10 @@ import time
 import numpy as np
 from ocp_ros.online.rollout import play
 from ocp_ros.search.budget import Budget
-from ocp_ros.search.candidate_pool import check_regions, check_room, Pool, pool_of, Site
+from ocp_ros.search.candidate_pool import check_regions, check_room, MountedCamera, Pool, pool_of
 from ocp_ros.search.finishing import search_and_finish
 from ocp_ros.search.planner import Scores
-from ocp_ros.search.pose_annealing import Answer, answered, Progress, views_of
+from ocp_ros.search.pose_annealing import answered, Progress, SearchResult, views_of
 from ocp_ros.search.pose_decoder import Decoder
 from ocp_ros.search.registry import OBSERVED, PLANNERS, RIG_SEARCH, SCAN
 from ocp_ros.search.scorer import Scorer
@@ -48,8 +48,9 @@ PILOTS, MOST = 4, 100_000
 
 
 def plan(problem: Problem, budget: Budget, planner: str = RIG_SEARCH, pool: Pool | None = None,
-         seed: int = 0, start: Sequence[Site] = (), progress: Progress | None = None,
-         model: str = DEFAULT_MODEL, clock: Callable[[], float] = time.perf_counter) -> Answer:
+         seed: int = 0, start: Sequence[MountedCamera] = (), progress: Progress | None = None,
+         model: str = DEFAULT_MODEL, clock: Callable[[], float] = time.perf_counter
+         ) -> SearchResult:
     """
     Find the best placement of the cameras of a problem.
 
@@ -137,7 +138,7 @@ class RigScorer:
 
 
 def _searched(make: Callable, problem: Problem, pool: Pool, budget: Budget, seed: int,
-              progress: Progress | None) -> Answer:
+              progress: Progress | None) -> SearchResult:
     """Find a placement of a rig by a planner that knows scores; see :func:`plan`."""
     decoder, space = Decoder(problem, pool), problem.region.space
     expected = budget.evaluations or _expected(decoder, budget, seed)
@@ -149,7 +150,7 @@ def _searched(make: Callable, problem: Problem, pool: Pool, budget: Budget, seed
 
 
 def _searched_on_plane(make: Callable, problem: Problem, budget: Budget, seed: int,
-                       clock: Callable[[], float]) -> Answer:
+                       clock: Callable[[], float]) -> SearchResult:
     """Find a placement on a plane by a planner that knows scores; see :func:`plan`."""
     planner = make(space_of(problem.simulator), np.random.default_rng([seed, budget.evaluations]),
                    budget.evaluations)
@@ -167,7 +168,7 @@ def _expected(decoder: Decoder, budget: Budget, seed: int) -> int:
 
 
 def _played(make: Callable, problem: Problem, pool: Pool | None, budget: Budget, seed: int,
-            progress: Progress | None, model: str, clock: Callable[[], float]) -> Answer:
+            progress: Progress | None, model: str, clock: Callable[[], float]) -> SearchResult:
     """
     Find a placement by an online planner; see :func:`plan`.
 
@@ -197,8 +198,8 @@ def _played(make: Callable, problem: Problem, pool: Pool | None, budget: Budget,
     return replace(found, outcome=outcome)
 
 
-def _on_plane(problem: Problem, placement: np.ndarray, evaluations: int) -> Answer:
+def _on_plane(problem: Problem, placement: np.ndarray, evaluations: int) -> SearchResult:
     """Return a placement on a plane (K, 3), metres, as an answer."""
     poses = np.hstack([placement, np.zeros_like(placement)])
-    sites = [Site(pose, view) for pose, view in zip(poses, problem.look(poses))]
+    sites = [MountedCamera(pose, view) for pose, view in zip(poses, problem.look(poses))]
     return answered(problem.objective, sites, evaluations)

@@ -34,12 +34,12 @@ from ocp_ros.rig.placement_file import as_written
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import (
     best_addition,
-    clear,
+    keeps_spacing,
+    MountedCamera,
     packed,
     Pool,
     quick_of,
     random_site,
-    Site,
 )
 from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.simulation.objective import Objective
@@ -75,7 +75,7 @@ Progress = Callable[[float, float], None]
 
 
 @dataclass(frozen=True)
-class Answer:
+class SearchResult:
     """
     The best placement that was found.
 
@@ -89,7 +89,7 @@ class Answer:
     :ivar outcome: of an episode that was played.
     """
 
-    sites: tuple[Site, ...]
+    sites: tuple[MountedCamera, ...]
     loss: float
     losses: tuple[float, ...]
     evaluations: int
@@ -104,15 +104,16 @@ class Answer:
         return np.array([site.pose for site in self.sites])
 
 
-def views_of(sites: Sequence[Site]) -> list[View]:
+def views_of(sites: Sequence[MountedCamera]) -> list[View]:
     """Return what cameras see."""
     return [site.view for site in sites]
 
 
-def answered(objective: Objective, sites: Sequence[Site], evaluations: int) -> Answer:
+def answered(objective: Objective, sites: Sequence[MountedCamera], evaluations: int
+             ) -> SearchResult:
     """Return a placement as the answer of a single search."""
     loss = objective.loss(views_of(sites))
-    return Answer(tuple(sites), loss, (loss,), evaluations)
+    return SearchResult(tuple(sites), loss, (loss,), evaluations)
 
 
 class Search:
@@ -128,14 +129,14 @@ class Search:
     """
 
     def __init__(self, problem: Problem, quick: Objective, pool: Pool, budget: Budget,
-                 rng: np.random.Generator, start: Sequence[Site] = ()) -> None:
+                 rng: np.random.Generator, start: Sequence[MountedCamera] = ()) -> None:
         self.problem, self.objective, self.quick = problem, problem.objective, quick
         self.rig, self.pool, self.budget = problem.rig, pool, budget
         self.rng, self.start = rng, tuple(start)
         self.most = budget.evaluations and max(budget.evaluations // SEARCHES, 1)
         self.evaluations, self.share, self.least = 0, 0.0, np.inf
 
-    def run(self) -> tuple[Site, ...]:
+    def run(self) -> tuple[MountedCamera, ...]:
         """Return the best placement that is found."""
         first = self.start or self.fill()
         self.judge(first)
@@ -149,8 +150,8 @@ class Search:
             chosen = first
         return self.descend(chosen, loss, EXCHANGING)
 
-    def descend(self, sites: tuple[Site, ...], loss: float, begin: float, end: float = 1.0
-                ) -> tuple[Site, ...]:
+    def descend(self, sites: tuple[MountedCamera, ...], loss: float, begin: float, end: float = 1.0
+                ) -> tuple[MountedCamera, ...]:
         """
         Move and turn the cameras of a placement by ever smaller steps.
 
@@ -161,9 +162,9 @@ class Search:
         return annealed(sites, self.judge, self._moved,
                         self._temperatures(loss * WARM, loss * COOL, begin, end), self.rng)
 
-    def fill(self) -> tuple[Site, ...]:
+    def fill(self) -> tuple[MountedCamera, ...]:
         """Hang one camera after the other where it helps most, each among some candidates."""
-        sites: list[Site] = []
+        sites: list[MountedCamera] = []
         count = BEGINNINGS
         if self.most is not None:
             count = int(np.clip(self.most // (4 * len(self.rig.cameras)), 1, BEGINNINGS))
@@ -180,7 +181,7 @@ class Search:
             sites.append(site)
         return tuple(sites)
 
-    def judge(self, sites: Sequence[Site]) -> float:
+    def judge(self, sites: Sequence[MountedCamera]) -> float:
         """Return the loss."""
         loss = self.objective.loss(views_of(sites))
         self.least = min(self.least, loss)
@@ -198,7 +199,7 @@ class Search:
             self.evaluations += 1
             yield between(first, last, self.share)
 
-    def _exchanged(self, sites: tuple[Site, ...]) -> tuple[Site, ...] | None:
+    def _exchanged(self, sites: tuple[MountedCamera, ...]) -> tuple[MountedCamera, ...] | None:
         """Exchange a camera's pose for a candidate, any one or a near one."""
         camera = int(self.rng.integers(len(sites)))
         model = self.rig.cameras[camera].model
@@ -209,11 +210,11 @@ class Search:
             number = int(self.rng.choice(kind.near(sites[camera].pose, NEIGHBOURS + 1)))
         others = (*sites[:camera], *sites[camera + 1:])
         site = self.pool.site(model, number)
-        if not clear(site.pose[None], others, self.rig.spacing)[0]:
+        if not keeps_spacing(site.pose[None], others, self.rig.spacing)[0]:
             return None
         return (*sites[:camera], site, *sites[camera + 1:])
 
-    def _moved(self, sites: tuple[Site, ...]) -> tuple[Site, ...] | None:
+    def _moved(self, sites: tuple[MountedCamera, ...]) -> tuple[MountedCamera, ...] | None:
         """Move and turn a camera a little, or exchange its pose now and then."""
         if self.rng.random() < EXCHANGED:
             return self._exchanged(sites)
@@ -221,8 +222,8 @@ class Search:
         return moved(self.problem, sites, far, turn, self.rng)
 
 
-def moved(problem: Problem, sites: tuple[Site, ...], far: float, turn: float,
-          rng: np.random.Generator) -> tuple[Site, ...] | None:
+def moved(problem: Problem, sites: tuple[MountedCamera, ...], far: float, turn: float,
+          rng: np.random.Generator) -> tuple[MountedCamera, ...] | None:
     """
     Move and turn one camera of a placement by chance; None where none of some draws is allowed.
 
@@ -233,11 +234,11 @@ def moved(problem: Problem, sites: tuple[Site, ...], far: float, turn: float,
     others = (*sites[:camera], *sites[camera + 1:])
     model = problem.rig.cameras[camera].model
     poses = poses_around(problem.region, sites[camera].pose, model, far, turn, DRAWN, rng)
-    good = problem.region.allowed(poses, model) & clear(poses, others, problem.rig.spacing)
+    good = problem.region.allowed(poses, model) & keeps_spacing(poses, others, problem.rig.spacing)
     if not good.any():
         return None
     pose = poses[int(np.argmax(good))]
-    site = Site(pose, problem.simulator.look(pose, camera))
+    site = MountedCamera(pose, problem.simulator.look(pose, camera))
     return (*sites[:camera], site, *sites[camera + 1:])
 
 
@@ -263,8 +264,8 @@ def poses_around(region: FeasibleRegion, pose: np.ndarray, model: CameraModel, f
     return as_written(poses)
 
 
-def anneal(problem: Problem, pool: Pool, budget: Budget, seed: int, start: Sequence[Site] = (),
-           progress: Progress | None = None) -> Answer:
+def anneal(problem: Problem, pool: Pool, budget: Budget, seed: int,
+           start: Sequence[MountedCamera] = (), progress: Progress | None = None) -> SearchResult:
     """
     Find the best placement of a rig's cameras by annealing; see :func:`in_background`.
 
@@ -277,8 +278,8 @@ def anneal(problem: Problem, pool: Pool, budget: Budget, seed: int, start: Seque
         min(one.used() for one in searches), min(one.least for one in searches))))
     losses = [one.judge(sites) for one, sites in zip(searches, found)]
     best = int(np.argmin(losses))
-    return Answer(found[best], losses[best], tuple(losses),
-                  sum(one.evaluations for one in searches))
+    return SearchResult(found[best], losses[best], tuple(losses),
+                        sum(one.evaluations for one in searches))
 
 
 def in_background(tasks: Sequence[Callable[[], T]], budget: Budget,

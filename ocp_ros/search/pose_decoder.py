@@ -24,7 +24,14 @@ from functools import cached_property
 
 import numpy as np
 from ocp_ros.rig.placement_file import as_written
-from ocp_ros.search.candidate_pool import best_addition, clear, packed, Pool, quick_of, Site
+from ocp_ros.search.candidate_pool import (
+    best_addition,
+    keeps_spacing,
+    MountedCamera,
+    packed,
+    Pool,
+    quick_of,
+)
 from ocp_ros.search.scorer import remembered_looks
 from ocp_ros.simulation.problem import Problem
 
@@ -52,7 +59,7 @@ class Decoder:
         self._look = remembered_looks(problem.simulator)
 
     def __call__(self, positions: np.ndarray, headings: np.ndarray | None = None
-                 ) -> tuple[Site, ...]:
+                 ) -> tuple[MountedCamera, ...]:
         """
         Hang up cameras.
 
@@ -61,7 +68,7 @@ class Decoder:
         :param headings: (n, 3) yaw, pitch and roll in radians; None to turn each where it helps.
         :returns: n sites, all of them allowed together.
         """
-        sites: list[Site] = []
+        sites: list[MountedCamera] = []
         for number, place in enumerate(positions):
             site = self._near(place, sites, None if headings is None else headings[number])
             if site is None:
@@ -69,7 +76,7 @@ class Decoder:
             sites.append(site)
         return tuple(sites)
 
-    def completed(self, sites: Sequence[Site]) -> tuple[Site, ...]:
+    def completed(self, sites: Sequence[MountedCamera]) -> tuple[MountedCamera, ...]:
         """Hang up the cameras of the rig that a planner has left out, each where it helps most."""
         sites = list(sites)
         while len(sites) < len(self.rig.cameras):
@@ -80,12 +87,12 @@ class Decoder:
         return tuple(sites)
 
     @cached_property
-    def _packed(self) -> tuple[Site, ...]:
+    def _packed(self) -> tuple[MountedCamera, ...]:
         """Return all cameras as close together as they may be."""
         return tuple(packed(self.rig, self.pool))
 
-    def _near(self, place: np.ndarray, sites: Sequence[Site], heading: np.ndarray | None
-              ) -> Site | None:
+    def _near(self, place: np.ndarray, sites: Sequence[MountedCamera], heading: np.ndarray | None
+              ) -> MountedCamera | None:
         """Hang the next camera near a place (2,) or (3,); None where no candidate is left."""
         model = self.rig.cameras[len(sites)].model
         poses = self.pool.kind(model).poses
@@ -110,12 +117,13 @@ class Decoder:
         level = on in ('plane', 'ceiling')
         return 1 if level and self.rig.cameras[camera].model.omnidirectional else NEAREST
 
-    def _there(self, pose: np.ndarray, sites: Sequence[Site]) -> Site | None:
+    def _there(self, pose: np.ndarray, sites: Sequence[MountedCamera]) -> MountedCamera | None:
         """Hang the next camera in a pose (6,), at its mount's height; None if it must not."""
         camera, pose = len(sites), pose.copy()
         pose[:3] = self.region.onto_mount(pose[None, :3])[0]
         poses = as_written(pose[None])
         model = self.rig.cameras[camera].model
-        if not (clear(poses, sites, self.rig.spacing) & self.region.allowed(poses, model))[0]:
+        spaced = keeps_spacing(poses, sites, self.rig.spacing)
+        if not (spaced & self.region.allowed(poses, model))[0]:
             return None
-        return Site(poses[0], self._look(poses[0], camera))
+        return MountedCamera(poses[0], self._look(poses[0], camera))

@@ -54,7 +54,7 @@ class PoseGrid:
         Spread poses over where a mount offers some.
 
         :param most: poses at most.
-        :param over: tells whether there is no time left; the grid then ends.
+        :param over: returns whether there is no time left; the grid then ends.
         :raises ConfigurationError: if there is no place where the camera may hang.
         """
         grid = cls(simulator, camera)

@@ -29,8 +29,15 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.rig.feasible_region import DENSE
 from ocp_ros.search.budget import Budget
-from ocp_ros.search.candidate_pool import packed, Pool, Site
-from ocp_ros.search.pose_annealing import anneal, Answer, in_background, moved, Progress, views_of
+from ocp_ros.search.candidate_pool import MountedCamera, packed, Pool
+from ocp_ros.search.pose_annealing import (
+    anneal,
+    in_background,
+    moved,
+    Progress,
+    SearchResult,
+    views_of,
+)
 from ocp_ros.search.pose_grid import PoseGrid
 from ocp_ros.search.proof.certificate import Certificate, not_covered
 from ocp_ros.search.proof.column_generation import Choice, Column, ColumnGeneration
@@ -66,7 +73,7 @@ class Polished(NamedTuple):
     """A placement and its loss."""
 
     loss: float
-    sites: tuple[Site, ...]
+    sites: tuple[MountedCamera, ...]
 
 
 class PricedSearch:
@@ -81,7 +88,7 @@ class PricedSearch:
     """
 
     def __init__(self, problem: Problem, pool: Pool, budget: Budget, seed: int,
-                 start: Sequence[Site] = ()) -> None:
+                 start: Sequence[MountedCamera] = ()) -> None:
         self.problem, self.pool, self.budget, self.seed = problem, pool, budget, seed
         self.start, self.evaluations, self.least = tuple(start), 0, np.inf
         self._rng = np.random.default_rng([seed, 0])
@@ -102,7 +109,7 @@ class PricedSearch:
         """Return what tells that a share of the time is over."""
         return lambda: self.budget.share(0, None) >= share
 
-    def run(self) -> Answer:
+    def run(self) -> SearchResult:
         """Return the best placement that is found."""
         relaxation = relaxation_of(self.problem, self.pool, self._by(0.5 * GRID))
         relaxation.close(self._by(GRID))
@@ -120,25 +127,25 @@ class PricedSearch:
             found = [self._judged(packed(self.problem.rig, self.pool))]
         best = found[0]
         losses = (best.loss, *(one.loss for one in first[1:]))
-        return Answer(best.sites, best.loss, losses, self.evaluations, *certified(
+        return SearchResult(best.sites, best.loss, losses, self.evaluations, *certified(
             self.problem, lambda: relaxation, best.loss, on_grid, self.budget))
 
-    def _judged(self, sites: Sequence[Site]) -> Polished:
+    def _judged(self, sites: Sequence[MountedCamera]) -> Polished:
         """Return a placement with its loss."""
         return Polished(self.problem.objective.loss(views_of(sites)), tuple(sites))
 
-    def _sites(self, relaxation: ColumnGeneration, choice: Choice) -> tuple[Site, ...]:
+    def _sites(self, relaxation: ColumnGeneration, choice: Choice) -> tuple[MountedCamera, ...]:
         """Return a choice as sites, in the order of the rig's cameras."""
         left = [[one for one in choice.columns if one.grid == number]
                 for number in range(len(relaxation.grids))]
         models = self.problem.rig.placed_models
         poses = [relaxation.pose(left[models.index(camera.model)].pop(0))
                  for camera in self.problem.rig.cameras]
-        return tuple(Site(pose, self.problem.simulator.look(pose, camera))
+        return tuple(MountedCamera(pose, self.problem.simulator.look(pose, camera))
                      for camera, pose in enumerate(poses))
 
-    def _polish(self, starts: Sequence[tuple[Site, ...]], far: float, moves: int, share: float
-                ) -> list[Polished]:
+    def _polish(self, starts: Sequence[tuple[MountedCamera, ...]], far: float, moves: int,
+                share: float) -> list[Polished]:
         """Move placements a little, ever less; return the answers and the start, best first."""
         seeds = self._rng.integers(2 ** 32, size=len(starts))
         found = mapped(lambda one: self._moved(one[0], far, moves, np.random.default_rng(one[1]),
@@ -147,13 +154,13 @@ class PricedSearch:
             found.append(self._judged(self.start))
         return sorted(found, key=lambda one: one.loss)
 
-    def _moved(self, sites: tuple[Site, ...], far: float, moves: int, rng: np.random.Generator,
-               over: Callable[[], bool]) -> Polished:
+    def _moved(self, sites: tuple[MountedCamera, ...], far: float, moves: int,
+               rng: np.random.Generator, over: Callable[[], bool]) -> Polished:
         """Move the cameras of a placement by annealing, in steps that begin with some metres."""
         objective, turn, share = self.problem.objective, 0.5 * far, 0.0
         loss = max(objective.loss(views_of(sites)), LEAST)
 
-        def judge(sites: tuple[Site, ...]) -> float:
+        def judge(sites: tuple[MountedCamera, ...]) -> float:
             value = objective.loss(views_of(sites))
             self.least = min(self.least, value)
             return value
@@ -265,8 +272,8 @@ def distinct(found: Sequence[Polished], most: int) -> list[Polished]:
     return chosen[:most]
 
 
-def search(problem: Problem, pool: Pool, budget: Budget, seed: int, start: Sequence[Site] = (),
-           progress: Progress | None = None) -> Answer:
+def search(problem: Problem, pool: Pool, budget: Budget, seed: int,
+           start: Sequence[MountedCamera] = (), progress: Progress | None = None) -> SearchResult:
     """
     Find the best placement of a rig's cameras, and prove how much better others may be.
 

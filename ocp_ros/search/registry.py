@@ -44,7 +44,7 @@ from ocp_ros.search.priced_search import search
 from ocp_ros.simulation.simulation_config import EpisodeConfig
 from ocp_ros.util.resources import DEFAULT_MODEL, find_model
 from ocp_ros.util.settings import ConfigurationError
-from ocp_ros.util.shown_text import printable
+from ocp_ros.util.terminal_text import printable
 from ocp_ros.util.yaml_files import nearest
 
 #: The planner that is used unless another is named.

@@ -24,7 +24,7 @@ from ocp_ros.scenes.scene import Scene
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import best_addition, check_regions, pool_of, random_sites
 from ocp_ros.search.plan import plan
-from ocp_ros.search.pose_annealing import Answer, Progress
+from ocp_ros.search.pose_annealing import Progress, SearchResult
 from ocp_ros.search.priced_search import certified, relaxation_of
 from ocp_ros.search.proof.certificate import Certificate, not_covered
 from ocp_ros.search.proof.column_generation import ColumnGeneration
@@ -50,8 +50,8 @@ class RigPlan:
 
     :ivar rig: the rig.
     :ivar answer: the placement.
-    :ivar worth: what it is worth.
-    :ivar everywhere: what each camera at all candidates and at all places found so far at once
+    :ivar evaluation: what the objective says of it.
+    :ivar union_bound: what each camera at all candidates and at all places found so far at once
         would be worth; no choice among them is worth more.
     :ivar worst: the depth error of seeing nothing, metres.
     :ivar random: (R,) losses of random allowed placements; empty where hardly any is.
@@ -63,9 +63,9 @@ class RigPlan:
     """
 
     rig: Rig
-    answer: Answer
-    worth: RigEvaluation
-    everywhere: RigEvaluation
+    answer: SearchResult
+    evaluation: RigEvaluation
+    union_bound: RigEvaluation
     worst: float
     random: np.ndarray
     candidates: int
@@ -82,7 +82,7 @@ class RigPlan:
         :returns: points ``seen``, space for ``coverage`` and depth ``error`` taken away, each as
             a share of what cameras at all candidates at once reach; 1 where that is nothing.
         """
-        worth, most = self.worth, self.everywhere
+        worth, most = self.evaluation, self.union_bound
         pairs = {'seen': (len(worth.seen), len(most.seen)),
                  'coverage': (worth.space_coverage, most.space_coverage),
                  'error': (self.worst - worth.depth_error, self.worst - most.depth_error)}
@@ -90,10 +90,10 @@ class RigPlan:
                 for name, (part, whole) in pairs.items()}
 
     def reaches(self, by: str, target: float) -> bool:
-        """Tell whether one of the shares is as large, and all that the rig asks for is met."""
+        """Return whether one of the shares is as large, and all that the rig asks for is met."""
         met = all(share >= region.must_see
-                  for region, share in zip(self.rig.regions, self.worth.regions))
-        return met and self.worth.connected and self.shares[by] >= target - ROUNDING
+                  for region, share in zip(self.rig.regions, self.evaluation.regions))
+        return met and self.evaluation.connected and self.shares[by] >= target - ROUNDING
 
 
 class RigPlanner:
@@ -131,7 +131,7 @@ class RigPlanner:
             self._problems = {rig: Problem.of(self.scene, rig, config)}
         return self._problems[rig]
 
-    def plan(self, rig: Rig, before: Answer | None = None) -> RigPlan:
+    def plan(self, rig: Rig, before: SearchResult | None = None) -> RigPlan:
         """
         Find the best placement of a rig.
 
@@ -147,7 +147,7 @@ class RigPlanner:
                       self._progress, self.model)
         return self._compared(rig, answer)
 
-    def _compared(self, rig: Rig, answer: Answer) -> RigPlan:
+    def _compared(self, rig: Rig, answer: SearchResult) -> RigPlan:
         """Return what an answer is worth and what it compares with."""
         objective = self.problem(rig).objective
         self.pool.add(rig, answer.sites)
@@ -155,7 +155,7 @@ class RigPlanner:
         drawn = [random_sites(rig, self.pool, rng) for _ in range(RANDOM)]
         return RigPlan(
             rig, answer, objective.evaluate(answer.poses),
-            objective.judge(self.pool.everywhere(rig)), objective.simulator.depth_error.worst,
+            objective.judge(self.pool.union_views(rig)), objective.simulator.depth_error.worst,
             np.array([objective.loss([site.view for site in sites]) for sites in drawn if sites]),
             len(self.pool), self.budget.elapsed, self.planner, answer.certificate,
             answer.uncertain)
@@ -176,7 +176,8 @@ class RigPlanner:
         def relax() -> ColumnGeneration:
             return relaxation_of(problem, self.pool, lambda: budget.share(0, None) >= LOOKED)
 
-        known, reason = certified(problem, relax, plan.worth.loss, plan.worth.loss, budget)
+        loss = plan.evaluation.loss
+        known, reason = certified(problem, relax, loss, loss, budget)
         return replace(plan, certificate=known, uncertain=reason,
                        seconds=plan.seconds + budget.elapsed)
 
@@ -200,4 +201,4 @@ class RigPlanner:
             yield plan
             if self.budget.stopped:
                 return
-            before, self.budget = plan.answer, self.budget.again()
+            before, self.budget = plan.answer, self.budget.restarted()

@@ -56,7 +56,7 @@ class Covisibility(NamedTuple):
         return float(np.mean(lacks)) if lacks else 0.0
 
     def linked(self, one: int, other: int) -> bool:
-        """Tell whether two cameras share enough."""
+        """Return whether two cameras share enough."""
         return bool(self.shares[one, other] >= self.required - ROUNDING)
 
     @property
@@ -157,7 +157,7 @@ def _shared(points, seen, positions, cosine):
 
 @njit(cache=True, nogil=True)
 def _clique(linked, among, count):
-    """Tell whether some (bits of ``among``) have so many of which each is linked to all others."""
+    """Return whether some (bits of ``among``) have so many that are all linked to each other."""
     if count == 0:
         return True
     one, everyone = 0, among

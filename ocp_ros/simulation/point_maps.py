@@ -50,6 +50,6 @@ def maps_of(simulator: Simulator, poses: Sequence[Pose]) -> PointMaps:
     order = simulator.visibility.order
     count, error = np.empty(len(order), dtype=np.int64), np.empty(len(order))
     count[order] = np.sum([unpack(view.seen, len(order)) for view in views], axis=0)
-    error[order] = simulator.depth_error.by_point(
+    error[order] = simulator.depth_error.error_by_point(
         np.bitwise_or.reduce([view.seen for view in views]))
     return PointMaps(simulator.scene.points, count, error)

@@ -24,7 +24,7 @@ from functools import cached_property
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.packed_bits import Subset
-from ocp_ros.rig.feasible_region import apart, FeasibleRegion
+from ocp_ros.rig.feasible_region import FeasibleRegion, satisfies_spacing
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.motion import drawn_near, kept_inside, nearest_place, outwards
 from ocp_ros.rig.mounts import first_headings
@@ -134,7 +134,7 @@ class Problem:
             there = self.region.onto_mount(np.array([[*place, level]]))
             places = there if self.region.allowed(there, camera.model)[0] else np.empty((0, 3))
             places = np.vstack([places, self._starts[camera.model]])
-            places = places[apart(places, taken, rig.spacing)]
+            places = places[satisfies_spacing(places, taken, rig.spacing)]
             if len(places) == 0:
                 raise rig.document.error(
                     ('spacing',), f'{rig.spacing:g} m, at which not all of the '
@@ -165,7 +165,7 @@ class Problem:
             def allowed(places: np.ndarray, k: int = k, others: np.ndarray = others
                         ) -> np.ndarray:
                 headings = np.broadcast_to(ended[k, 3:], places.shape)
-                return (apart(places, others, self.rig.spacing)
+                return (satisfies_spacing(places, others, self.rig.spacing)
                         & self.region.allowed(np.hstack([places, headings]),
                                               self.rig.cameras[k].model))
 

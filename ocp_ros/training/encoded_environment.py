@@ -189,7 +189,7 @@ class CameraByCamera(gym.Wrapper):
         """Take note of a turn and show it to the first camera."""
         episode = unwrapped(self.env).episode
         turn = episode.turn
-        self._encoder.turns.sight = state_of(episode)
+        self._encoder.turns.rig_state = state_of(episode)
         self.encoded = self._encoder.turn(episode.observed_cloud, turn.positions, turn.step,
                                           episode.config.turns)
         self._left = order_of(turn.step, len(turn.positions))
@@ -254,7 +254,7 @@ class MapChoices(gym.Wrapper):
         episode, turn, turns = env.episode, env.episode.turn, env.config.episode.turns
         if new:
             self._actor = MapActor(None, *settings_of(env.config.episode, env.rig, env.np_random))
-        self._actor.know(state_of(episode))
+        self._actor.set_rig_state(state_of(episode))
         known = self._actor.begin(episode.observed_cloud, turn.positions, turn.step, turns)
         if known is None:
             return False

@@ -211,7 +211,7 @@ class Learner:
             np.array([transition.terminated]), [{}])
 
     def _behind(self) -> bool:
-        """Tell whether there are transitions that have not had their gradient steps yet."""
+        """Return whether there are transitions that have not had their gradient steps yet."""
         return self._due(self.transitions) >= BURST
 
     def _after(self, updates: int) -> None:

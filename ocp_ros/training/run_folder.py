@@ -24,7 +24,7 @@ from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import PARTS, room_names
 from ocp_ros.util.files import read_regular, write_atomically
 from ocp_ros.util.settings import ConfigurationError, from_nested, to_nested
-from ocp_ros.util.shown_text import printable
+from ocp_ros.util.terminal_text import printable
 from ocp_ros.util.yaml_files import read_plain
 import yaml
 
@@ -175,7 +175,7 @@ def _record(line: str) -> dict[str, Any] | None:
 
 
 def _is_figure(value: Any) -> bool:
-    """Tell whether something is a number that a run may count or measure."""
+    """Return whether something is a number that a run may count or measure."""
     return type(value) in (int, float) and math.isfinite(value) and value >= 0
 
 

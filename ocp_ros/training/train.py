@@ -45,7 +45,7 @@ from ocp_ros.training.validation import evaluate, RANDOM_MOVES, trials_of
 from ocp_ros.training.value_training import learn_values, TrainingRun, ValueRun
 from ocp_ros.util.files import remove_unfinished
 from ocp_ros.util.resources import find_model
-from ocp_ros.util.shown_text import printable
+from ocp_ros.util.terminal_text import printable
 from ocp_ros.util.threads import cores
 from ocp_ros.util.worker_pool import WorkerPool
 from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn

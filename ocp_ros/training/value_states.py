@@ -36,17 +36,17 @@ from ocp_ros.online.observation_map import (
     CELLS,
     EDGE,
     FLOOR,
+    lens_features,
     NUMBERS,
     ObservationMap,
     OF_LENS,
     OF_OTHERS,
     OF_ROOM,
-    told_of,
     yaws_of,
 )
 from ocp_ros.online.online_planner import settings_of
 from ocp_ros.online.partial_map import LookHistory, PartialMap
-from ocp_ros.online.rig_state import remember
+from ocp_ros.online.rig_state import record_views
 from ocp_ros.online.rollout import state_of
 from ocp_ros.policy.map_actor import MapActor, PLAIN_POINTS, PLAIN_ROWS
 from ocp_ros.rig.motion import towards, turned_towards
@@ -187,9 +187,9 @@ def play_states(task: StateTask) -> dict[str, np.ndarray]:
 
     :returns: of M maps ``room`` (M, ...) and of S choices ``others`` (S, ...) and ``numbers``
         (S, ...), see :class:`~ocp_ros.online.observation_map.ObservationMap`; ``lens`` (S, ...),
-        see :func:`~ocp_ros.online.observation_map.told_of`; ``of`` (S,), the map of each choice;
-        ``places`` (M, P, 2), the places that are labelled, in cells of the map; and ``values``
-        (S, P, D) float16, the labels, NaN beyond the last.
+        see :func:`~ocp_ros.online.observation_map.lens_features`; ``of`` (S,), the map of each
+        choice; ``places`` (M, P, 2), the places that are labelled, in cells of the map; and
+        ``values`` (S, P, D) float16, the labels, NaN beyond the last.
     """
     rng = np.random.default_rng(task.seed)
     rotation = float(rng.uniform(0.0, 360.0)) if rng.random() < 0.5 else 0.0
@@ -238,8 +238,8 @@ class _States:
         going = self._drawn(cameras)
         for turn in range(int(due[-1]) + 1):
             positions, cloud = episode.turn.positions, episode.observed_cloud
-            sight = state_of(episode) if self._headings else None
-            remember(memory, positions, sight)
+            rig_state = state_of(episode) if self._headings else None
+            record_views(memory, positions, rig_state)
             if turn in due:
                 if actor is not None and actor.targets is not None:
                     going = self._room.nearest(actor.targets, actor.headings)
@@ -247,10 +247,10 @@ class _States:
             goals = self._room.poses[going]
             moves, headings = self._walked(positions, goals[:, :2], step), goals[:, 3:]
             if actor is not None:
-                actor.know(sight)
+                actor.set_rig_state(rig_state)
                 moves = actor.move(cloud, positions, turn, turns)
                 headings = headings if actor.headings is None else actor.headings
-            episode.move(moves, None if sight is None else turned_towards(
+            episode.move(moves, None if rig_state is None else turned_towards(
                 episode.turn.headings, headings, episode.config.max_turn))
 
     def _walked(self, positions: np.ndarray, places: np.ndarray, step: float) -> np.ndarray:
@@ -317,6 +317,6 @@ class _States:
         labels = np.stack(values).astype(np.float16).reshape(len(values), count, -1)
         return {'room': np.stack(self._maps), 'of': np.array(of, dtype=np.int32),
                 'others': np.stack(others), 'numbers': np.stack(numbers),
-                'lens': np.tile(told_of(self._lens), (len(values), 1)),
+                'lens': np.tile(lens_features(self._lens), (len(values), 1)),
                 'places': np.pad(places, padding, constant_values=0.5 * CELLS),
                 'values': np.pad(labels, padding, constant_values=np.nan)}

@@ -28,7 +28,7 @@ def between(first: float, last: float, share: float | np.ndarray) -> float | np.
 
 
 def accepted(rise: float, temperature: float, rng: np.random.Generator) -> bool:
-    """Tell whether annealing takes a step that raises what it minimises by so much."""
+    """Return whether annealing takes a step that raises what it minimises by so much."""
     return rise <= 0.0 or rng.random() < np.exp(-rise / temperature)
 
 

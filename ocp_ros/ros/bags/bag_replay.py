@@ -163,7 +163,7 @@ class Replay(Node):
             self._end(error)
 
     def _somebody_listens(self) -> bool:
-        """Tell whether to begin: everything is listened to, or that was waited for in vain."""
+        """Return whether to begin: everything is listened to, or that was waited for in vain."""
         now, mine = time.monotonic(), list(self._publishers_of.values())
         if self._posing:
             mine.append(self._poses)

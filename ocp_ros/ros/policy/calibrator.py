@@ -53,7 +53,7 @@ class Calibrator:
     :param config: of the node, with ``scan``.
     :param decider: knows the rig file, and what each camera sees where there is none.
     :param sighted: returns the newest cloud of each camera.
-    :param final: tells whether the cameras stay where they are.
+    :param final: returns whether the cameras stay where they are.
     :raises ConfigurationError: if there is no such scan.
     """
 

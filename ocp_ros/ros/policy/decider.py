@@ -174,13 +174,13 @@ class Decider:
                            for camera, heading in headings.items()), default=0.0)
         return moved_to(poses, command.placement[:len(poses.poses), :3], headings)
 
-    def reflect(self, interrupted: Callable[[], bool]) -> None:
+    def plan_ahead(self, interrupted: Callable[[], bool]) -> None:
         """
         Let the planner think about the next turn while the cameras move.
 
-        :param interrupted: tells whether that has to end.
+        :param interrupted: returns whether that has to end.
         """
-        self.step.reflect(interrupted)
+        self.step.plan_ahead(interrupted)
 
     def expected(self, cloud: np.ndarray, poses: PoseArray, command: PoseArray) -> str:
         """Say what a command is expected to bring; nothing where too little has been seen."""

@@ -86,12 +86,12 @@ class LiveTurns:
     :param commands: where commands go.
     :param answer: is asked once per turn: the fused cloud (N, 3) float32, metres, and where the
         cameras are give the command.
-    :param final: tells whether the cameras stay where they are: then clouds are no longer read.
+    :param final: returns whether the cameras stay where they are: then clouds are no longer read.
     :param refuse: takes note of a message that cannot be used.
-    :param waits: tells whether nothing may be commanded now.
+    :param waits: returns whether nothing may be commanded now.
     :param expect: says what a command is expected to bring, for a person: the fused cloud, where
         the cameras are and the command give a sentence.
-    :param reflect: is called after each command, to think while the cameras move.
+    :param plan_ahead: is called after each command, to think while the cameras move.
     :param in_place: poses of the cameras that nobody moves, where a rig file says so, and how many
         others there are.
     :raises ConfigurationError: if there can be no such topic.
@@ -101,8 +101,8 @@ class LiveTurns:
                  answer: Callable[[np.ndarray, PoseArray], PoseArray], final: Callable[[], bool],
                  refuse: Callable[[ValueError], None], waits: Callable[[], bool],
                  expect: Callable[[np.ndarray, PoseArray, PoseArray], str],
-                 reflect: Callable[[], None], in_place: tuple[list[Pose], int]) -> None:
-        self._waits, self._expect, self._reflect = waits, expect, reflect
+                 plan_ahead: Callable[[], None], in_place: tuple[list[Pose], int]) -> None:
+        self._waits, self._expect, self._reflect = waits, expect, plan_ahead
         self._node, self._config, self._commands = node, config, commands
         self._answer, self._final, self._refuse = answer, final, refuse
         self._fused = FusedCloud(config.voxel_size, config.most_points)
@@ -270,7 +270,7 @@ class LiveTurns:
         except MessageError as error:
             # What was fused belongs together no longer, or there is nothing of it.
             self._fused.clear()
-            self._turns.again()
+            self._turns.restarted()
             self._refuse(error)
             return
         if not self._final():
@@ -340,7 +340,7 @@ class LiveTurns:
         """Send the command again to cameras that have not arrived; tell a person what is left."""
         if self._waits():
             # What was seen is old when others stop commanding: see it again.
-            self._turns.again()
+            self._turns.restarted()
         elif self._command is not None and not self._turns.standing:
             self._commands.publish(self._command)
             if self._config.manual and self._turns.positions is not None:

@@ -86,5 +86,5 @@ def make_planner(config: PolicyNodeConfig, checkpoint: 'Checkpoint | None'
 
 
 def planned_alike(one: PolicyNodeConfig, other: PolicyNodeConfig) -> bool:
-    """Tell whether a planner that was made with one does for the other."""
+    """Return whether a planner that was made with one does for the other."""
     return all(getattr(one, name) == getattr(other, name) for name in PLANNED_WITH)

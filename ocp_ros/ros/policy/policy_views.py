@@ -43,16 +43,16 @@ class PolicyViews:
     :param node: publishes.
     :param models: what each camera sees, or one model for all.
     :param live: whether nobody else shows the rig, as a simulation does.
-    :param sight: tells of a turn's poses how the cameras of a rig file stand, those in place
+    :param rig_state: tells of a turn's poses how the cameras of a rig file stand, those in place
         included; None where there is no rig file.
     """
 
     def __init__(self, node: Node, models: Sequence[CameraModel], live: bool,
-                 sight: Callable[[PoseArray], RigState] | None) -> None:
-        self._models, self._sight = models, sight
+                 rig_state: Callable[[PoseArray], RigState] | None) -> None:
+        self._models, self._sight = models, rig_state
         self._turn: tuple[np.ndarray, PoseArray] | None = None
         self._clouds = CloudView(node, topics.COVERAGE_CLOUD, topics.ERROR_CLOUD, self._judge)
-        known = 0 if sight is None else len(models)
+        known = 0 if rig_state is None else len(models)
         self._rig = RigView(node, topics.RIG_MARKERS, models, known) if live else None
 
     def change(self, models: Sequence[CameraModel]) -> None:

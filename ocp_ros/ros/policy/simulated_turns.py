@@ -69,16 +69,16 @@ class SimulatedTurns:
         where the cameras are give the command.
     :param told: is told once per turn which one it is.
     :param refuse: takes note of a message that cannot be used.
-    :param waits: tells whether nothing may be commanded now.
-    :param reflect: is called after each command, to think while the cameras move.
+    :param waits: returns whether nothing may be commanded now.
+    :param plan_ahead: is called after each command, to think while the cameras move.
     """
 
     def __init__(self, node: Node, commands: Commander,
                  answer: Callable[[np.ndarray, PoseArray], PoseArray],
                  told: Callable[[TurnInfo], None], refuse: Callable[[ValueError], None],
-                 waits: Callable[[], bool], reflect: Callable[[], None]) -> None:
+                 waits: Callable[[], bool], plan_ahead: Callable[[], None]) -> None:
         self._commands, self._answer_turn, self._tell = commands, answer, told
-        self._refuse, self._waits, self._reflect = refuse, waits, reflect
+        self._refuse, self._waits, self._reflect = refuse, waits, plan_ahead
         self.cloud: PointCloud2 | None = None
         #: The latest poses by their stamps in nanoseconds, none older than the turn answered last.
         self.poses: dict[int, PoseArray] = {}
@@ -153,7 +153,7 @@ class SimulatedTurns:
         self._reflect()
 
     def _untold(self, stamp: int) -> bool:
-        """Tell whether the reward of a turn may still come, as that of the turn before did."""
+        """Return whether the reward of a turn may still come, as that of the turn before did."""
         before = None if self.answer is None else stamp_to_ns(self.answer.header.stamp)
         if self.told in (None, stamp) or self.told != before or not self._patient:
             self._late.cancel()

@@ -152,9 +152,9 @@ class Turns(Generic[T]):
         self._near = None
         if self._stand is None:
             self.positions = None
-        self.again()
+        self.restarted()
 
-    def again(self) -> None:
+    def restarted(self) -> None:
         """Ask for new clouds: those of this turn were of no use."""
         self._waiting.clear()
         self._used.clear()
@@ -211,7 +211,7 @@ class Turns(Generic[T]):
         self._used.clear()
 
     def _far(self, distance: float, angle: float) -> bool:
-        """Tell whether a camera is no longer where all poses had it for a while."""
+        """Return whether a camera is no longer where all poses had it for a while."""
         if self._anchor is None or len(self._anchor[1]) != len(self.positions):
             return True
         _, positions, rotations = self._anchor
@@ -220,7 +220,7 @@ class Turns(Generic[T]):
             angle_between(*pair) > angle for pair in zip(rotations, self._rotations))
 
     def _arrived(self, times: float = 1.0) -> bool:
-        """Tell whether every camera is where it was sent, and turned so, or not far from it."""
+        """Return whether every camera is where it was sent, and turned so, or not far from it."""
         if self._targets is None:
             return True
         away = self.positions - self._targets
@@ -239,7 +239,7 @@ class Turns(Generic[T]):
                 self._ahead[topic] = stamp - self._posed - int(late * 1e9)
 
     def _is_news(self, source: str, stamp: int) -> bool:
-        """Tell whether a stamp is no older than the last one, or from another time altogether."""
+        """Return whether a stamp is no older than the last one, or from another time."""
         last = self._heard.get(source, stamp)
         if last - JUMP <= stamp < last:
             return False
@@ -248,7 +248,7 @@ class Turns(Generic[T]):
             self._heard.clear()
             self._ahead.clear()
             self._recent.clear()
-            self.again()
+            self.restarted()
             self._posed, self._anchor, self._stood = stamp, None, stamp
             now, before = self._clock(), self._jumped[1]
             self._jumped = source, now
@@ -294,7 +294,7 @@ class Turns(Generic[T]):
         self._too_soon.pop(topic, None)
 
     def due(self) -> bool:
-        """Tell whether all clouds of this turn are here, or some and time is up."""
+        """Return whether all clouds of this turn are here, or some and time is up."""
         up = self._standing() and self._time_is_up()
         if up:
             self._silent |= set(self._topics) - set(self._used)
@@ -303,11 +303,11 @@ class Turns(Generic[T]):
             len(self._used) == len(self._topics) or (up and bool(self._used)))
 
     def _time_is_up(self) -> bool:
-        """Tell whether the cameras have stood for as long as clouds are waited for."""
+        """Return whether the cameras have stood for as long as clouds are waited for."""
         return self._clock() - self._stand[1] >= self._cloud_timeout
 
     def _standing(self) -> bool:
-        """Tell whether the cameras stand, or have been waited for long enough."""
+        """Return whether the cameras stand, or have been waited for long enough."""
         self._settle()
         now = self._clock()
         patience = self._arrival_timeout

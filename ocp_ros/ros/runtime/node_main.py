@@ -84,7 +84,7 @@ def undisturbed() -> Iterator[None]:
 
 
 def about_security(error: Exception) -> bool:
-    """Tell whether ROS has refused to start a node that was to be kept safe."""
+    """Return whether ROS has refused to start a node that was to be kept safe."""
     return isinstance(error, rclpy_implementation.RCLError) and 'security' in str(error).lower()
 
 
@@ -111,7 +111,7 @@ def end_with_parent() -> None:
 
 
 def compiling(frame: FrameType | None) -> bool:
-    """Tell whether a frame is of the compiler, or called by it: errors would be its end."""
+    """Return whether a frame is of the compiler, or called by it: errors would be its end."""
     while frame is not None:
         if str(frame.f_globals.get('__name__')).partition('.')[0] in COMPILERS:
             return True

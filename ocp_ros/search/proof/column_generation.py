@@ -129,7 +129,7 @@ class ColumnGeneration:
         """
         Raise the bound until no pose would help, or there is no time left.
 
-        :param over: tells whether there is no time left.
+        :param over: returns whether there is no time left.
         :param places: numbers of the places of each grid that poses are priced of; all unless
             named. Then the bound says nothing of the others.
         """
