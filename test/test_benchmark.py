@@ -42,7 +42,11 @@ from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.rooms.splits import TEST
 from ocp_ros.scenes.scene import SceneError, turned
 from ocp_ros.scenes.scene_files import save_scene
+from ocp_ros.search.budget import Budget
+from ocp_ros.search.plan import plan
+from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import room_names
 from ocp_ros.util.settings import ConfigurationError
@@ -363,3 +367,10 @@ def test_planners_are_compared_for_a_rig_file(tmp_path, capsys):
     written = (tmp_path / 'out' / 'README.md').read_text()
     assert '2 cameras of the rig file `rig.yaml`' in written and '| rig search | ' in written
     assert 'anytime.png' not in written and (tmp_path / 'out' / 'rooms.png').exists()
+
+
+def test_no_planner_of_rigs_plans_on_a_plane(room):
+    problem = PlaneProblem(Simulator(room, SimulationConfig(engine=EngineConfig('fast'))))
+    for planner, budget in (('rig_search', Budget(evaluations=10)), ('tdsa', Budget(seconds=1.0))):
+        with pytest.raises(ConfigurationError, match=f'--planner {planner}: found it for cameras'):
+            plan(problem, budget, planner)

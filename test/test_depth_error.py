@@ -102,7 +102,8 @@ def test_what_is_settled_may_be_left_out(small, seed, share, more):
     rng = np.random.default_rng(seed)
     seen, *views = (pack(rng.random(len(scene)) < part) for part in (share, more, 0.1, 0.0))
     expected = [error(seen | view) for view in views]
-    assert error.beyond(seen, views) == pytest.approx(expected, abs=ROUNDING)
+    given_seen = error.given(seen)
+    assert [given_seen(view) for view in views] == pytest.approx(expected, abs=ROUNDING)
 
 
 def test_depth_maps_agree_with_ray_casting():

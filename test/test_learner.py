@@ -34,6 +34,7 @@ from ocp_ros.training.experience import (
 from ocp_ros.training.learner import Learner, LearnerConfig
 from ocp_ros.training.training_config import SacConfig
 from ocp_ros.training.transitions import Assembler, Reward, Transition
+from ocp_ros.util.settings import ConfigurationError
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
@@ -272,3 +273,9 @@ def test_an_experience_that_lies_is_refused(agent):
         with suppress(ExperienceError):
             found = from_bytes(bytes(torn), expected, together)
             assert all(np.isfinite(choice.actions).all() for choice in found.choices)
+
+
+def test_a_learner_sums_up_no_rewards(small_agent, tmp_path):
+    """Turns may be missing between its transitions."""
+    with pytest.raises(ConfigurationError, match='sac.n_steps: found 3; expected 1'):
+        Learner(LearnerConfig(folder=str(tmp_path)), small_agent, SacConfig(n_steps=3))

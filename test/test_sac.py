@@ -33,7 +33,7 @@ from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.training.augmentation import CloudReplayBuffer, SYMMETRIES, turn, turn_observation
 from ocp_ros.training.encoded_environment import CameraByCamera, encoded_space, playable
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
-from ocp_ros.training.sac_state import load_state, save_state
+from ocp_ros.training.sac_state import load_replay, load_state, save_replay, save_state
 from ocp_ros.training.training_config import SacConfig
 from ocp_ros.util.settings import ConfigurationError
 import pytest
@@ -112,9 +112,9 @@ def test_the_replay_gives_back_what_was_stored_but_for_a_symmetry(room, small_ag
     assert moved == (len(torch.unique(drawn.observations['points'].abs().sum(dim=(1, 2)))) > 30)
 
 
-def test_rewards_of_some_steps_are_summed_up_within_an_episode(small_agent):
-    model = make_sac(replace(SAC, n_steps=3, gamma=0.5, augmentation='none', buffer_size=100),
-                     small_agent)
+def test_rewards_of_some_steps_are_summed_up_within_an_episode(small_agent, tmp_path):
+    sac = replace(SAC, n_steps=3, gamma=0.5, augmentation='none', buffer_size=100)
+    model = make_sac(sac, small_agent)
     for step in range(6):
         seen = {name: value[None] for name, value in observation(small_agent).items()}
         # The second episode begins with the fourth step; the third ends the first by its limit.
@@ -132,6 +132,16 @@ def test_rewards_of_some_steps_are_summed_up_within_an_episode(small_agent):
     assert torch.equal(after, torch.where(first < 3, 3, 6))
     assert torch.equal(drawn.discounts[:, 0], 0.5 ** (after - first))
     assert torch.equal(drawn.dones[:, 0], (first > 2).float())
+    # Who goes on with what was saved plays another episode.
+    model.replay_buffer.dones[5] = 0.0
+    save_replay(model.replay_buffer, tmp_path / 'replay.safetensors')
+    again = make_sac(sac, small_agent)
+    load_replay(again.replay_buffer, tmp_path / 'replay.safetensors')
+    again.replay_buffer.add(seen, seen, np.zeros((1, 1, 2)), np.array([1e9]), np.array([False]),
+                            [{}])
+    drawn = again.replay_buffer.sample(200)
+    assert drawn.rewards[:, 0].unique().tolist() == [*sorted(sums.tolist()), 1e9]
+    assert not drawn.dones.any()
 
 
 def played_by_sac(model, env, seen):

@@ -312,17 +312,6 @@ class DepthError:
         return lambda view, most=np.inf: (
             settled + lost_depth(trees, view, most * self.pixels - settled)) / self.pixels
 
-    def beyond(self, seen: np.ndarray, views: Sequence[np.ndarray]) -> np.ndarray:
-        """
-        Return the error for some points and each of many views besides.
-
-        :param seen: (W,) uint64, packed bits of the points.
-        :param views: M of the same.
-        :returns: (M,) metres.
-        """
-        error = self.given(seen)
-        return np.array([error(view) for view in views])
-
     def changes(self, beside: Sequence[np.ndarray], views: Sequence[np.ndarray], floor: float
                 ) -> np.ndarray:
         """
@@ -334,8 +323,9 @@ class DepthError:
         :returns: (M,) logarithms of (error with the view / error without it); less is better.
         """
         seen = np.bitwise_or.reduce([no_bits(self._count), *beside])
-        added = floor * self.worst
-        return np.log((self.beyond(seen, views) + added) / (self(seen) + added))
+        added, error = floor * self.worst, self.given(seen)
+        beyond = np.array([error(view) for view in views])
+        return np.log((beyond + added) / (self(seen) + added))
 
     def error_by_point(self, seen: np.ndarray) -> np.ndarray:
         """

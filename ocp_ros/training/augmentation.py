@@ -89,6 +89,26 @@ def turned_batch(batch: DictReplayBufferSamples) -> DictReplayBufferSamples:
     return batch._replace(observations=before, next_observations=after, actions=actions)
 
 
+def transitions(buffer: DictReplayBuffer, begin: tuple[np.ndarray, np.ndarray],
+                end: tuple[np.ndarray, np.ndarray], rewards: np.ndarray
+                ) -> DictReplayBufferSamples:
+    """
+    Return transitions of a buffer as learned from: (B, ...) tensors.
+
+    :param begin: rows and environments of the first step of each.
+    :param end: of its last step.
+    :param rewards: (B,) of all its steps.
+    """
+    def taken(arrays: dict[str, np.ndarray], at: tuple) -> dict[str, torch.Tensor]:
+        return {name: buffer.to_torch(values[at]) for name, values in arrays.items()}
+
+    ended = buffer.dones[end] * (1.0 - buffer.timeouts[end])
+    return DictReplayBufferSamples(
+        taken(buffer.observations, begin), buffer.to_torch(buffer.actions[begin]),
+        taken(buffer.next_observations, end), buffer.to_torch(ended[:, None]),
+        buffer.to_torch(rewards.astype(np.float32)[:, None]))
+
+
 class MapReplayBuffer(DictReplayBuffer):
     """
     A replay buffer of maps, whose batches are turned or mirrored at random.
@@ -116,15 +136,7 @@ class MapReplayBuffer(DictReplayBuffer):
     def _get_samples(self, batch_inds: np.ndarray, env=None) -> DictReplayBufferSamples:
         """Return transitions by their numbers, those of all environments counted."""
         at = np.divmod(batch_inds, self.n_envs)
-        ended = self.dones[at] * (1.0 - self.timeouts[at])
-
-        def taken(arrays: dict[str, np.ndarray]) -> dict[str, torch.Tensor]:
-            return {name: self.to_torch(values[at]) for name, values in arrays.items()}
-
-        return DictReplayBufferSamples(
-            taken(self.observations), self.to_torch(self.actions[at]),
-            taken(self.next_observations), self.to_torch(ended[:, None]),
-            self.to_torch(self.rewards[at][:, None]))
+        return transitions(self, at, at, self.rewards[at])
 
 
 def _part(room: np.ndarray) -> int:
@@ -176,17 +188,9 @@ class CloudReplayBuffer(DictReplayBuffer):
         last = ends.argmax(axis=1)
         shares = self.gamma ** steps * (steps <= last[:, None])
         rewards = (self.rewards[rows, column[:, None]] * shares).sum(axis=1)
-        begin, end = (batch_inds, column), (rows[np.arange(len(rows)), last], column)
-
-        def taken(arrays: dict[str, np.ndarray], at: tuple) -> dict[str, torch.Tensor]:
-            return {name: self.to_torch(values[at]) for name, values in arrays.items()}
-
-        ended = self.dones[end] * (1.0 - self.timeouts[end])
-        columns = (self.to_torch(values.astype(np.float32)[:, None])
-                   for values in (ended, rewards, self.gamma ** (last + 1.0)))
-        return DictReplayBufferSamples(
-            taken(self.observations, begin), self.to_torch(self.actions[begin]),
-            taken(self.next_observations, end), *columns)
+        end = rows[np.arange(len(rows)), last], column
+        return transitions(self, (batch_inds, column), end, rewards)._replace(
+            discounts=self.to_torch((self.gamma ** (last + 1.0)).astype(np.float32)[:, None]))
 
 
 def jittered(observation: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
